@@ -1,0 +1,250 @@
+"""Configuration and specs as YAML or JSON: checked at the door, unknown keys refused with a suggestion, hashable.
+
+`cattrs` converts between plain data and the frozen dataclasses of this package; this module adds what a user needs when
+the input is wrong: the key's path, its line in the file, the allowed names.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin
+
+import cattrs
+import numpy as np
+from cattrs.gen import make_dict_structure_fn
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+
+from roboxim_core.errors import ConfigError, RoboximError, one_of
+
+T = TypeVar("T")
+
+
+def _is_scalar_union(kind: Any) -> bool:
+    return get_origin(kind) in (Union, type(str | int)) and set(get_args(kind)) <= {str, int, float, bool}
+
+
+@lru_cache(maxsize=1)
+def _converter() -> cattrs.Converter:
+    converter = cattrs.Converter(forbid_extra_keys=True, detailed_validation=True)
+
+    def number(value: Any, _: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+            raise ValueError(f"expected a number, got {value!r}")
+        return float(value)
+
+    def integer(value: Any, _: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise ValueError(f"expected a whole number, got {value!r}")
+        return int(value)
+
+    def exact(kind: type) -> Any:
+        def check(value: Any, _: Any) -> Any:
+            if not isinstance(value, kind):
+                raise ValueError(f"expected {kind.__name__}, got {value!r}")
+            return value
+
+        return check
+
+    converter.register_structure_hook(float, number)
+    converter.register_structure_hook(int, integer)
+    converter.register_structure_hook(str, exact(str))
+    converter.register_structure_hook(bool, exact(bool))
+    converter.register_structure_hook_func(_is_scalar_union, _scalar)
+    converter.register_structure_hook(Path, lambda value, _: Path(value))
+    converter.register_unstructure_hook(Path, str)
+    converter.register_structure_hook_factory(
+        dataclasses.is_dataclass,
+        lambda cls: make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True),
+    )
+    return converter
+
+
+def _scalar(value: Any, kind: Any) -> Any:
+    kinds = get_args(kind)
+    if type(value) in kinds:
+        return value
+    raise ValueError(f"expected {' or '.join(k.__name__ for k in kinds)}, got {value!r}")
+
+
+def to_plain(value: Any) -> Any:
+    """Turn a dataclass into dicts, lists and scalars that YAML and JSON can hold."""
+    return _converter().unstructure(value)
+
+
+def from_plain(data: Any, cls: type[T], *, source: str = "configuration") -> T:
+    """Build a value of a dataclass from plain data.
+
+    Args:
+        data: Dicts, lists, scalars, as `to_plain` gives or YAML holds.
+        cls: The class to build.
+        source: What the data is, for messages, e.g. a file's name.
+
+    Raises:
+        ConfigError: Listing every wrong key with its path, its line where known, what was wrong and what is allowed.
+    """
+    try:
+        return _converter().structure(data, cls)
+    except Exception as error:  # cattrs raises exception groups and whatever __post_init__ raises
+        problems = _explain(error, data, "", cls)
+        raise ConfigError(f"{source} is not valid: " + "; ".join(problems)) from None
+
+
+def _explain(error: BaseException, data: Any, path: str, cls: Any) -> list[str]:
+    if isinstance(error, cattrs.errors.ForbiddenExtraKeysError):
+        names = [f.name for f in dataclasses.fields(error.cl)]
+        return [f"{_where(data, path, key)}unknown key; {one_of(names, key)}" for key in sorted(error.extra_fields)]
+    if isinstance(error, cattrs.BaseValidationError):
+        problems: list[str] = []
+        for sub in error.exceptions:
+            note = next((n for n in getattr(sub, "__notes__", []) if hasattr(n, "name") or hasattr(n, "index")), None)
+            step = getattr(note, "name", None)
+            if step is None:
+                step = getattr(note, "index", None)
+            below = data
+            if step is not None and isinstance(data, Mapping | list | tuple):
+                try:
+                    below = data[step]
+                except (KeyError, IndexError, TypeError):
+                    below = None
+            nested = isinstance(sub, cattrs.BaseValidationError | cattrs.errors.ForbiddenExtraKeysError)
+            if step is None or isinstance(sub, cattrs.errors.ForbiddenExtraKeysError):
+                problems += _explain(sub, data, path, cls)
+            elif nested:
+                problems += _explain(sub, below, f"{path}{step}.", cls)
+            else:
+                problems.append(f"{_where(data, path, step)}{_say(sub)}")
+        return problems
+    return [f"{path.rstrip('.')}: {_say(error)}" if path else _say(error)]
+
+
+def _say(error: BaseException) -> str:
+    if isinstance(error, KeyError):
+        return "required key is missing"
+    return str(error)
+
+
+def _where(data: Any, path: str, key: Any) -> str:
+    line = ""
+    positions = getattr(data, "lc", None)
+    if positions is not None and positions.data and key in positions.data:
+        line = f" (line {positions.data[key][0] + 1})"
+    return f"{path}{key}{line}: "
+
+
+def load_yaml(path: Path | str) -> Any:
+    """Read a YAML file, keeping line numbers for messages.
+
+    Raises:
+        ConfigError: When the file is missing or is not YAML, with the line.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text()
+    except OSError as error:
+        raise ConfigError(f"cannot read {file}: {error.strerror or error}") from None
+    return parse_yaml(text, source=str(file))
+
+
+def parse_yaml(text: str, *, source: str = "YAML") -> Any:
+    """Parse YAML text, keeping line numbers for messages.
+
+    Raises:
+        ConfigError: When it is not YAML, with the line.
+    """
+    try:
+        return YAML(typ="rt", pure=True).load(text)
+    except MarkedYAMLError as error:
+        line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from None
+
+
+def load_config(path: Path | str, cls: type[T]) -> T:
+    """Read a YAML file into a dataclass.
+
+    Raises:
+        ConfigError: When the file is missing, is not YAML, or does not fit the class.
+    """
+    data = load_yaml(path)
+    return from_plain({} if data is None else data, cls, source=str(path))
+
+
+def to_json(value: Any) -> str:
+    """Serialise a spec as canonical JSON: sorted keys, no spaces, shortest floats."""
+    return json.dumps(to_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def from_json(text: str, cls: type[T], *, source: str = "JSON") -> T:
+    """Build a value of a dataclass from JSON text.
+
+    Raises:
+        ConfigError: When the text is not JSON or does not fit the class.
+    """
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{source} is not valid JSON: {error}") from None
+    return from_plain(data, cls, source=source)
+
+
+def digest(value: Any) -> str:
+    """Return a stable hash of a spec, 16 hexadecimal digits."""
+    return hashlib.blake2b(to_json(value).encode(), digest_size=8).hexdigest()
+
+
+def config_dir() -> Path:
+    """Return the directory of RoboXim's YAML files: ``$ROBOXIM_CONFIG_DIR``, or ``config/`` of the checkout.
+
+    Raises:
+        ConfigError: When there is no such directory.
+    """
+    given = os.environ.get("ROBOXIM_CONFIG_DIR")
+    candidates = [Path(given)] if given else [parent / "config" for parent in Path(__file__).resolve().parents]
+    for candidate in candidates:
+        if (candidate / "robots").is_dir():
+            return candidate
+    raise ConfigError("no config directory with robots/ found; run from a checkout or set ROBOXIM_CONFIG_DIR")
+
+
+def named_config(kind: str, name: str) -> Path:
+    """Return the YAML file of a name: ``config/<kind>/<name>.yaml``, or a path if the name looks like one.
+
+    Args:
+        kind: Folder in ``config/``, e.g. ``cameras``.
+        name: Name without ending, or a path to a YAML file.
+
+    Raises:
+        ConfigError: When there is no such file; lists what there is.
+    """
+    if re.search(r"[/\\]|\.ya?ml$", name):
+        path = Path(name).expanduser()
+        if not path.is_file():
+            raise ConfigError(f"no such file: {path}")
+        return path
+    folder = config_dir() / kind
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"no {kind} configuration '{name}'; {one_of((p.stem for p in folder.glob('*.yaml')), name)}")
+    return path
+
+
+__all__ = [
+    "RoboximError",
+    "config_dir",
+    "digest",
+    "from_json",
+    "from_plain",
+    "load_config",
+    "load_yaml",
+    "named_config",
+    "parse_yaml",
+    "to_json",
+    "to_plain",
+]

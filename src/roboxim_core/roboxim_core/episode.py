@@ -1,0 +1,581 @@
+"""The one episode loop, for generating and for evaluating alike, over small ports.
+
+``generate`` is this loop with the expert as actor and "keep if successful"; ``evaluate`` is it with a policy and "keep
+all". The ports are served by ROS clients in the evaluator node and by the cores themselves in tests and in the
+benchmark of the graph's overhead; the loop cannot tell the difference.
+
+A tick is: observe, act, tick the sim, judge, and wait until the recorder has the tick. A policy's fault fails the
+episode by reason; a fault of the simulator or the recorder is raised and halts the run.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk, hold_action
+from roboxim_core.config import to_json
+from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.recorded import recorded_parameters
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import Verdict
+
+KEEP_RULES = ("successful", "all", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """How episodes are run."""
+
+    run_seed: int = 0
+    """Seed of the run."""
+    purpose: str = "eval"
+    """``demo``, ``eval``, ``train`` or ``test``."""
+    actor: str = "expert"
+    """Namespace of the policy, e.g. ``expert`` or ``policy``."""
+    task_config: str = ""
+    """Task configuration as YAML text; empty: the task node's default."""
+    cameras: tuple[str, ...] = ()
+    """Names of the cameras to keep of the scene; empty: all."""
+    image_width: int = 0
+    """Overrides the cameras' width [px]; 0: as configured."""
+    image_height: int = 0
+    """Overrides the cameras' height [px]; 0: as configured."""
+    depth: bool = False
+    """Whether the cameras also give depth."""
+    segmentation: bool = False
+    """Whether the cameras also give segmentation."""
+    rate_hz: float = 0.0
+    """Control rate [Hz]; 0: as the scene has it."""
+    window: int = 0
+    """Observations per request; 0: what the policy wants."""
+    execute: int = 0
+    """Actions executed per request; 0: the policy's horizon."""
+    max_steps: int = 0
+    """Actions after which an episode has failed; 0: as the skill is configured."""
+    stop_on_success: bool = True
+    """Whether to stop at the first success."""
+    settle_ticks: int = 10
+    """Hold actions after the end, before the final verdict; recorded, not exported."""
+    keep: str = "all"
+    """``successful``: others are set apart with their reason; ``all``; ``none``: record nothing."""
+    max_attempts: int = 1
+    """Attempts per index until an episode is kept."""
+    policy_timeout_s: float = 30.0
+    """Longest wait for a policy's answer [s]."""
+    noise_translation_m: float = 0.0
+    """Standard deviation of the noise injected into free motions, per axis and tick [m]."""
+    noise_rotation_rad: float = 0.0
+    """The same for rotations [rad]."""
+    output_dir: str = ""
+    """Folder for bags, absolute; empty: record nothing."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a negative number or an unknown keep rule.
+        """
+        if self.keep not in KEEP_RULES:
+            raise InvalidRequestError(f"unknown keep rule '{self.keep}'; {one_of(KEEP_RULES, self.keep)}")
+        for name in (
+            "image_width image_height rate_hz window execute max_steps settle_ticks policy_timeout_s "
+            "noise_translation_m noise_rotation_rad"
+        ).split():
+            if not getattr(self, name) >= 0:
+                raise InvalidRequestError(f"{name} must be >= 0, got {getattr(self, name)}")
+
+    @property
+    def records(self) -> bool:
+        """Whether bags are written."""
+        return bool(self.output_dir) and self.keep != "none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """What the task node drew for an episode."""
+
+    task: TaskSpec
+    """The task."""
+    scene: SceneSpec
+    """The scene."""
+    max_steps: int
+    """Actions after which the skill has failed."""
+    config_json: str = "{}"
+    """Resolved task configuration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeInfo:
+    """Everything that makes an episode again; opens its bag."""
+
+    episode_id: str
+    """Unique id."""
+    run_seed: int
+    """Seed of the run."""
+    purpose: str
+    """Purpose."""
+    index: int
+    """Index in the run."""
+    attempt: int
+    """Attempt at this index."""
+    task: TaskSpec
+    """The task."""
+    scene: SceneSpec
+    """The scene."""
+    semantics: ActionSemantics
+    """Meaning of the actions."""
+    actor: str
+    """Name of the policy that acts."""
+    renderer: str = ""
+    """Renderer and device."""
+    config_json: str = "{}"
+    """Resolved configuration."""
+    versions: dict[str, str] = field(default_factory=dict)
+    """Package to version, model to hash."""
+    recorded: dict[str, str] = field(default_factory=dict)
+    """Recorded parameter to JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeStep:
+    """What the loop adds to a tick."""
+
+    episode_id: str
+    """Episode."""
+    seq: int
+    """Tick that this step led to."""
+    stamp_ns: int
+    """Its stamp [ns]."""
+    action_label: tuple[float, ...] = ()
+    """What an imitator should have output."""
+    action_executed: tuple[float, ...] = ()
+    """What the controller integrated."""
+    phase: str = "act"
+    """``start``, ``act`` or ``settle``."""
+    disturbance: bool = False
+    """Whether noise was injected."""
+    verdict: Verdict = Verdict()
+    """Verdict at this tick."""
+    inference_s: float = 0.0
+    """Wall time of the policy's request that this action came from [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeResult:
+    """How an episode ended."""
+
+    episode_id: str
+    """Episode."""
+    index: int
+    """Index in the run."""
+    attempt: int = 0
+    """Attempt at this index."""
+    outcome: str = "failure"
+    """``success``, ``failure`` (not solved) or ``error`` (a misbehaving policy)."""
+    reason: str = ""
+    """Snake-case reason when not a success."""
+    message: str = ""
+    """Details for a person."""
+    steps: int = 0
+    """Actions taken, without settling."""
+    last_seq: int = 0
+    """Last tick, settling included."""
+    success_ever: bool = False
+    """Whether it was solved at any tick."""
+    verdict: Verdict = Verdict()
+    """Final verdict."""
+    clipped: int = 0
+    """Actions that were clipped."""
+    instruction: str = ""
+    """The instruction."""
+    skill: str = ""
+    """The skill."""
+    bag: str = ""
+    """Bag, relative to the output folder; empty: none."""
+    wall_s: float = 0.0
+    """Wall time of the episode [s]."""
+    inference_s: float = 0.0
+    """Wall time in the policy [s]."""
+    final_state_hash: str = ""
+    """State hash of the last tick."""
+
+
+class ScenePort(Protocol):
+    """Draws tasks and scenes."""
+
+    def draw(self, seed: SeedPath, task_config: str) -> Draw:
+        """Draw the episode of a seed path; `TaskError` when a reset is not feasible."""
+        ...
+
+
+class SimPort(Protocol):
+    """The simulator."""
+
+    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+        """Rebuild the world and settle: tick 0."""
+        ...
+
+    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
+        """Execute an action; returns tick ``seq``."""
+        ...
+
+    def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
+        """Return the whole observation of a tick; a missing part is an error by name, never an older frame."""
+        ...
+
+    def release(self, episode_id: str) -> None:
+        """Give the lease back."""
+        ...
+
+    @property
+    def renderer(self) -> str:
+        """Renderer and device in use."""
+        ...
+
+
+class ActorPort(Protocol):
+    """The policy. Its faults are raised as `PolicyError`."""
+
+    def describe(self) -> PolicyDescription:
+        """Say what it is."""
+        ...
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode."""
+        ...
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the next actions."""
+        ...
+
+
+class JudgePort(Protocol):
+    """The judge."""
+
+    def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
+        """Start a fold with tick 0."""
+        ...
+
+    def judge(self, state: StateRecord) -> Verdict:
+        """Fold the next tick."""
+        ...
+
+
+class RecorderPort(Protocol):
+    """The recorder."""
+
+    def open(self, info: EpisodeInfo) -> None:
+        """Open the episode's bag; called before tick 0 is made."""
+        ...
+
+    def step(self, step: EpisodeStep) -> None:
+        """Add a tick; returns when the bag has it as a whole."""
+        ...
+
+    def close(self, result: EpisodeResult, keep: str) -> str:
+        """Close the bag (``keep``, ``set_apart`` or ``drop``) and return its path relative to the output folder."""
+        ...
+
+    def abort(self) -> None:
+        """Drop an open bag after a fault; never raises."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """The five sides of the loop."""
+
+    scenes: ScenePort
+    """Draws tasks and scenes."""
+    sim: SimPort
+    """The simulator."""
+    actor: ActorPort
+    """The policy."""
+    judge: JudgePort
+    """The judge."""
+    recorder: RecorderPort
+    """The recorder."""
+    clock: Callable[[], float]
+    """Monotonic wall clock [s], for the report only."""
+
+
+def episode_id(seed: SeedPath) -> str:
+    """Return the id of an episode: unique in a run, stable over re-runs, usable as a file name."""
+    return f"{seed.purpose}-{seed.run_seed}-{seed.index:05d}-{seed.attempt}"
+
+
+def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDescription) -> SceneSpec:
+    """Apply a run's cameras, sizes and rate to a scene.
+
+    Raises:
+        InvalidRequestError: When a wanted camera is not in the scene.
+    """
+    wanted = {camera.name: camera for camera in description.cameras}
+    names = config.cameras or tuple(camera.name for camera in scene.cameras)
+    have = {camera.name: camera for camera in scene.cameras}
+    for name in (*names, *wanted):
+        if name not in have:
+            raise InvalidRequestError(f"no camera '{name}'; {one_of(have, name)}", ErrorCode.UNKNOWN_CAMERA)
+    names = tuple(dict.fromkeys((*names, *wanted)))
+
+    def sized(camera: CameraSpec) -> CameraSpec:
+        want = wanted.get(camera.name)
+        return replace(
+            camera,
+            width=config.image_width or (want.width if want else 0) or camera.width,
+            height=config.image_height or (want.height if want else 0) or camera.height,
+            depth=config.depth or camera.depth,
+            segmentation=config.segmentation or camera.segmentation,
+        )
+
+    return replace(
+        scene,
+        cameras=tuple(sized(have[name]) for name in names),
+        control_rate_hz=config.rate_hz or scene.control_rate_hz,
+    )
+
+
+class _Window:
+    """The last observations, padded by repeating the first."""
+
+    def __init__(self, size: int) -> None:
+        self._items: deque[Observation] = deque(maxlen=size)
+        self._size = size
+
+    def add(self, observation: Observation) -> None:
+        self._items.append(observation)
+
+    def request(self, info: EpisodeInfo) -> ObservationWindow:
+        missing = self._size - len(self._items)
+        return ObservationWindow(
+            instruction=info.task.instruction,
+            observations=[self._items[0]] * missing + list(self._items),
+            pad_mask=(False,) * missing + (True,) * len(self._items),
+            episode_id=info.episode_id,
+            seq=self._items[-1].seq,
+        )
+
+
+class EpisodeRunner:
+    """Runs episodes over the ports; one instance serves a whole run."""
+
+    def __init__(self, ports: Ports, config: RunConfig, *, versions: dict[str, str] | None = None) -> None:
+        """Prepare a run: ask the actor what it is.
+
+        Args:
+            ports: The five sides.
+            config: How to run.
+            versions: Package to version, for the bags.
+
+        Raises:
+            RoboximError: When the actor cannot be asked.
+        """
+        self.ports = ports
+        self.config = config
+        self.versions = versions or {}
+        self.description = ports.actor.describe()
+
+    def run_index(self, index: int, *, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
+        """Run one index until an episode is kept or the attempts are used up.
+
+        Args:
+            index: Index in the run.
+            cancelled: Asked before every tick.
+
+        Returns:
+            The last attempt's result.
+
+        Raises:
+            RoboximError: On a fault of sim, judge or recorder, or on cancellation (``CANCELLED``).
+        """
+        for attempt in range(max(1, self.config.max_attempts)):
+            seed = SeedPath(
+                run_seed=self.config.run_seed, purpose=self.config.purpose, index=index, attempt=attempt
+            )
+            result = self.run_attempt(seed, cancelled)
+            if result.outcome == "success":
+                break
+        return result
+
+    def run_attempt(self, seed: SeedPath, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
+        """Run one episode. Same contract as `run_index`."""
+        started = self.ports.clock()
+        try:
+            draw = self.ports.scenes.draw(seed, self.config.task_config)
+        except RoboximError as error:
+            if error.code != ErrorCode.RESET_INFEASIBLE:
+                raise
+            return EpisodeResult(
+                episode_id=episode_id(seed), index=seed.index, attempt=seed.attempt, outcome="error",
+                reason="reset_infeasible", message=str(error),
+            )  # fmt: skip
+        scene = configure_scene(draw.scene, self.config, self.description)
+        semantics = ActionSemantics(rate_hz=scene.control_rate_hz)
+        self.description.semantics.require_compatible(
+            semantics, mine=f"policy '{self.description.name}'", theirs="the run"
+        )
+        info = EpisodeInfo(
+            episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
+            attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
+            renderer=self.ports.sim.renderer, versions=self.versions,
+            config_json=f'{{"run":{to_json(self.config)},"task":{draw.config_json}}}',
+            recorded=recorded_parameters(draw.task, scene),
+        )  # fmt: skip
+        episode = _Episode(self, info, seed, self.config.max_steps or draw.max_steps, cancelled)
+        try:
+            return episode.run(started)
+        except BaseException:
+            self.ports.recorder.abort()
+            raise
+        finally:
+            self.ports.sim.release(info.episode_id)
+
+
+class _Episode:
+    """One running episode."""
+
+    def __init__(
+        self, runner: EpisodeRunner, info: EpisodeInfo, seed: SeedPath, max_steps: int, cancelled: Callable[[], bool]
+    ) -> None:
+        self.ports = runner.ports
+        self.config = runner.config
+        self.description = runner.description
+        self.info = info
+        self.seed = seed
+        self.max_steps = max_steps
+        self.cancelled = cancelled
+        self.noise_rng = seed.rng("execution_noise")
+        self.window = _Window(self.config.window or self.description.window)
+        self.queue: deque[tuple[ActionArray, str]] = deque()
+        self.actor_done = False
+        self.counts: Counter[str] = Counter()
+        self.inference_s = 0.0
+        self.last_inference_s = 0.0
+
+    def run(self, started: float) -> EpisodeResult:
+        ports, info = self.ports, self.info
+        if self.config.records:
+            ports.recorder.open(info)
+        self.state = ports.sim.load(info.episode_id, info.scene)
+        self.verdict = ports.judge.start(info.episode_id, info.task, self.state)
+        self._record("start", (), disturbance=False)
+        outcome, reason, message = self._act_until_end()
+        if outcome != "error":
+            self._settle()
+            if self.verdict.success:
+                outcome, reason = "success", ""
+            elif outcome == "success":
+                outcome, reason = "failure", self.verdict.reason or "not_stable"
+            else:
+                reason = self.verdict.reason or reason
+        result = EpisodeResult(
+            episode_id=info.episode_id, index=info.index, attempt=info.attempt, outcome=outcome, reason=reason,
+            message=message, steps=self.counts["steps"], last_seq=self.state.seq, clipped=self.counts["clipped"],
+            success_ever=self.verdict.success_ever, verdict=self.verdict, instruction=info.task.instruction,
+            skill=info.task.skill, inference_s=self.inference_s, final_state_hash=self.state.state_hash,
+            wall_s=ports.clock() - started,
+        )  # fmt: skip
+        if self.config.records:
+            keep = "keep" if self.config.keep == "all" or outcome == "success" else "set_apart"
+            result = replace(result, bag=ports.recorder.close(result, keep))
+        return result
+
+    def _act_until_end(self) -> tuple[str, str, str]:
+        """Act until success, failure, the limit or a fault of the policy; return outcome, reason, message."""
+        start = EpisodeStart(
+            episode_id=self.info.episode_id, instruction=self.info.task.instruction,
+            seed=self.seed.derived_seed("policy"),
+            task=self.info.task if self.description.privileged else None,
+            scene=self.info.scene if self.description.privileged else None,
+        )  # fmt: skip
+        try:
+            self.ports.actor.reset(start)
+            while self.counts["steps"] < self.max_steps:
+                if self.cancelled():
+                    raise RoboximError(f"episode {self.info.episode_id} was cancelled", ErrorCode.CANCELLED)
+                if self.verdict.success and self.config.stop_on_success and self.counts["steps"]:
+                    return "success", "", ""
+                if self.verdict.failed:
+                    return "failure", self.verdict.reason or "failed", ""
+                if self.state.left_workspace and self.info.scene.workspace.on_leave == "fail":
+                    return "failure", "left_workspace", ""
+                self._observe()
+                if not self.queue:
+                    if self.actor_done:
+                        return "failure", "actor_finished", ""
+                    self._ask()
+                action, phase = self.queue.popleft()
+                self._tick(action, phase)
+        except (PolicyError, InvalidRequestError) as error:
+            if isinstance(error, InvalidRequestError) and error.code != ErrorCode.INVALID_ACTION:
+                raise
+            return "error", error.code.name.lower(), str(error)
+        return "failure", "max_steps", ""
+
+    def _observe(self) -> None:
+        cameras = tuple(camera.name for camera in self.description.cameras)
+        observation = self.ports.sim.observe(self.state, cameras)
+        missing = [name for name in cameras if name not in observation.images]
+        if missing or observation.seq != self.state.seq:
+            raise EvaluationError(
+                f"the observation of tick {self.state.seq} lacks {missing or 'everything'} "
+                f"(got tick {observation.seq}); the sim must publish every camera of the scene at every tick",
+                ErrorCode.OBSERVATION_MISSING,
+            )
+        if self.description.privileged:
+                    observation = replace(observation, state=self.state)
+        self.window.add(observation)
+
+    def _ask(self) -> None:
+        before = self.ports.clock()
+        chunk = self.ports.actor.act(self.window.request(self.info))
+        self.last_inference_s = self.ports.clock() - before
+        self.inference_s += self.last_inference_s
+        actions = check_chunk(chunk.actions)
+        use = min(self.config.execute or len(actions), len(actions))
+        phases = chunk.phases if len(chunk.phases) == len(actions) else ("",) * len(actions)
+        self.queue.extend((actions[i], phases[i]) for i in range(use))
+        self.actor_done = chunk.done and use == len(actions)
+
+    def _tick(self, label: ActionArray, phase: str) -> None:
+        executed = label
+        noisy = phase == "free" and (self.config.noise_translation_m > 0 or self.config.noise_rotation_rad > 0)
+        if noisy:
+            scale = [self.config.noise_translation_m] * 3 + [self.config.noise_rotation_rad] * 3 + [0.0]
+            executed = (label + self.noise_rng.normal(size=7) * scale).astype(np.float32)
+        self._advance(executed)
+        self.counts["steps"] += 1
+        self._record("act", tuple(float(value) for value in label), disturbance=noisy)
+
+    def _settle(self) -> None:
+        """Hold still, so that success is judged of a world at rest."""
+        for _ in range(self.config.settle_ticks):
+            hold = hold_action(self.state.robot.gripper_command)
+            self._advance(hold)
+            self.last_inference_s = 0.0
+            self._record("settle", tuple(float(value) for value in hold), disturbance=False)
+
+    def _advance(self, executed: ActionArray) -> None:
+        seq = self.state.seq + 1
+        self.state = self.ports.sim.tick(self.info.episode_id, seq, executed)
+        self.counts["clipped"] += self.state.clipped
+        self.verdict = self.ports.judge.judge(self.state)
+
+    def _record(self, phase: str, label: tuple[float, ...], *, disturbance: bool) -> None:
+        if not self.config.records:
+            return
+        self.ports.recorder.step(
+            EpisodeStep(
+                episode_id=self.info.episode_id, seq=self.state.seq, stamp_ns=self.state.stamp_ns, phase=phase,
+                action_label=label, action_executed=self.state.action_executed, disturbance=disturbance,
+                verdict=self.verdict, inference_s=self.last_inference_s,
+            )  # fmt: skip
+        )

@@ -1,0 +1,198 @@
+"""One tree of errors, and the numeric codes that travel in every service and action result.
+
+Each package raises its own subclass; a node turns it into ``error_code`` + ``error_msg`` and a client turns those back
+into the same class, so an error looks the same on both sides of a service call. The codes are mirrored as constants in
+``roboxim_interfaces/msg/ErrorCode``; a test holds the two lists equal.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from enum import IntEnum
+
+
+class ErrorCode(IntEnum):
+    """Result codes. 0 is success; 1xx any package, 2xx planner, 3xx sim, 4xx tasks, 5xx recorder, 6xx eval, 7xx policies."""
+
+    OK = 0
+
+    INTERNAL = 100
+    INVALID_REQUEST = 101
+    INVALID_CONFIG = 102
+    TIMEOUT = 103
+    UNAVAILABLE = 104
+    CANCELLED = 105
+    DISK = 106
+
+    PLANNING_FAILED = 200
+    STALE_SCENE = 201
+    START_IN_COLLISION = 202
+    START_OUTSIDE_LIMITS = 203
+    GOAL_UNREACHABLE = 204
+    GOAL_IN_COLLISION = 205
+    PATH_INCOMPLETE = 206
+    TRAJECTORY_INVALID = 207
+    UNKNOWN_FRAME = 208
+
+    SIM_FAULT = 300
+    NO_SCENE = 301
+    LEASE_HELD = 302
+    WRONG_SEQ = 303
+    INVALID_ACTION = 304
+    UNKNOWN_ENTITY = 305
+    UNKNOWN_CAMERA = 306
+    RENDERER_UNAVAILABLE = 307
+    DIVERGED = 308
+    UNKNOWN_MODEL = 309
+    LEFT_WORKSPACE = 310
+
+    TASK_FAULT = 400
+    UNKNOWN_SKILL = 401
+    RESET_INFEASIBLE = 402
+    NO_EXPERT = 403
+    UNKNOWN_EPISODE = 404
+
+    RECORDER_FAULT = 500
+    EPISODE_GAP = 501
+    EPISODE_NOT_OPEN = 502
+    EPISODE_EXISTS = 503
+    BAG_DAMAGED = 504
+    EXPORT_REFUSED = 505
+
+    EVALUATION_FAULT = 600
+    OBSERVATION_MISSING = 601
+    SEMANTICS_MISMATCH = 602
+
+    POLICY_FAULT = 700
+    POLICY_DIED = 701
+    POLICY_LATE = 702
+
+
+class RoboximError(Exception):
+    """Base of all errors that RoboXim raises on purpose.
+
+    The message says what was wrong, what was expected and what to do. ``code`` is what a service result carries.
+    """
+
+    code: ErrorCode = ErrorCode.INTERNAL
+
+    def __init__(self, message: str, code: ErrorCode | int | None = None) -> None:
+        """Make the error.
+
+        Args:
+            message: What was wrong, what was expected, what to do.
+            code: A more exact code than the class's own.
+        """
+        super().__init__(message)
+        if code is not None:
+            self.code = ErrorCode(code)
+
+
+class InvalidRequestError(RoboximError):
+    """A request or argument is malformed: NaN, a wrong shape, an unknown name."""
+
+    code = ErrorCode.INVALID_REQUEST
+
+
+class ConfigError(RoboximError):
+    """A configuration (YAML, command line, parameter) is wrong. Raised before anything starts."""
+
+    code = ErrorCode.INVALID_CONFIG
+
+
+class RequestTimeoutError(RoboximError):
+    """A deadline passed. A deadline never changes a result, it only ever ends in this error."""
+
+    code = ErrorCode.TIMEOUT
+
+
+class UnavailableError(RoboximError):
+    """A peer (node, service, policy, library) is not there or has died."""
+
+    code = ErrorCode.UNAVAILABLE
+
+
+class PlannerError(RoboximError):
+    """The planner cannot answer a request (2xx)."""
+
+    code = ErrorCode.PLANNING_FAILED
+
+
+class SimError(RoboximError):
+    """The simulator refuses or fails (3xx)."""
+
+    code = ErrorCode.SIM_FAULT
+
+
+class TaskError(RoboximError):
+    """A task, a reset, an expert or a judge refuses or fails (4xx)."""
+
+    code = ErrorCode.TASK_FAULT
+
+
+class RecorderError(RoboximError):
+    """A bag or a dataset cannot be written, read or exported (5xx)."""
+
+    code = ErrorCode.RECORDER_FAULT
+
+
+class EvaluationError(RoboximError):
+    """An evaluation cannot run (6xx)."""
+
+    code = ErrorCode.EVALUATION_FAULT
+
+
+class PolicyError(RoboximError):
+    """A policy misbehaved (7xx); that episode fails, the run goes on."""
+
+    code = ErrorCode.POLICY_FAULT
+
+
+_FAMILIES: dict[int, type[RoboximError]] = {
+    2: PlannerError,
+    3: SimError,
+    4: TaskError,
+    5: RecorderError,
+    6: EvaluationError,
+    7: PolicyError,
+}
+_EXACT: dict[int, type[RoboximError]] = {
+    cls.code: cls for cls in (InvalidRequestError, ConfigError, RequestTimeoutError, UnavailableError)
+}
+
+
+def raise_for_code(error_code: int, error_msg: str) -> None:
+    """Raise the error that a result's code and message describe; return if the code is OK.
+
+    Args:
+        error_code: ``error_code`` of a service or action result.
+        error_msg: Its ``error_msg``.
+
+    Raises:
+        RoboximError: The subclass of the code's family, with the code and message.
+    """
+    if error_code == ErrorCode.OK:
+        return
+    try:
+        code = ErrorCode(error_code)
+    except ValueError:
+        raise RoboximError(f"unknown error code {error_code}: {error_msg}") from None
+    cls = _EXACT.get(error_code) or _FAMILIES.get(error_code // 100, RoboximError)
+    raise cls(error_msg, code)
+
+
+def one_of(choices: Iterable[str], given: str) -> str:
+    """Say which names are valid, with a suggestion, to end an error message with.
+
+    Args:
+        choices: The valid names.
+        given: The name that was not among them.
+
+    Returns:
+        For example ``"expected one of: apple, cube (did you mean 'cube'?)"``.
+    """
+    names = sorted(choices)
+    close = difflib.get_close_matches(given, names, n=1)
+    hint = f" (did you mean '{close[0]}'?)" if close else ""
+    return f"expected one of: {', '.join(names) or '(none registered)'}{hint}"

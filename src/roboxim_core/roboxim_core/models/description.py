@@ -1,0 +1,197 @@
+"""The value types of robot and object models; `library` loads them from ``config/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.specs import MaterialSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A convex collision primitive or hull in its link's frame."""
+
+    kind: str
+    """``box``, ``sphere``, ``cylinder``, ``capsule`` (both along z), or ``hull``."""
+    size: tuple[float, ...] = ()
+    """box: extents x, y, z; sphere: (radius,); cylinder: (radius, length); capsule: (radius, cylinder length) [m]."""
+    mesh: str = ""
+    """For a hull: absolute path of the mesh whose convex hull it is."""
+    pose: Pose = IDENTITY
+    """Pose in the link."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visual:
+    """Something to draw in a link's frame."""
+
+    kind: str
+    """A shape's kind, ``mesh``, or the name of a registered visual generator."""
+    size: tuple[float, ...] = ()
+    """As for `Shape`; a generator's own numbers."""
+    mesh: str = ""
+    """For a mesh: absolute path."""
+    pose: Pose = IDENTITY
+    """Pose in the link."""
+    material: MaterialSpec = MaterialSpec()
+    """Material."""
+    tinted: bool = False
+    """Whether the ``color`` modifier replaces the material's colour."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkModel:
+    """A rigid link."""
+
+    name: str = ""
+    """Name; a rigid object's single link is ``""``."""
+    mass: float = 0.0
+    """Mass [kg]."""
+    collision: tuple[Shape, ...] = ()
+    """Collision geometry."""
+    visual: tuple[Visual, ...] = ()
+    """Visual geometry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """Contact parameters of a body."""
+
+    lateral: float = 0.8
+    """Coulomb coefficient."""
+    spinning: float = 0.002
+    """Torsional coefficient [m]."""
+    rolling: float = 0.001
+    """Rolling coefficient [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointModel:
+    """A one-degree-of-freedom joint of an object."""
+
+    name: str
+    """Name."""
+    kind: str
+    """``prismatic`` or ``revolute``."""
+    parent: str
+    """Parent link."""
+    child: str
+    """Child link."""
+    pose: Pose = IDENTITY
+    """Pose of the joint in the parent."""
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    """Axis in the joint's frame."""
+    lower: float = 0.0
+    """Lower limit [m or rad]."""
+    upper: float = 0.0
+    """Upper limit [m or rad]."""
+    resistance: float = 0.0
+    """Force or torque that holds it where it is [N or N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspAnnotation:
+    """A family of grasps in the object's frame."""
+
+    name: str
+    """Name, e.g. ``top``."""
+    pose: Pose
+    """Pose of the tool centre point in the object (z of the tool points into the object)."""
+    yaw_symmetry_rad: float = 0.0
+    """The grasp repeats every so many radians about the object's z axis; 0: only as given."""
+    opening_m: float = 0.08
+    """Opening of the gripper before the grasp [m]."""
+    width_m: float = 0.0
+    """Width of what is grasped [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectModel:
+    """An object with its modifiers applied."""
+
+    id: str
+    """Id, e.g. ``cube``."""
+    name: str
+    """Noun used in instructions."""
+    links: tuple[LinkModel, ...]
+    """Links; the first is the base."""
+    joints: tuple[JointModel, ...] = ()
+    """Joints."""
+    friction: Friction = Friction()
+    """Contact parameters."""
+    size: Vec3
+    """Extents of the base's bounding box [m]."""
+    rest_height: float
+    """Height of the base frame above a support when it lies on it [m]."""
+    grasps: tuple[GraspAnnotation, ...] = ()
+    """Grasps, best first."""
+    affordances: tuple[str, ...] = ()
+    """Of ``graspable``, ``support``, ``container``, ``articulated``."""
+    yaw_symmetry_rad: float = 0.0
+    """The object looks the same every so many radians about z; 0: no symmetry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripperModel:
+    """A parallel gripper with one opening."""
+
+    joint_names: tuple[str, ...]
+    """Finger joints; each is at ``opening * max / 2`` metres."""
+    max_opening_m: float
+    """Total opening when fully open [m]."""
+    force_n: float
+    """Force of each finger [N]."""
+    speed_m_s: float
+    """Speed of each finger [m/s]."""
+    links: tuple[str, ...] = ()
+    """Links of the hand and fingers, which may touch a held object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLimits:
+    """Limits of the arm's joints, in the order of `RobotModel.joint_names`."""
+
+    lower: tuple[float, ...]
+    """[rad]."""
+    upper: tuple[float, ...]
+    """[rad]."""
+    velocity: tuple[float, ...]
+    """[rad/s]."""
+    acceleration: tuple[float, ...]
+    """[rad/s^2]."""
+    jerk: tuple[float, ...]
+    """[rad/s^3]."""
+    effort: tuple[float, ...]
+    """[N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotModel:
+    """An arm with a gripper."""
+
+    id: str
+    """Id, e.g. ``panda``."""
+    urdf: Path
+    """URDF that sim and planner both load."""
+    srdf: Path
+    """SRDF with the disabled collision pairs."""
+    base_link: str
+    """Root link."""
+    tcp_link: str
+    """Frame of the tool centre point: between the finger tips, z forward out of the hand, y along the opening."""
+    joint_names: tuple[str, ...]
+    """Arm joints."""
+    limits: JointLimits
+    """Their limits, from the maker's data sheet."""
+    gripper: GripperModel
+    """The gripper."""
+    home: tuple[float, ...]
+    """Arm joint positions at home [rad]."""
+    named_states: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Name to arm joint positions [rad]."""
+    position_gain: float = 0.3
+    """PyBullet position gain of the arm's motors."""
+    motor_force: tuple[float, ...] = ()
+    """Largest motor torque used by the sim [N m]."""

@@ -1,0 +1,111 @@
+"""Rigid transforms as plain hashable values: metres, quaternions xyzw, right-handed (REP-103)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import InvalidRequestError
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """Pose of a child frame in a parent frame; names say which: ``pose_tcp_in_world``."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Origin of the child in the parent [m]."""
+    quat_xyzw: Quat = (0.0, 0.0, 0.0, 1.0)
+    """Rotation of the child in the parent, unit quaternion."""
+
+    def __post_init__(self) -> None:
+        """Check finiteness and the quaternion's norm.
+
+        Raises:
+            InvalidRequestError: On a NaN, an infinity, a wrong length or a quaternion that is not of unit norm (1e-3).
+        """
+        if len(self.position) != 3 or len(self.quat_xyzw) != 4:
+            raise InvalidRequestError(f"a pose is a position of 3 and a quaternion of 4 numbers, got {self}")
+        if not all(math.isfinite(value) for value in (*self.position, *self.quat_xyzw)):
+            raise InvalidRequestError(f"a pose must be finite, got {self}")
+        norm = math.sqrt(sum(value * value for value in self.quat_xyzw))
+        if abs(norm - 1.0) > 1e-3:
+            raise InvalidRequestError(f"a pose's quaternion must have norm 1, got {norm:.4f} in {self}")
+
+    @staticmethod
+    def from_arrays(position: npt.ArrayLike, rotation: Rotation | None = None) -> Pose:
+        """Make a pose from a position of shape (3,) [m] and a scipy rotation (none: identity)."""
+        x, y, z = np.asarray(position, dtype=float).tolist()
+        quat: Quat = (0.0, 0.0, 0.0, 1.0) if rotation is None else tuple(rotation.as_quat(canonical=True).tolist())
+        return Pose(position=(x, y, z), quat_xyzw=quat)
+
+    @staticmethod
+    def from_matrix(matrix: npt.ArrayLike) -> Pose:
+        """Make a pose from a homogeneous matrix of shape (4, 4)."""
+        mat = np.asarray(matrix, dtype=float)
+        return Pose.from_arrays(mat[:3, 3], Rotation.from_matrix(mat[:3, :3]))
+
+    @property
+    def rotation(self) -> Rotation:
+        """The rotation as a scipy ``Rotation``."""
+        return Rotation.from_quat(self.quat_xyzw)
+
+    @property
+    def matrix(self) -> Array:
+        """The homogeneous matrix, shape (4, 4)."""
+        mat = np.eye(4)
+        mat[:3, :3] = self.rotation.as_matrix()
+        mat[:3, 3] = self.position
+        return mat
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Compose: ``pose_b_in_a @ pose_c_in_b`` is ``pose_c_in_a``."""
+        rotation = self.rotation
+        return Pose.from_arrays(rotation.apply(other.position) + np.array(self.position), rotation * other.rotation)
+
+    def inverse(self) -> Pose:
+        """Return the pose of the parent in the child."""
+        inverse = self.rotation.inv()
+        return Pose.from_arrays(-inverse.apply(self.position), inverse)
+
+    def apply(self, points: npt.ArrayLike) -> Array:
+        """Map points of shape (3,) or (N, 3) [m] from the child to the parent frame."""
+        return np.asarray(self.rotation.apply(np.asarray(points, dtype=float)) + np.array(self.position))
+
+
+IDENTITY = Pose()
+
+
+def distance(a: Pose, b: Pose) -> tuple[float, float]:
+    """Return how far two poses of one parent are apart: translation [m], rotation angle [rad]."""
+    translation = float(np.linalg.norm(np.subtract(a.position, b.position)))
+    return translation, float((b.rotation * a.rotation.inv()).magnitude())
+
+
+def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
+    """Return the pose of a camera's optical frame (x right, y down, z forward; REP-103) that looks at a point.
+
+    Args:
+        eye: Position of the camera in the parent frame, shape (3,) [m].
+        target: Point in the image's centre, shape (3,) [m].
+        up: Direction that shows upwards in the image, shape (3,).
+
+    Raises:
+        InvalidRequestError: When the target is at the eye or along ``up``.
+    """
+    origin = np.asarray(eye, dtype=float)
+    forward = np.asarray(target, dtype=float) - origin
+    right = np.cross(forward, np.asarray(up, dtype=float))
+    if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9:
+        raise InvalidRequestError(f"look_at needs a target apart from eye and not along up; eye {eye}, target {target}")
+    forward /= np.linalg.norm(forward)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    return Pose.from_arrays(origin, Rotation.from_matrix(np.stack([right, down, forward], axis=1)))

@@ -1,0 +1,80 @@
+"""Recorded parameters (thesis 4.2.4): a registry of what is saved of a scene besides the ticks.
+
+A user's own is one class with a ``record`` method, registered under a name; its value lands in every bag's episode
+info as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Protocol
+
+from roboxim_core.config import to_plain
+from roboxim_core.errors import RecorderError
+from roboxim_core.registry import Registry
+from roboxim_core.specs import SceneSpec, TaskSpec
+
+
+class RecordedParameter(Protocol):
+    """Something saved of every episode."""
+
+    def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
+        """Return plain data (dicts, lists, scalars) that JSON can hold."""
+        ...
+
+
+RECORDED_PARAMETERS: Registry[type[RecordedParameter]] = Registry("recorded parameter")
+
+
+@RECORDED_PARAMETERS.register("objects")
+class RecordedObjects:
+    """Model, modifiers and initial pose of every entity."""
+
+    def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
+        """Return entity name to its spec."""
+        return {entity.name: to_plain(entity) for entity in scene.entities}
+
+
+@RECORDED_PARAMETERS.register("cameras")
+class RecordedCameras:
+    """Pose, field of view and size of every camera."""
+
+    def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
+        """Return camera name to its spec."""
+        return {camera.name: to_plain(camera) for camera in scene.cameras}
+
+
+@RECORDED_PARAMETERS.register("lights")
+class RecordedLights:
+    """The lights."""
+
+    def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
+        """Return the list of lights."""
+        return [to_plain(light) for light in scene.look.lights]
+
+
+@RECORDED_PARAMETERS.register("robot")
+class RecordedRobot:
+    """Initial joint positions and gripper opening."""
+
+    def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
+        """Return the robot's spec."""
+        return to_plain(scene.robot)
+
+
+def recorded_parameters(task: TaskSpec, scene: SceneSpec) -> dict[str, str]:
+    """Record every registered parameter.
+
+    Returns:
+        Name to JSON text.
+
+    Raises:
+        RecorderError: When one returns what JSON cannot hold, by name.
+    """
+    values = {}
+    for name in RECORDED_PARAMETERS:
+        try:
+            values[name] = json.dumps(RECORDED_PARAMETERS[name]().record(task, scene), sort_keys=True)
+        except (TypeError, ValueError) as error:
+            raise RecorderError(f"recorded parameter '{name}' returned what JSON cannot hold: {error}") from None
+    return values

@@ -1,0 +1,56 @@
+"""Where all randomness comes from: one seed sequence per (run seed, purpose, index, attempt, component).
+
+Components never share a stream, demonstrations and evaluations never meet, and an episode depends on its own path alone:
+not on the number of workers, the order, or what ran before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from roboxim_core.errors import InvalidRequestError
+
+Purpose = Literal["demo", "eval", "train", "test"]
+PURPOSES: tuple[str, ...] = get_args(Purpose)
+
+
+def _number(text: str) -> int:
+    return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=4).digest(), "little")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedPath:
+    """Address of one episode's randomness."""
+
+    run_seed: int
+    """Seed of the run, >= 0."""
+    purpose: str
+    """One of ``demo``, ``eval``, ``train``, ``test``."""
+    index: int
+    """Index of the episode in its run, from 0."""
+    attempt: int = 0
+    """How often this index was tried before; a failed index is drawn again as ``attempt + 1``."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a negative number or an unknown purpose.
+        """
+        if min(self.run_seed, self.index, self.attempt) < 0:
+            raise InvalidRequestError(f"seed, index and attempt must be >= 0, got {self}")
+        if self.purpose not in PURPOSES:
+            raise InvalidRequestError(f"purpose must be one of {', '.join(PURPOSES)}, got '{self.purpose}'")
+
+    def rng(self, component: str) -> np.random.Generator:
+        """Return a fresh generator of one component's stream, e.g. ``rng("camera")``."""
+        key = (_number(self.purpose), self.index, self.attempt, _number(component))
+        return np.random.default_rng(np.random.SeedSequence(self.run_seed, spawn_key=key))
+
+    def derived_seed(self, component: str) -> int:
+        """Return a 31-bit seed of one component, for libraries and policies that want a number."""
+        return int(self.rng(component).integers(2**31))

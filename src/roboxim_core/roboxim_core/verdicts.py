@@ -1,0 +1,21 @@
+"""What a judge says of an episode, tick by tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Outcome so far. A pure fold over state records makes it, live and over a bag alike."""
+
+    success: bool = False
+    """Whether the task is solved at this tick."""
+    success_ever: bool = False
+    """Whether it was solved at this or any earlier tick."""
+    failed: bool = False
+    """Whether it can no longer be solved (e.g. the target fell off the table)."""
+    reason: str = ""
+    """Why it failed, or what is missing; a short snake_case word, e.g. ``not_lifted``; empty on success."""
+    predicates: dict[str, float] = field(default_factory=dict)
+    """Predicate name to value: 0 or 1, or a measure with its unit in the name, e.g. ``lift_m``."""
