@@ -1,0 +1,58 @@
+# Every command that a developer of RoboXim needs; `make help` lists them. CI calls the same ones.
+# All but help, setup and clean need the set-up and run it first: it does nothing when nothing has changed.
+
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+BIN := .venv/bin
+
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds lock clean clean-all
+
+help: ## list these commands
+	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
+	  awk -F ':.*## ' '{ printf "  make %-13s %s\n", $$1, $$2 }'
+
+setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... chooses the Python 3.11
+	@PYTHON="$(PYTHON)" sh scripts/setup.sh
+
+demo: setup ## the main job: generate, record, export, train, evaluate; ARGS="..." adds options
+	@$(BIN)/roboxim demo $(ARGS)
+
+test: setup ## the default tests (not marked slow or gpu); ARGS="-k name" adds options
+	$(BIN)/pytest $(ARGS)
+
+test-slow: setup ## the tests marked slow
+	$(BIN)/pytest -m "slow and not gpu" $(ARGS)
+
+format: setup ## format the code and fix what ruff can fix
+	$(BIN)/ruff check --fix --show-fixes
+	$(BIN)/ruff format
+
+lint: setup ## check style and format, changing nothing
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: setup ## type-check the cores strictly
+	$(BIN)/mypy
+
+bench-%: setup ## run benchmarks/NAME.py; ARGS="--quick --json FILE" adds options
+	$(BIN)/python benchmarks/$*.py $(ARGS)
+
+docs: setup ## build the documentation into site/
+	$(BIN)/python scripts/docs.py $(ARGS)
+
+verify-rlds: setup ## read an exported data set with TensorFlow Datasets: DATASET=path
+	@$(BIN)/python scripts/environment.py verify-rlds
+	.tools/verify-rlds/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
+
+colcon: setup ## build the tree with PyPI's colcon against the ROS wheels, into .tools/colcon/
+	@$(BIN)/python scripts/colcon.py $(ARGS)
+
+lock: setup ## make the locks in requirements/ again from the pyproject.toml files
+	@$(BIN)/python scripts/lock.py $(ARGS)
+
+clean: ## remove builds and caches
+	rm -rf build dist install log site .pytest_cache .mypy_cache .ruff_cache .hypothesis .tools/build .tools/colcon
+	find src tests scripts benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+clean-all: clean ## remove the whole set-up too
+	rm -rf .venv .tools

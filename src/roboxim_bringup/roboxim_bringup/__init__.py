@@ -1,0 +1,1 @@
+"""The runner of all nodes and the roboxim command line."""

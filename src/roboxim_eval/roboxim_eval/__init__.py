@@ -1,0 +1,1 @@
+"""The host of the episode loop, experiments, statistics, reports, and the evaluator node."""

@@ -1,0 +1,1 @@
+"""Collision-checked, time-optimal motions, and the planner node."""

@@ -1,0 +1,1 @@
+"""Policies: the server base class, wire adapters, shipped and trained policies."""

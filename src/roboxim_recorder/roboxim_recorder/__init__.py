@@ -1,0 +1,1 @@
+"""Recordings, exports, data set audits, and the recorder node."""

@@ -1,0 +1,1 @@
+"""The simulated world: PyBullet, cameras, controllers, and the sim node."""

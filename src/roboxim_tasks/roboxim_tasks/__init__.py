@@ -1,0 +1,1 @@
+"""Tasks, instructions, scene resets, the scripted expert, judging, and the task node."""
