@@ -1,0 +1,188 @@
+"""Kinematics of a robot model with Pinocchio.
+
+The inverse kinematics here follow a moving target from tick to tick: start at the present joints, stay near them. It is
+local and deterministic on purpose; a search for any solution of a far pose is the planner's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.description import RobotModel
+from roboxim_core.poses import Array, Pose
+
+POSITION_TOLERANCE_M = 1e-7
+ROTATION_TOLERANCE_RAD = 1e-6
+MAX_ITERATIONS = 30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IkResult:
+    """What the local inverse kinematics found."""
+
+    joints: Array
+    """Arm joint positions [rad]."""
+    converged: bool
+    """Whether the pose is reached within 0.1 um and 1 urad."""
+    position_error_m: float
+    """Distance of the tool centre point from the target [m]."""
+    rotation_error_rad: float
+    """Angle from the target [rad]."""
+
+
+class ArmKinematics:
+    """An arm with its gripper. Poses are in the robot's base frame. Not thread-safe: make one per thread.
+
+    Non-obvious: Pinocchio's own joint order is the URDF's depth-first order; ``joint_names`` of the model may differ, so
+    every vector goes through index maps.
+    """
+
+    def __init__(self, model: RobotModel) -> None:
+        """Load the model's URDF.
+
+        Raises:
+            ConfigError: When the URDF lacks a joint or link that the model names.
+        """
+        self.model = model
+        self._pin = pin.buildModelFromUrdf(str(model.urdf))
+        self._data = self._pin.createData()
+        self._q = pin.neutral(self._pin)
+        for name in (*model.joint_names, *model.gripper.joint_names):
+            if not self._pin.existJointName(name):
+                raise ConfigError(f"{model.urdf} has no joint '{name}'; {one_of(self._pin.names, name)}")
+        self._arm = np.array([self._pin.joints[self._pin.getJointId(n)].idx_q for n in model.joint_names])
+        self._fingers = np.array([self._pin.joints[self._pin.getJointId(n)].idx_q for n in model.gripper.joint_names])
+        self._frames = {
+            frame.name: index for index, frame in enumerate(self._pin.frames) if frame.type == pin.FrameType.BODY
+        }
+        for link in (model.base_link, model.tcp_link, *model.gripper.links):
+            if link not in self._frames:
+                raise ConfigError(f"{model.urdf} has no link '{link}'; {one_of(self._frames, link)}")
+        self._tcp = self._frames[model.tcp_link]
+        self.lower = np.array(model.limits.lower)
+        self.upper = np.array(model.limits.upper)
+        self.velocity = np.array(model.limits.velocity)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """All links, base first."""
+        return tuple(self._frames)
+
+    def fk(self, joints: npt.ArrayLike) -> Pose:
+        """Return the pose of the tool centre point in the base.
+
+        Args:
+            joints: Arm joint positions, shape (n,) [rad].
+        """
+        return _pose(self._place(joints))
+
+    def link_poses(self, joints: npt.ArrayLike, fingers: Sequence[float] = ()) -> dict[str, Pose]:
+        """Return the pose of every link in the base.
+
+        Args:
+            joints: Arm joint positions, shape (n,) [rad].
+            fingers: Finger joint positions [m]; empty: closed.
+        """
+        self._q[self._fingers] = fingers if len(fingers) else 0.0
+        self._q[self._arm] = joints
+        pin.framesForwardKinematics(self._pin, self._data, self._q)
+        return {name: _pose(self._data.oMf[index]) for name, index in self._frames.items()}
+
+    def jacobian(self, joints: npt.ArrayLike) -> Array:
+        """Return the Jacobian of the tool centre point, base-aligned axes, shape (6, n): linear rows first [m/rad]."""
+        self._q[self._arm] = joints
+        full = pin.computeFrameJacobian(
+            self._pin, self._data, self._q, self._tcp, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        return np.asarray(full[:, self._arm])
+
+    def within_limits(self, joints: npt.ArrayLike, margin: float = 0.0) -> bool:
+        """Tell whether joints are inside their limits by a margin [rad]."""
+        q = np.asarray(joints, dtype=float)
+        return bool(np.all(q >= self.lower + margin) and np.all(q <= self.upper - margin))
+
+    def ik_near(
+        self,
+        target: Pose,
+        seed: npt.ArrayLike,
+        *,
+        posture: npt.ArrayLike | None = None,
+        posture_gain: float = 0.02,
+        max_step: npt.ArrayLike | None = None,
+    ) -> IkResult:
+        """Follow a target pose from a nearby configuration: damped least squares inside the joint limits.
+
+        Args:
+            target: Pose of the tool centre point in the base.
+            seed: Arm joint positions to start at, shape (n,) [rad].
+            posture: Joints that the redundancy is pulled to; none: it stays.
+            posture_gain: Share of the way to the posture per call.
+            max_step: Largest change of each joint from the seed, shape (n,) [rad]; none: the limits alone.
+
+        Returns:
+            The closest configuration found within a fixed number of iterations.
+        """
+        start = np.array(seed, dtype=float)
+        lower, upper = self.lower, self.upper
+        if max_step is not None:
+            lower, upper = np.maximum(lower, start - max_step), np.minimum(upper, start + max_step)
+        goal = pin.SE3(pin.Quaternion(*np.roll(target.quat_xyzw, 1)).normalized().matrix(), np.array(target.position))
+        joints = np.clip(start, lower, upper)
+        pull = None if posture is None else posture_gain * (np.asarray(posture, dtype=float) - start)
+        best, best_cost, best_error = joints, np.inf, (np.inf, np.inf)
+        for _ in range(MAX_ITERATIONS):
+            error = self._error(joints, goal)
+            size = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            cost = size[0] + 0.3 * size[1]
+            if cost < best_cost:
+                best, best_cost, best_error = joints, cost, size
+            if size[0] < POSITION_TOLERANCE_M and size[1] < ROTATION_TOLERANCE_RAD and pull is None:
+                break
+            joints = np.clip(joints + self._step(error, joints, lower, upper, pull), lower, upper)
+            if pull is not None:
+                pull, best_cost = None, np.inf  # once is enough; the rest of the iterations correct what it disturbs
+        converged = best_error[0] < POSITION_TOLERANCE_M and best_error[1] < ROTATION_TOLERANCE_RAD
+        return IkResult(
+            joints=best, converged=converged, position_error_m=best_error[0], rotation_error_rad=best_error[1]
+        )
+
+    def _place(self, joints: npt.ArrayLike) -> pin.SE3:
+        self._q[self._arm] = joints
+        pin.forwardKinematics(self._pin, self._data, self._q)
+        return pin.updateFramePlacement(self._pin, self._data, self._tcp)
+
+    def _error(self, joints: Array, goal: pin.SE3) -> Array:
+        placement = self._place(joints)
+        rotation = pin.log3(goal.rotation @ placement.rotation.T)
+        return np.concatenate([goal.translation - placement.translation, rotation])
+
+    def _step(self, error: Array, joints: Array, lower: Array, upper: Array, pull: Array | None) -> Array:
+        """One damped step; joints that a limit stops are left out and the others solve again."""
+        jacobian = self.jacobian(joints)
+        free = np.ones(len(joints), dtype=bool)
+        damping = 1e-8 + 1e-3 * min(float(error @ error), 1.0)
+        for _ in range(3):
+            active = jacobian * free
+            gram = active @ active.T
+            gram.flat[::7] += damping
+            step = active.T @ np.linalg.solve(gram, error)
+            if pull is not None:
+                step += free * pull - active.T @ np.linalg.solve(gram, active @ (free * pull))
+            stopped = free & (((joints <= lower) & (step < 0)) | ((joints >= upper) & (step > 0)))
+            if not stopped.any():
+                break
+            free &= ~stopped
+            step = step * free
+        return np.clip(step, -0.3, 0.3)
+
+
+def _pose(placement: pin.SE3) -> Pose:
+    x, y, z = placement.translation.tolist()
+    qx, qy, qz, qw = pin.Quaternion(placement.rotation).normalized().coeffs().tolist()
+    return Pose(position=(x, y, z), quat_xyzw=(qx, qy, qz, qw) if qw >= 0 else (-qx, -qy, -qz, -qw))
