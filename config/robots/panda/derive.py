@@ -21,6 +21,7 @@ HERE = Path(__file__).resolve().parent
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
 TRIANGLES = 1600
 CREASE_RAD = np.radians(32.0)
+WHITE = (233, 234, 236)  # the files say 255, which no painted surface reflects
 GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
 
 
@@ -55,7 +56,7 @@ def visual(source: Path) -> trimesh.Scene:
         part = decimated(merged, max(60, round(TRIANGLES * len(merged.faces) / total)))
         part.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
-                baseColorFactor=[*color, 255], metallicFactor=0.0, roughnessFactor=GLOSS.get(color[0], 0.5)
+                baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255], metallicFactor=0.0, roughnessFactor=GLOSS.get(color[0], 0.5)
             )
         )
         _ = part.vertex_normals  # computed now so that the file carries them

@@ -1,0 +1,374 @@
+"""Triangle meshes of links, and a scene as a renderer sees it.
+
+Everything here is a function of the scene spec, the models and a state record, so a live image and one that is rendered
+again from a bag come from the same numbers.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.kinematics.arm import ArmKinematics
+from roboxim_core.models.description import JointModel, ObjectModel, Visual
+from roboxim_core.models.library import ModelLibrary, mesh_path
+from roboxim_core.poses import IDENTITY, Array, Pose
+from roboxim_core.registry import Registry
+from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
+from roboxim_core.state import RobotState, StateRecord
+
+FLOOR_Z = -0.75
+"""Height of the floor in the world [m]; the table's top is at 0."""
+
+visual_generators: Registry[Callable[[tuple[float, ...]], TriangleMesh]] = Registry("visual generator")
+"""Name to a function from a visual's ``size`` to its mesh in the visual's frame."""
+
+
+@visual_generators.register("box")
+def box_mesh(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a box with bevelled edges: extents x, y, z [m]. ``uv`` runs from 0 to 1 over each face."""
+    half = np.asarray(size, dtype=float) / 2
+    bevel = min(0.0015, 0.08 * float(half.min()))
+    vertices, normals, uv, faces = [], [], [], []
+
+    def quad(corners: Array, normal: Array, corner_normals: Array, coordinates: Array) -> None:
+        a, b, c, d = range(len(vertices), len(vertices) + 4)
+        outward = float(np.dot(np.cross(corners[1] - corners[0], corners[2] - corners[0]), normal)) > 0
+        faces.extend([[a, b, c], [a, c, d]] if outward else [[a, c, b], [a, d, c]])
+        vertices.extend(corners)
+        normals.extend(corner_normals)
+        uv.extend(coordinates)
+
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        for side in (-1.0, 1.0):
+            normal = np.zeros(3)
+            normal[axis] = side
+            corners = np.zeros((4, 3))
+            corners[:, axis] = side * half[axis]
+            corners[:, [first, second]] = signs * (half[[first, second]] - bevel)
+            quad(corners, normal, np.tile(normal, (4, 1)), signs / 2 + 0.5)
+            for other in (-1.0, 1.0):  # the bevel shared with the neighbour along `first`
+                neighbour = np.zeros(3)
+                neighbour[first] = other
+                along = np.array([-1.0, 1.0]) * (half[second] - bevel)
+                edge = np.zeros((4, 3))
+                edge[:, second] = [along[0], along[1], along[1], along[0]]
+                edge[:2, axis], edge[2:, axis] = side * half[axis], side * (half[axis] - bevel)
+                edge[:2, first], edge[2:, first] = other * (half[first] - bevel), other * half[first]
+                quad(edge, normal + neighbour, np.stack([normal, normal, neighbour, neighbour]), np.full((4, 2), 0.5))
+    for corner in np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T:
+        points = corner * (half - bevel * (1 - np.eye(3)))
+        start = len(vertices)
+        faces.append([start, start + 1, start + 2] if np.prod(corner) > 0 else [start, start + 2, start + 1])
+        vertices.extend(points)
+        normals.extend(np.diag(corner))
+        uv.extend(np.full((3, 2), 0.5))
+    return _triangles(np.array(vertices), np.array(normals), np.array(faces), np.array(uv))
+
+
+@visual_generators.register("sphere")
+def sphere_mesh(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a sphere: (radius,) [m]."""
+    return _from_trimesh(trimesh.creation.icosphere(subdivisions=3, radius=size[0]))
+
+
+@visual_generators.register("cylinder")
+def cylinder_mesh(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a cylinder along z: (radius, length) [m]."""
+    return _from_trimesh(trimesh.creation.cylinder(radius=size[0], height=size[1], sections=40))
+
+
+@visual_generators.register("capsule")
+def capsule_mesh(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a capsule along z, centred: (radius, length of the cylinder) [m]."""
+    mesh = trimesh.creation.capsule(radius=size[0], height=size[1], count=[24, 24])
+    mesh.vertices -= mesh.bounds.mean(axis=0)
+    return _from_trimesh(mesh)
+
+
+def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
+    """Return what to draw for one visual, in its link's frame.
+
+    Args:
+        visual: A shape, a mesh file (which may carry materials of its own) or a registered generator's name.
+
+    Raises:
+        ConfigError: On an unknown kind, or a mesh that cannot be read.
+    """
+    if visual.kind in ("mesh", "hull"):
+        parts = _load_mesh(visual.mesh)
+        if visual.tinted or not visual.mesh.endswith(".glb"):
+            parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
+    else:
+        try:
+            mesh = visual_generators[visual.kind](visual.size)
+        except (IndexError, ValueError) as error:
+            raise ConfigError(f"visual of kind '{visual.kind}' cannot have size {visual.size}: {error}") from None
+        parts = (VisualPart(mesh=mesh, material=visual.material),)
+    return tuple(_placed(part, visual.pose) for part in parts)
+
+
+@lru_cache(maxsize=16)
+def robot_parts(robot_id: str, urdf: Path) -> dict[str, tuple[VisualPart, ...]]:
+    """Return what to draw for each link of a robot, from its URDF; links without visuals are left out.
+
+    Raises:
+        ConfigError: When a mesh of the URDF cannot be read.
+    """
+    parts: dict[str, tuple[VisualPart, ...]] = {}
+    for link in ElementTree.parse(urdf).getroot().iter("link"):
+        found: list[VisualPart] = []
+        for element in link.findall("visual"):
+            mesh = element.find("geometry/mesh")
+            if mesh is None:
+                raise ConfigError(f"{urdf}: link '{link.get('name')}': only mesh visuals are supported for robots")
+            pose = _urdf_origin(element.find("origin"))
+            visual = Visual(kind="mesh", mesh=str(mesh_path(mesh.get("filename", ""), urdf)), pose=pose)
+            found.extend(visual_parts(visual))
+        if found:
+            parts[link.get("name", "")] = tuple(found)
+    return parts
+
+
+def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
+    """Return everything that is drawn in a scene: the room, the table, the robot, the entities.
+
+    Raises:
+        ConfigError: When a model or a modifier is unknown.
+    """
+    robot = library.robot(scene.robot.model)
+    bodies = [*_room(scene)]
+    bodies += [
+        RenderBody(key=f"robot/{link}", entity="robot", parts=parts)
+        for link, parts in robot_parts(robot.id, robot.urdf).items()
+    ]
+    for entity in scene.entities:
+        model = library.entity_model(entity)
+        for link in model.links:
+            parts = tuple(part for visual in link.visual for part in visual_parts(visual))
+            bodies.append(RenderBody(key=body_key(entity.name, link.name), entity=entity.name, parts=parts))
+    return RenderWorld(bodies=tuple(bodies), look=scene.look)
+
+
+def body_key(entity: str, link: str) -> str:
+    """Return the key of a body: ``<entity>`` for an unnamed link, else ``<entity>/<link>``."""
+    return f"{entity}/{link}" if link else entity
+
+
+class ScenePoses:
+    """Where the bodies and cameras of a scene are, given a state record. Not thread-safe (see `ArmKinematics`)."""
+
+    def __init__(self, scene: SceneSpec, library: ModelLibrary) -> None:
+        """Prepare the kinematics of a scene's robot and objects.
+
+        Raises:
+            ConfigError: When a model or a modifier is unknown.
+        """
+        self._scene = scene
+        self._arm = ArmKinematics(library.robot(scene.robot.model))
+        self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
+        for camera in scene.cameras:
+            self._check_parent(camera)
+
+    def link_poses(self, robot: RobotState) -> dict[str, Pose]:
+        """Return the pose of every robot link in the world."""
+        base = self._scene.robot.pose
+        poses = self._arm.link_poses(robot.joint_positions, robot.finger_positions)
+        return poses if base == IDENTITY else {link: base @ pose for link, pose in poses.items()}
+
+    def body_poses(self, record: StateRecord) -> dict[str, Pose]:
+        """Return the pose of every moving body of `render_world` in the world, by key."""
+        poses = {f"robot/{link}": pose for link, pose in self.link_poses(record.robot).items()}
+        for entity in record.entities:
+            if entity.name in self._models:
+                joints = dict(zip(entity.joint_names, entity.joint_positions, strict=True))
+                for link, pose in object_link_poses(self._models[entity.name], joints).items():
+                    poses[body_key(entity.name, link)] = entity.pose @ pose if link else entity.pose
+        return poses
+
+    def camera_poses(self, robot: RobotState, cameras: tuple[CameraSpec, ...] | None = None) -> dict[str, Pose]:
+        """Return the pose of each camera's optical frame in the world, by name.
+
+        Args:
+            robot: State of the robot.
+            cameras: The cameras; none: the scene's.
+
+        Raises:
+            ConfigError: When a camera's parent is neither ``world`` nor a link.
+        """
+        chosen = self._scene.cameras if cameras is None else cameras
+        links = self.link_poses(robot) if any(camera.parent != "world" for camera in chosen) else {}
+        poses = {}
+        for camera in chosen:
+            self._check_parent(camera)
+            poses[camera.name] = camera.pose if camera.parent == "world" else links[camera.parent] @ camera.pose
+        return poses
+
+    def _check_parent(self, camera: CameraSpec) -> None:
+        if camera.parent != "world" and camera.parent not in self._arm.link_names:
+            raise ConfigError(
+                f"camera '{camera.name}' is on '{camera.parent}'; expected 'world' or one of the robot's links: "
+                + ", ".join(self._arm.link_names)
+            )
+
+
+def object_link_poses(model: ObjectModel, joint_positions: dict[str, float]) -> dict[str, Pose]:
+    """Return the pose of each link in the object's base, by link name.
+
+    Args:
+        model: The object.
+        joint_positions: Joint name to position [m or rad]; those left out are 0.
+    """
+    poses = {model.links[0].name: IDENTITY}
+    pending = list(model.joints)
+    while pending:
+        ready = [joint for joint in pending if joint.parent in poses]
+        if not ready:
+            raise ConfigError(f"object '{model.id}': the joints {[j.name for j in pending]} do not lead to the base")
+        for joint in ready:
+            poses[joint.child] = poses[joint.parent] @ joint.pose @ joint_motion(
+                joint, joint_positions.get(joint.name, 0.0)
+            )
+            pending.remove(joint)
+    return poses
+
+
+def joint_motion(joint: JointModel, position: float) -> Pose:
+    """Return the pose of a joint's child in the joint's frame at a position [m or rad]."""
+    axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
+    if joint.kind == "prismatic":
+        return Pose.from_arrays(axis * position)
+    return Pose.from_arrays(np.zeros(3), Rotation.from_rotvec(axis * position))
+
+
+def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
+    """The table with its legs, the robot's pedestal, the floor and the walls around."""
+    table, look = scene.table, scene.look
+    x, y, z = table.center
+    wide, deep, thick = table.size
+    legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
+    under = z - thick
+    parts = [_slab(table.size, (x, y, z - thick / 2), look.table)]
+    for side_x in (-1, 1):
+        for side_y in (-1, 1):
+            foot = (x + side_x * (wide / 2 - 0.06), y + side_y * (deep / 2 - 0.06), (under + FLOOR_Z) / 2)
+            parts.append(_slab((0.06, 0.06, under - FLOOR_Z), foot, legs))
+    bx, by, bz = scene.robot.pose.position
+    pedestal = _slab((0.26, 0.26, bz - FLOOR_Z), (bx - 0.04, by, (bz + FLOOR_Z) / 2 - 0.001), legs)
+    room = 2.8
+    middle = np.array([x, y, 0.0])
+    floor = VisualPart(mesh=_plane(middle + [0, 0, FLOOR_Z], [room, 0, 0], [0, room, 0]), material=look.floor)
+    height = [0, 0, 1.4]
+    walls = tuple(
+        VisualPart(mesh=_plane(middle + [*(room * np.array(out)), FLOOR_Z + 1.4], room * np.array([*along, 0]), height), material=look.wall)
+        for out, along in (((-1, 0), (0, 1)), ((1, 0), (0, -1)), ((0, -1), (-1, 0)), ((0, 1), (1, 0)))
+    )
+    return (
+        RenderBody(key="table", entity="table", parts=tuple(parts)),
+        RenderBody(key="pedestal", entity="table", parts=(pedestal,)),
+        RenderBody(key="floor", entity="floor", parts=(floor,)),
+        RenderBody(key="wall", entity="wall", parts=walls),
+    )
+
+
+def _slab(size: tuple[float, float, float], center: tuple[float, float, float], material: MaterialSpec) -> VisualPart:
+    return _placed(VisualPart(mesh=box_mesh(size), material=material), Pose(position=center))
+
+
+def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) -> TriangleMesh:
+    """A rectangle that faces ``half_u x half_v``; uv in metres."""
+    c, u, v = (np.asarray(a, dtype=float) for a in (center, half_u, half_v))
+    corners = np.array([c - u - v, c + u - v, c + u + v, c - u + v])
+    normal = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
+    wide, high = 2 * np.linalg.norm(u), 2 * np.linalg.norm(v)
+    uv = np.array([[0, 0], [wide, 0], [wide, high], [0, high]])
+    return _triangles(corners, np.tile(normal, (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), uv)
+
+
+def _triangles(vertices: Array, normals: Array, faces: npt.ArrayLike, uv: Array | None = None) -> TriangleMesh:
+    return TriangleMesh(
+        vertices=np.ascontiguousarray(vertices, dtype=np.float32),
+        normals=np.ascontiguousarray(normals, dtype=np.float32),
+        faces=np.ascontiguousarray(faces, dtype=np.uint32),
+        uv=None if uv is None else np.ascontiguousarray(uv, dtype=np.float32),
+    )
+
+
+def _from_trimesh(mesh: trimesh.Trimesh) -> TriangleMesh:
+    smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(40.0))
+    return _triangles(smooth.vertices, smooth.vertex_normals, smooth.faces)
+
+
+@lru_cache(maxsize=128)
+def _load_mesh(path: str) -> tuple[VisualPart, ...]:
+    try:
+        scene = trimesh.load_scene(path, process=False)
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"cannot read the mesh {path}: {error}") from None
+    parts = []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name].copy()
+        mesh.apply_transform(transform)
+        parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh)))
+    return tuple(parts)
+
+
+def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
+    uv = getattr(mesh.visual, "uv", None)
+    return _triangles(mesh.vertices, mesh.vertex_normals, mesh.faces, None if uv is None else np.asarray(uv))
+
+
+def _material_of(mesh: trimesh.Trimesh) -> MaterialSpec:
+    material = getattr(mesh.visual, "material", None)
+    if not isinstance(material, trimesh.visual.material.PBRMaterial) or material.baseColorFactor is None:
+        return MaterialSpec()
+    r, g, b = (float(c) / 255 for c in material.baseColorFactor[:3])
+    return MaterialSpec(
+        color=(r, g, b), metallic=float(material.metallicFactor or 0.0), roughness=float(material.roughnessFactor or 0.5)
+    )
+
+
+def _placed(part: VisualPart, pose: Pose) -> VisualPart:
+    if pose == IDENTITY:
+        return part
+    mesh = TriangleMesh(
+        vertices=pose.apply(part.mesh.vertices).astype(np.float32),
+        normals=pose.rotation.apply(part.mesh.normals).astype(np.float32),
+        faces=part.mesh.faces,
+        uv=part.mesh.uv,
+    )
+    return VisualPart(mesh=mesh, material=part.material)
+
+
+def _urdf_origin(element: ElementTree.Element | None) -> Pose:
+    if element is None:
+        return IDENTITY
+    xyz = [float(v) for v in element.get("xyz", "0 0 0").split()]
+    rpy = [float(v) for v in element.get("rpy", "0 0 0").split()]
+    return Pose.from_arrays(xyz, Rotation.from_euler("xyz", rpy))
+
+
+__all__ = [
+    "FLOOR_Z",
+    "ScenePoses",
+    "body_key",
+    "box_mesh",
+    "joint_motion",
+    "object_link_poses",
+    "render_world",
+    "robot_parts",
+    "visual_generators",
+    "visual_parts",
+]
