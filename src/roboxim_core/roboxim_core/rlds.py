@@ -1,0 +1,302 @@
+"""Data sets of episodes in the RLDS format of TensorFlow Datasets, without TensorFlow.
+
+The format is shared: the recorder exports it, a policy's training reads it. A data set is a folder
+``<data_dir>/<name>/<version>`` with one Example per episode in sharded TFRecord files, ``features.json`` and
+``dataset_info.json``. `rlds_writer` writes it.
+
+Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.tfrecord import Feature, decode_example, encode_example, read_records
+
+Array = npt.NDArray[np.float32]
+MetaValue = str | int | float | bool
+STATE_SIZE = 8
+ACTION_SIZE = 7
+JPEG_QUALITY = 95
+META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
+_CLASS = "tensorflow_datasets.core.features."
+
+
+@dataclass(frozen=True, kw_only=True)
+class RldsFeatures:
+    """What a data set's episodes hold."""
+
+    images: dict[str, tuple[int, int]]
+    """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]."""
+    encoding: str = "jpeg"
+    """``jpeg`` or ``png``."""
+    metadata: dict[str, str] = field(default_factory=dict)
+    """Key of the episode's metadata to ``text``, ``int64``, ``bool`` or ``float32``."""
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises:
+            InvalidRequestError: On an unknown encoding or metadata type.
+        """
+        if self.encoding not in ("jpeg", "png"):
+            raise InvalidRequestError(f"unknown image encoding '{self.encoding}'; expected one of: jpeg, png")
+        for key, kind in self.metadata.items():
+            if kind not in META_TYPES:
+                raise InvalidRequestError(
+                    f"metadata '{key}': unknown type '{kind}'; {one_of(META_TYPES, kind)}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RldsEpisode:
+    """One episode of T steps."""
+
+    images: Mapping[str, list[bytes]]
+    """Image key to T encoded images; `frame` and `frames` decode."""
+    state: Array
+    """float32, shape (T, 8): measured TCP position in the base frame [m], its quaternion xyzw, opening."""
+    action: Array
+    """float32, shape (T, 7); its meaning is in the metadata's ``action_semantics``."""
+    instruction: str
+    """Natural language instruction."""
+    reward: Array
+    """float32, shape (T,)."""
+    metadata: Mapping[str, MetaValue] = field(default_factory=dict)
+    """The episode's metadata."""
+
+    def __len__(self) -> int:
+        """Count the steps."""
+        return len(self.action)
+
+    def frame(self, key: str, step: int) -> npt.NDArray[np.uint8]:
+        """Decode one image, uint8, shape (height, width, 3)."""
+        return np.asarray(Image.open(io.BytesIO(self.images[key][step])))
+
+    def frames(self, key: str) -> npt.NDArray[np.uint8]:
+        """Decode all images of a key, uint8, shape (T, height, width, 3)."""
+        return np.stack([self.frame(key, step) for step in range(len(self))])
+
+
+def encode_image(image: npt.NDArray[np.uint8], encoding: str, size: tuple[int, int] | None = None) -> bytes:
+    """Encode an RGB image.
+
+    Args:
+        image: uint8, shape (height, width, 3).
+        encoding: ``jpeg`` (quality 95, no chroma subsampling) or ``png``.
+        size: (height, width) to resize to (Lanczos); none: as it is.
+    """
+    picture = Image.fromarray(image)
+    if size is not None and size != image.shape[:2]:
+        picture = picture.resize((size[1], size[0]), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    if encoding == "jpeg":
+        picture.save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    else:
+        picture.save(buffer, "PNG", compress_level=3)
+    return buffer.getvalue()
+
+
+def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
+    """Serialise an episode as the payload of a record.
+
+    Raises:
+        InvalidRequestError: When the episode does not fit the features or holds what is not finite.
+    """
+    count = len(episode)
+    shapes = {"state": (count, STATE_SIZE), "action": (count, ACTION_SIZE), "reward": (count,)}
+    for name, shape in shapes.items():
+        array = getattr(episode, name)
+        if count == 0 or array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
+            raise InvalidRequestError(
+                f"an episode's {name} must be finite float32 of shape {shape} with at least one step, "
+                f"got {array.dtype} of shape {array.shape}"
+            )
+    if set(episode.images) != set(features.images) or any(len(v) != count for v in episode.images.values()):
+        raise InvalidRequestError(
+            f"an episode needs {count} images each of {sorted(features.images)}, "
+            f"got { {key: len(value) for key, value in episode.images.items()} }"
+        )
+    flags = np.zeros((2, count), np.int64)
+    flags[0, 0] = flags[1, -1] = 1
+    example: dict[str, Feature] = {
+        "steps/observation/state": episode.state,
+        "steps/action": episode.action,
+        "steps/reward": episode.reward,
+        "steps/discount": np.ones(count, np.float32),
+        "steps/is_first": flags[0],
+        "steps/is_last": flags[1],
+        "steps/is_terminal": flags[1],
+        "steps/language_instruction": [episode.instruction.encode()] * count,
+    }
+    for key, images in episode.images.items():
+        example[f"steps/observation/{key}"] = images
+    for key, kind in features.metadata.items():
+        example[f"episode_metadata/{key}"] = _encode_meta(key, kind, episode.metadata.get(key))
+    return encode_example(example)
+
+
+def _encode_meta(key: str, kind: str, value: MetaValue | None) -> Feature:
+    if type(value) is not META_TYPES[kind]:
+        raise InvalidRequestError(f"metadata '{key}' must be {kind}, got {value!r}")
+    if isinstance(value, str):
+        return [value.encode()]
+    return np.array([value], np.float32) if kind == "float32" else np.array([value], np.int64)
+
+
+def _tensor(dtype: str, shape: tuple[int, ...], text: str) -> dict[str, Any]:
+    kind = "tensor_feature.Tensor" if shape else "scalar.Scalar"
+    dimensions = {"dimensions": [str(size) for size in shape]} if shape else {}
+    tensor = {"shape": dimensions, "dtype": dtype, "encoding": "none"}
+    return {"pythonClassName": _CLASS + kind, "tensor": tensor, "description": text}
+
+
+def _group(features: dict[str, Any]) -> dict[str, Any]:
+    return {"pythonClassName": _CLASS + "features_dict.FeaturesDict", "featuresDict": {"features": features}}
+
+
+def _text(description: str) -> dict[str, Any]:
+    return {"pythonClassName": _CLASS + "text_feature.Text", "text": {}, "description": description}
+
+
+def features_to_json(features: RldsFeatures) -> dict[str, Any]:
+    """Return the content of ``features.json``."""
+    observation: dict[str, Any] = {
+        key: {
+            "pythonClassName": _CLASS + "image_feature.Image",
+            "image": {
+                "shape": {"dimensions": [str(height), str(width), "3"]},
+                "dtype": "uint8",
+                "encodingFormat": features.encoding,
+            },
+        }
+        for key, (height, width) in features.images.items()
+    }
+    observation["state"] = _tensor(
+        "float32",
+        (STATE_SIZE,),
+        "TCP position in the base frame [m], quaternion xyzw, gripper opening (1 = open)",
+    )
+    steps = {
+        "observation": _group(observation),
+        "action": _tensor("float32", (ACTION_SIZE,), "see episode_metadata/action_semantics"),
+        "language_instruction": _text("natural language instruction"),
+        "reward": _tensor("float32", (), "1 on the last step of a success, else 0"),
+        "discount": _tensor("float32", (), "always 1"),
+        "is_first": _tensor("bool", (), "first step"),
+        "is_last": _tensor("bool", (), "last step"),
+        "is_terminal": _tensor("bool", (), "last step"),
+    }
+    metadata = {
+        key: _text("") if kind == "text" else _tensor(kind, (), "")
+        for key, kind in sorted(features.metadata.items())
+    }
+    sequence = {
+        "pythonClassName": _CLASS + "dataset_feature.Dataset",
+        "sequence": {"feature": _group(steps), "length": "-1"},
+    }
+    return _group({"steps": sequence, "episode_metadata": _group(metadata)})
+
+
+def features_from_json(data: dict[str, Any]) -> RldsFeatures:
+    """Read the content of ``features.json``."""
+    top = data["featuresDict"]["features"]
+    observation = top["steps"]["sequence"]["feature"]["featuresDict"]["features"]["observation"]
+    images, encoding = {}, "jpeg"
+    for key, value in observation["featuresDict"]["features"].items():
+        if "image" in value:
+            height, width, _ = (int(size) for size in value["image"]["shape"]["dimensions"])
+            images[key], encoding = (height, width), value["image"]["encodingFormat"]
+    metadata = top["episode_metadata"]["featuresDict"]["features"]
+    kinds = {key: "text" if "text" in value else value["tensor"]["dtype"] for key, value in metadata.items()}
+    return RldsFeatures(images=images, encoding=encoding, metadata=kinds)
+
+
+class RldsReader:
+    """Reads a data set as `RldsWriter` makes it."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Open a data set.
+
+        Args:
+            path: The folder that holds ``dataset_info.json``, or one above it that holds a single data set.
+
+        Raises:
+            RecorderError: When there is no data set or its description is damaged.
+        """
+        found = sorted(p for p in Path(path).glob("**/dataset_info.json") if ".partial" not in str(p.parent))
+        if len(found) != 1:
+            raise RecorderError(
+                f"{path} holds {len(found)} data sets {[str(p.parent) for p in found][:5]}; "
+                "name the folder of one, which holds dataset_info.json"
+            )
+        self.path = found[0].parent
+        try:
+            info = json.loads(found[0].read_text())
+            self.features = features_from_json(json.loads((self.path / "features.json").read_text()))
+            self.name: str = info["name"]
+            self.version: str = info["version"]
+            self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
+            """Split to the number of episodes in each of its shards."""
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RecorderError(f"{self.path} is not a data set that this reader knows: {error!r}") from None
+
+    def count(self, split: str) -> int:
+        """Count the episodes of a split; 0 when there is none of that name."""
+        return sum(self.splits.get(split, []))
+
+    def episodes(self, split: str) -> Iterator[RldsEpisode]:
+        """Yield the episodes of a split in order, images still encoded.
+
+        Raises:
+            InvalidRequestError: When there is no such split.
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+        if split not in self.splits:
+            raise InvalidRequestError(f"{self.path}: no split '{split}'; {one_of(self.splits, split)}")
+        lengths = self.splits[split]
+        for index, length in enumerate(lengths):
+            path = self.path / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(lengths):05d}"
+            count = 0
+            for payload in _records(path):
+                yield decode_episode(payload, self.features)
+                count += 1
+            if count != length:
+                raise RecorderError(
+                    f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED
+                )
+
+
+def _records(path: Path) -> Iterator[bytes]:
+    try:
+        yield from read_records(path)
+    except OSError as error:
+        raise RecorderError(f"cannot read {path}: {error.strerror or error}", ErrorCode.BAG_DAMAGED) from None
+
+
+def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
+    """Turn a record of a data set into an episode, images still encoded."""
+    example: dict[str, Any] = decode_example(payload)
+    metadata = {
+        key: example[f"episode_metadata/{key}"][0].decode() if kind == "text" else META_TYPES[kind](value[0])
+        for key, kind in features.metadata.items()
+        if len(value := example[f"episode_metadata/{key}"])
+    }
+    return RldsEpisode(
+        images={key: example[f"steps/observation/{key}"] for key in features.images},
+        state=example["steps/observation/state"].reshape(-1, STATE_SIZE),
+        action=example["steps/action"].reshape(-1, ACTION_SIZE),
+        instruction=example["steps/language_instruction"][0].decode(),
+        reward=example["steps/reward"],
+        metadata=metadata,
+    )

@@ -1,0 +1,179 @@
+"""Writes a data set in the RLDS format: sharded, atomic, resumable, the same bytes for the same episodes.
+
+It is built in a hidden folder beside its place and renamed when complete, so what carries the name is whole;
+an interrupted build goes on after its last finished shard.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.rlds import RldsEpisode, RldsFeatures, encode_episode, features_to_json
+from roboxim_core.tfrecord import write_record
+
+
+class RldsWriter:
+    """Writes a data set; a context manager that completes it on a clean exit, else leaves it resumable.
+
+    Non-obvious: after an interruption the next writer of the same ``identity`` keeps the finished shards; the
+    caller skips the first ``resumed(split)`` episodes of each split. Another identity starts afresh.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        features: RldsFeatures,
+        *,
+        name: str,
+        version: str,
+        description: str,
+        identity: str = "",
+        overwrite: bool = False,
+        shard_bytes: int = 128 << 20,
+    ) -> None:
+        """Start or go on.
+
+        Args:
+            folder: Data directory; the data set is written to ``folder/name/version``.
+            features: What the episodes hold.
+            name: Name of the data set, lower case with underscores.
+            version: ``major.minor.patch``.
+            description: For ``dataset_info.json``.
+            identity: What tells this build from another; empty: never resumed.
+            overwrite: Whether an existing data set of this name and version is replaced at the end.
+            shard_bytes: Size at which a shard is finished [B].
+
+        Raises:
+            InvalidRequestError: On a name or version that TensorFlow Datasets does not accept.
+            RecorderError: With code ``EXPORT_REFUSED`` when the data set exists.
+        """
+        if not name.isidentifier() or name != name.lower():
+            raise InvalidRequestError(f"a data set's name must be lower case with underscores, got '{name}'")
+        if [part for part in version.split(".") if part.isdigit()] != version.split(".") or version.count(
+            "."
+        ) != 2:
+            raise InvalidRequestError(f"a data set's version must be like 1.0.0, got '{version}'")
+        self.path = folder / name / version
+        if self.path.exists() and not overwrite:
+            raise RecorderError(
+                f"{self.path} exists; choose another name or version, or ask for overwriting",
+                ErrorCode.EXPORT_REFUSED,
+            )
+        self.features, self.name, self.version, self.description = features, name, version, description
+        self._shard_bytes = shard_bytes
+        self._partial = self.path.with_name(f".partial-{version}")
+        self._journal: dict[str, Any] = {"identity": identity, "shards": {}}
+        self._pending: dict[str, list[bytes]] = {}
+        self._resume(identity)
+
+    def _resume(self, identity: str) -> None:
+        journal = self._partial / "journal.json"
+        if identity and journal.is_file():
+            found = json.loads(journal.read_text())
+            if found["identity"] == identity:
+                self._journal = found
+                return
+        shutil.rmtree(self._partial, ignore_errors=True)
+        self._partial.mkdir(parents=True)
+
+    def resumed(self, split: str) -> int:
+        """Count the episodes of a split that finished shards of an interrupted build already hold."""
+        return sum(shard["episodes"] for shard in self._journal["shards"].get(split, []))
+
+    def add(self, split: str, episode: RldsEpisode) -> None:
+        """Append an episode to a split (``train`` or ``val``: the names that loaders look for).
+
+        Raises:
+            InvalidRequestError: When the episode does not fit the features.
+            OSError: When the disk is full.
+        """
+        pending = self._pending.setdefault(split, [])
+        pending.append(encode_episode(episode, self.features))
+        if sum(map(len, pending)) >= self._shard_bytes:
+            self._finish_shard(split)
+
+    def _finish_shard(self, split: str) -> None:
+        payloads = self._pending.pop(split, [])
+        if not payloads:
+            return
+        shards = self._journal["shards"].setdefault(split, [])
+        path = self._partial / f"{split}-{len(shards):05d}"
+        with path.open("wb") as file:
+            for payload in payloads:
+                write_record(file, payload)
+        shards.append({"file": path.name, "episodes": len(payloads), "bytes": sum(map(len, payloads))})
+        scratch = self._partial / "journal.tmp"
+        scratch.write_text(json.dumps(self._journal))
+        scratch.replace(self._partial / "journal.json")
+
+    def finish_shards(self) -> None:
+        """Write what is pending, so that the shards can be read back before the data set is completed."""
+        for split in list(self._pending):
+            self._finish_shard(split)
+
+    def shard_files(self, split: str) -> list[Path]:
+        """Return the finished shards of a split."""
+        return [self._partial / shard["file"] for shard in self._journal["shards"].get(split, [])]
+
+    def complete(self, files: Mapping[str, str] | None = None) -> Path:
+        """Finish the data set and put it in its place.
+
+        Args:
+            files: Further text files by name, e.g. a README.
+
+        Returns:
+            The data set's folder.
+        """
+        self.finish_shards()
+        if not self._journal["shards"]:
+            raise RecorderError(
+                "a data set needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED
+            )
+        splits = []
+        for split, shards in sorted(self._journal["shards"].items()):
+            for index, shard in enumerate(shards):
+                final = f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(shards):05d}"
+                (self._partial / shard["file"]).rename(self._partial / final)
+            splits.append(
+                {
+                    "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
+                    "name": split,
+                    "numBytes": str(sum(shard["bytes"] for shard in shards)),
+                    "shardLengths": [str(shard["episodes"]) for shard in shards],
+                }
+            )
+        info = {
+            "description": self.description,
+            "fileFormat": "tfrecord",
+            "name": self.name,
+            "releaseNotes": {self.version: "Exported from RoboXim bags."},
+            "splits": splits,
+            "version": self.version,
+        }
+        written = {"features.json": features_to_json(self.features), "dataset_info.json": info}
+        for name, data in written.items():
+            (self._partial / name).write_text(json.dumps(data, indent=2) + "\n")
+        for name, text in (files or {}).items():
+            (self._partial / name).write_text(text)
+        (self._partial / "journal.json").unlink()
+        if self.path.exists():
+            shutil.rmtree(self.path)
+        self._partial.rename(self.path)
+        return self.path
+
+    def __enter__(self) -> RldsWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        """Complete the data set unless an error is on its way or it was completed."""
+        if kind is None and self._partial.exists():
+            self.complete()
