@@ -1,0 +1,98 @@
+"""Blocking service calls that may be made from any thread, callbacks included.
+
+A client needs an executor to hear its answer; if that is the executor whose callback waits, nothing ever moves. So the
+clients of a process part live on a node of their own, spun by a thread of their own.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+from roboxim_core.errors import RequestTimeoutError, UnavailableError, raise_for_code
+
+
+class Clients:
+    """Service clients with a node and a thread of their own. A context manager; close it or answers arrive late elsewhere."""
+
+    def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
+        """Start the node and its thread.
+
+        Args:
+            name: Name of the client node, e.g. ``evaluator_clients``.
+            context: An initialised rclpy context.
+            namespace: Namespace that relative service names resolve in.
+        """
+        self.node = Node(
+            name, context=context, namespace=namespace, enable_rosout=False, start_parameter_services=False
+        )
+        self._clients: dict[tuple[Any, str], Client] = {}
+        self._lock = threading.Lock()
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+    def client(self, srv_type: Any, name: str) -> Client:
+        """Return the client of a service, made on first use."""
+        with self._lock:
+            key = (srv_type, name)
+            if key not in self._clients:
+                self._clients[key] = self.node.create_client(srv_type, name)
+                self._executor.wake()
+            return self._clients[key]
+
+    def call(self, srv_type: Any, name: str, request: Any, *, timeout_s: float = 30.0, wait_s: float = 10.0) -> Any:
+        """Call a service and return its response.
+
+        Args:
+            srv_type: Service class.
+            name: Service name, relative to the namespace.
+            request: The request.
+            timeout_s: Longest wait for the answer [s].
+            wait_s: Longest wait for the service to appear [s].
+
+        Raises:
+            UnavailableError: When no such service appears in time.
+            RequestTimeoutError: When the answer does not come in time.
+            RoboximError: What the response's ``error_code`` and ``error_msg`` say, when it has them.
+        """
+        client = self.client(srv_type, name)
+        if not client.service_is_ready() and not client.wait_for_service(timeout_sec=wait_s):
+            raise UnavailableError(f"service '{client.srv_name}' is not there after {wait_s:g} s; is its node running?")
+        done = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(timeout_s):
+            client.remove_pending_request(future)
+            raise RequestTimeoutError(
+                f"service '{client.srv_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
+            )
+        response = future.result()
+        raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
+        return response
+
+    def close(self) -> None:
+        """Stop the thread and destroy the node, so that peers see it go at once."""
+        self._executor.shutdown()
+        self._thread.join(timeout=5.0)
+        self.node.destroy_node()
+
+    def __enter__(self) -> Clients:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()

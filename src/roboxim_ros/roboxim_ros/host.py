@@ -1,0 +1,133 @@
+"""Runs nodes in this process: a context, one executor thread per node, an orderly end.
+
+Used by the runner, by every separately started node, and by tests (`roboxim_ros.testing`).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+N = TypeVar("N", bound=Node)
+
+
+class NodeHost:
+    """A context with nodes, each spun by a thread of its own. A context manager."""
+
+    def __init__(self, *, domain_id: int | None = None, args: Sequence[str] = ()) -> None:
+        """Initialise a context.
+
+        Args:
+            domain_id: ROS domain; none: as the environment says.
+            args: ROS arguments, e.g. ``["--ros-args", "--params-file", FILE]``.
+        """
+        self.context = Context()
+        rclpy.init(
+            args=list(args),
+            context=self.context,
+            domain_id=domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._running: list[tuple[Node, SingleThreadedExecutor, threading.Thread]] = []
+
+    def add(self, make: Callable[[Context], N]) -> N:
+        """Make a node and spin it.
+
+        The node is made in the thread that spins it, because a GL context belongs to the thread that made it.
+
+        Args:
+            make: Makes the node from the context.
+
+        Raises:
+            Exception: Whatever ``make`` raises.
+        """
+        ready = threading.Event()
+        made: list[N] = []
+        failed: list[BaseException] = []
+        executor = SingleThreadedExecutor(context=self.context)
+
+        def run() -> None:
+            try:
+                made.append(make(self.context))
+                executor.add_node(made[0])
+            except BaseException as error:  # handed to the caller below
+                failed.append(error)
+                return
+            finally:
+                ready.set()
+            try:
+                executor.spin()
+            except ExternalShutdownException:
+                pass
+            finally:
+                made[0].destroy_node()
+
+        thread = threading.Thread(target=run, name="node", daemon=True)
+        thread.start()
+        ready.wait()
+        if failed:
+            thread.join()
+            raise failed[0]
+        thread.name = made[0].get_name()
+        self._running.append((made[0], executor, thread))
+        return made[0]
+
+    def alive(self) -> bool:
+        """Tell whether every node still spins."""
+        return all(thread.is_alive() for _, _, thread in self._running)
+
+    def close(self) -> None:
+        """Stop every node in reverse order, then shut the context down."""
+        for _, executor, _ in reversed(self._running):
+            executor.shutdown(timeout_sec=0)
+        for _, executor, thread in reversed(self._running):
+            executor.wake()
+            thread.join(timeout=10.0)
+        self._running.clear()
+        if self.context.ok():
+            self.context.shutdown()
+
+    def __enter__(self) -> NodeHost:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+
+def wait_for_stop(should_stop: Callable[[], bool] = lambda: False) -> int:
+    """Block until SIGINT, SIGTERM, the parent's death or ``should_stop``.
+
+    Args:
+        should_stop: Asked five times a second.
+
+    Returns:
+        The signal's number, or 0.
+    """
+    stop = threading.Event()
+    received = [0]
+
+    def handler(number: int, _: FrameType | None) -> None:
+        received[0] = number
+        stop.set()
+
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    parent = os.getppid()
+    try:
+        while not stop.wait(0.2) and not should_stop() and os.getppid() == parent:
+            pass
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+    return received[0]
