@@ -18,7 +18,10 @@ from roboxim_core.errors import RequestTimeoutError, UnavailableError, raise_for
 
 
 class Clients:
-    """Service clients with a node and a thread of their own. A context manager; close it or answers arrive late elsewhere."""
+    """Service clients with a node and a thread of their own; a context manager.
+
+    Close it: a client that exits without destroying its node delays the first answer that the next process gets.
+    """
 
     def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
         """Start the node and its thread.

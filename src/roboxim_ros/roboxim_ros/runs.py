@@ -1,0 +1,300 @@
+"""Runs: a domain of its own for each, who may reach it, and a registry so that other terminals find it.
+
+Everything here works through the environment and through files, imports no `rclpy`, and must happen before a context
+is initialised.
+
+Non-obvious:
+- Fast DDS opens every network interface unless a profile says otherwise, and ``ROS_LOCALHOST_ONLY`` still lets in a
+  host that names this one as a static peer; only the whitelist of interfaces in ``transport/loopback.xml`` keeps it
+  out.
+- A domain is free when nobody has reserved it (`domain_coordinator`'s convention) *and* none of its UDP ports is in
+  use: what a killed process left behind would answer new clients with old types.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import json
+import os
+import secrets
+import stat
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import domain_coordinator
+
+from roboxim_core.errors import ConfigError, UnavailableError
+
+LARGEST_DOMAIN = 100
+"""Above, the ports of a domain reach into the ephemeral range, where any connection may take them."""
+_TRANSPORTS = ("loopback", "network")
+
+
+def transport_environment(open_network: bool = False) -> dict[str, str]:
+    """Return the environment variables that decide who can reach a graph.
+
+    Args:
+        open_network: Let in every host that reaches this one; false: this machine only.
+    """
+    transport = "network" if open_network else "loopback"
+    profile = str(Path(__file__).parent / "transport" / f"{transport}.xml")
+    return {
+        "ROBOXIM_TRANSPORT": transport,
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": profile,
+        "FASTDDS_DEFAULT_PROFILES_FILE": profile,
+        # Any other range makes the middleware replace the profile's transports by its own.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "ROS_STATIC_PEERS": "",
+    }
+
+
+def activate_transport(open_network: bool | None = None) -> None:
+    """Set the environment of this process and its children; call before a context is initialised.
+
+    Args:
+        open_network: As for `transport_environment`; none: as the environment already says, else this machine only.
+
+    Raises:
+        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``loopback`` nor ``network``.
+    """
+    if open_network is None:
+        given = os.environ.get("ROBOXIM_TRANSPORT", "loopback")
+        if given not in _TRANSPORTS:
+            raise ConfigError(f"ROBOXIM_TRANSPORT is '{given}'; expected one of {', '.join(_TRANSPORTS)}")
+        open_network = given == "network"
+    _apply(transport_environment(open_network))
+
+
+def _apply(environment: dict[str, str]) -> None:
+    os.environ.update(environment)
+    os.environ.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, and would override the range
+
+
+def _udp_ports_in_use() -> set[int]:
+    ports = set()
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        with suppress(OSError):
+            for line in Path(table).read_text().splitlines()[1:]:
+                ports.add(int(line.split()[1].rpartition(":")[2], 16))
+    return ports
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """Reserve a ROS domain that nobody on this machine uses, for as long as the block runs.
+
+    Raises:
+        UnavailableError: When none of the domains is free.
+    """
+    busy = {(port - 7400) // 250 for port in _udp_ports_in_use()}  # DDS: ports 7400 + 250 * domain and up
+    start = os.getpid()  # so that processes started together do not all try the same ones
+    candidates = [1 + (start + i) % LARGEST_DOMAIN for i in range(LARGEST_DOMAIN)]
+    free = [domain for domain in candidates if domain not in busy]
+    # It tries 100 times, whatever the selector's range.
+    reservation = domain_coordinator.domain_id(iter(free * (LARGEST_DOMAIN // max(1, len(free)) + 1)).__next__)
+    try:
+        domain = reservation.__enter__()
+    except (RuntimeError, StopIteration):
+        raise UnavailableError(
+            f"all ROS domains from 1 to {LARGEST_DOMAIN} are in use on this machine; end some ROS processes"
+        ) from None
+    try:
+        yield domain
+    finally:  # without the block's exception, which the reservation would take for a failed attempt of its own
+        reservation.__exit__(None, None, None)
+
+
+def runtime_dir() -> Path:
+    """Return this user's directory of runs, made if missing: ``$XDG_RUNTIME_DIR/roboxim`` or in the temporary folder.
+
+    Raises:
+        ConfigError: When it belongs to somebody else or is not a directory.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    usable = base and os.path.isdir(base) and os.access(base, os.W_OK)
+    path = Path(base or "", "roboxim") if usable else Path(tempfile.gettempdir(), f"roboxim-{os.getuid()}")
+    path.mkdir(mode=0o700, exist_ok=True)
+    status = path.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+        raise ConfigError(f"{path} is not a directory of this user; remove it or set XDG_RUNTIME_DIR to another place")
+    path.chmod(0o700)
+    return path
+
+
+def _birth(pid: int) -> int | None:
+    """Return when a process started, in clock ticks since boot, which tells it from a later one of the same id."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] in "ZX" else int(fields[19])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A graph that is running on this machine."""
+
+    id: str
+    """Short unique name, e.g. ``up-1f3a``."""
+    domain: int
+    """ROS domain of the run's graph."""
+    transport: str
+    """``loopback``: this machine only; ``network``: every interface."""
+    kind: str
+    """What started it: up, generate, evaluate, ..."""
+    namespaces: tuple[str, ...]
+    """Namespaces of its graphs; the empty one is the root."""
+    started: str
+    """When, ISO 8601, UTC."""
+    pids: tuple[int, ...]
+    """Processes; the first one started the run."""
+    births: tuple[int, ...]
+    """Start of each process in clock ticks since boot, against re-used process ids."""
+
+    @property
+    def live_pids(self) -> tuple[int, ...]:
+        """Processes of the run that still live."""
+        return tuple(pid for pid, birth in zip(self.pids, self.births, strict=True) if _birth(pid) == birth)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment variables with which a process takes part in the run."""
+        return {
+            **transport_environment(self.transport == "network"),
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROBOXIM_RUN": self.id,
+        }
+
+    def join(self) -> None:
+        """Let this process take part in the run; call before a context is initialised."""
+        _apply(self.environment)
+
+
+def _file(run_id: str) -> Path:
+    return runtime_dir() / f"{run_id}.json"
+
+
+@contextmanager
+def _lock() -> Iterator[None]:
+    with open(runtime_dir() / ".lock", "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _write(run: Run) -> None:
+    path = _file(run.id)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    part.write_text(json.dumps(dataclasses.asdict(run)))
+    part.replace(path)
+
+
+def _read(path: Path) -> Run | None:
+    try:
+        data = json.loads(path.read_text())
+        return Run(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+    except (OSError, ValueError, TypeError):  # gone, or of another version
+        return None
+
+
+@contextmanager
+def register_run(
+    kind: str, *, domain: int, namespaces: Sequence[str] = ("",), run_id: str | None = None
+) -> Iterator[Run]:
+    """Make this process's graph known to other terminals while the block runs.
+
+    Args:
+        kind: What started it: ``up``, ``generate``, ...
+        domain: ROS domain.
+        namespaces: Namespaces of its graphs.
+        run_id: Its name; none: a new one.
+
+    Raises:
+        ConfigError: When a live run has that name.
+    """
+    run = Run(
+        id=run_id or f"{kind}-{secrets.token_hex(2)}",
+        domain=domain,
+        transport=os.environ.get("ROBOXIM_TRANSPORT", "loopback"),
+        kind=kind,
+        namespaces=tuple(namespaces),
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        pids=(os.getpid(),),
+        births=(_birth(os.getpid()) or 0,),
+    )
+    if any(other.id == run.id for other in live_runs()):
+        raise ConfigError(f"a run named '{run.id}' is alive already; choose another name or end it (roboxim down)")
+    with _lock():
+        _write(run)
+    try:
+        yield run
+    finally:
+        remove_pid(run.id, os.getpid())
+
+
+def add_pids(run_id: str, pids: Sequence[int]) -> None:
+    """Note further processes of a run; those that have died are dropped."""
+    with _lock():
+        run = _read(_file(run_id))
+        if run is not None:
+            _write(_with_pids(run, [*run.live_pids, *pids]))
+
+
+def remove_pid(run_id: str, pid: int) -> None:
+    """Note the end of a process; the run goes with its last one."""
+    with _lock():
+        run = _read(_file(run_id))
+        if run is None:
+            return
+        left = [other for other in run.live_pids if other != pid]
+        if left:
+            _write(_with_pids(run, left))
+        else:
+            _file(run_id).unlink(missing_ok=True)
+
+
+def _with_pids(run: Run, pids: Sequence[int]) -> Run:
+    known = {pid: birth for pid in dict.fromkeys(pids) if (birth := _birth(pid)) is not None}
+    return dataclasses.replace(run, pids=tuple(known), births=tuple(known.values()))
+
+
+def live_runs() -> list[Run]:
+    """Return the runs that live, oldest first; forget the dead ones."""
+    found = []
+    with _lock():
+        for path in runtime_dir().glob("*.json"):
+            run = _read(path)
+            if run is not None and run.live_pids:
+                found.append(run)
+            else:
+                path.unlink(missing_ok=True)
+    return sorted(found, key=lambda run: (run.started, run.id))
+
+
+def find_run(run_id: str | None = None) -> Run:
+    """Return a live run.
+
+    Args:
+        run_id: Its name; none: ``$ROBOXIM_RUN``, else the only one that lives.
+
+    Raises:
+        ConfigError: When there is no such run, none at all, or several to choose from.
+    """
+    runs = live_runs()
+    listing = "".join(f"\n  {run.id}  (domain {run.domain}, started {run.started})" for run in runs)
+    wanted = run_id or os.environ.get("ROBOXIM_RUN")
+    if wanted:
+        for run in runs:
+            if run.id == wanted:
+                return run
+        raise ConfigError(f"no live run '{wanted}'; live runs:{listing or ' none'}")
+    if not runs:
+        raise ConfigError("no run is alive on this machine; start one with: roboxim up")
+    if len(runs) > 1:
+        raise ConfigError(f"several runs are alive; choose one with --run ID:{listing}")
+    return runs[0]
