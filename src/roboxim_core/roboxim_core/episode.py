@@ -85,12 +85,9 @@ class RunConfig:
         """
         if self.keep not in KEEP_RULES:
             raise InvalidRequestError(f"unknown keep rule '{self.keep}'; {one_of(KEEP_RULES, self.keep)}")
-        for name in (
-            "image_width image_height rate_hz window execute max_steps settle_ticks policy_timeout_s "
-            "noise_translation_m noise_rotation_rad"
-        ).split():
-            if not getattr(self, name) >= 0:
-                raise InvalidRequestError(f"{name} must be >= 0, got {getattr(self, name)}")
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value >= 0:
+                raise InvalidRequestError(f"{name} must be >= 0, got {value}")
 
     @property
     def records(self) -> bool:
@@ -397,9 +394,7 @@ class EpisodeRunner:
             RoboximError: On a fault of sim, judge or recorder, or on cancellation (``CANCELLED``).
         """
         for attempt in range(max(1, self.config.max_attempts)):
-            seed = SeedPath(
-                run_seed=self.config.run_seed, purpose=self.config.purpose, index=index, attempt=attempt
-            )
+            seed = SeedPath(run_seed=self.config.run_seed, purpose=self.config.purpose, index=index, attempt=attempt)
             result = self.run_attempt(seed, cancelled)
             if result.outcome == "success":
                 break
@@ -531,7 +526,7 @@ class _Episode:
                 ErrorCode.OBSERVATION_MISSING,
             )
         if self.description.privileged:
-                    observation = replace(observation, state=self.state)
+            observation = replace(observation, state=self.state)
         self.window.add(observation)
 
     def _ask(self) -> None:
@@ -574,8 +569,14 @@ class _Episode:
             return
         self.ports.recorder.step(
             EpisodeStep(
-                episode_id=self.info.episode_id, seq=self.state.seq, stamp_ns=self.state.stamp_ns, phase=phase,
-                action_label=label, action_executed=self.state.action_executed, disturbance=disturbance,
-                verdict=self.verdict, inference_s=self.last_inference_s,
+                episode_id=self.info.episode_id,
+                seq=self.state.seq,
+                stamp_ns=self.state.stamp_ns,
+                phase=phase,
+                action_label=label,
+                action_executed=self.state.action_executed,
+                disturbance=disturbance,
+                verdict=self.verdict,
+                inference_s=self.last_inference_s,
             )  # fmt: skip
         )

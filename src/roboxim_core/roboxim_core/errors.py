@@ -13,7 +13,7 @@ from enum import IntEnum
 
 
 class ErrorCode(IntEnum):
-    """Result codes. 0 is success; 1xx any package, 2xx planner, 3xx sim, 4xx tasks, 5xx recorder, 6xx eval, 7xx policies."""
+    """Result codes. 0 is OK; 1xx any package, 2xx planner, 3xx sim, 4xx tasks, 5xx recorder, 6xx eval, 7xx policies."""
 
     OK = 0
 

@@ -91,9 +91,7 @@ class Renderer(Protocol):
         """Replace the world."""
         ...
 
-    def render(
-        self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]
-    ) -> dict[str, CameraImages]:
+    def render(self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> dict[str, CameraImages]:
         """Draw all cameras of a tick.
 
         Args:

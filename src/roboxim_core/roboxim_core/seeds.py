@@ -1,7 +1,7 @@
 """Where all randomness comes from: one seed sequence per (run seed, purpose, index, attempt, component).
 
-Components never share a stream, demonstrations and evaluations never meet, and an episode depends on its own path alone:
-not on the number of workers, the order, or what ran before.
+Components never share a stream, demonstrations and evaluations never meet, and an episode depends on its own path
+alone: not on the number of workers, the order, or what ran before.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class RobotState:
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Contact of two bodies in a tick. Bodies are entity names, ``robot`` or ``table``; a body's base link is ``""``."""
+    """Contact of two bodies in a tick: entity names, ``robot`` or ``table``; a body's base link is ``""``."""
 
     body_a: str
     """First body; the pair is sorted by name."""

@@ -19,7 +19,7 @@ import json
 import sys
 import types
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -90,7 +90,7 @@ def to_msg(value: Any, msg_cls: type[T]) -> T:
     return msg
 
 
-@lru_cache(maxsize=None)
+@cache
 def _setters(cls: type, msg_cls: Any) -> list[tuple[str, Callable[[Any, Any], None]]]:
     hints = get_type_hints(cls)
     slots = msg_cls.get_fields_and_field_types()
@@ -156,7 +156,7 @@ def from_msg(msg: Any, cls: type[T]) -> T:
     return cls(**{name: get_field(msg) for name, get_field in _getters(cls)})
 
 
-@lru_cache(maxsize=None)
+@cache
 def _getters(cls: type) -> list[tuple[str, Convert]]:
     hints = get_type_hints(cls)
     return [(field.name, _getter(field.name, hints[field.name])) for field in dataclasses.fields(cls)]

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -38,12 +38,13 @@ class NodeHost:
             domain_id=domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        self._running: list[tuple[Node, SingleThreadedExecutor, threading.Thread]] = []
+        self._running: list[tuple[Node, Executor, threading.Thread]] = []
 
     def add(self, make: Callable[[Context], N]) -> N:
         """Make a node and spin it.
 
-        The node is made in the thread that spins it, because a GL context belongs to the thread that made it.
+        The node is made in the thread that spins it, because a GL context belongs to the thread that made it. A node with
+        an attribute ``executor_threads`` above 1 gets a `MultiThreadedExecutor`.
 
         Args:
             make: Makes the node from the context.
@@ -54,19 +55,20 @@ class NodeHost:
         ready = threading.Event()
         made: list[N] = []
         failed: list[BaseException] = []
-        executor = SingleThreadedExecutor(context=self.context)
+        executors: list[Executor] = []
 
         def run() -> None:
             try:
                 made.append(make(self.context))
-                executor.add_node(made[0])
+                executors.append(_executor(made[0], self.context))
+                executors[0].add_node(made[0])
             except BaseException as error:  # handed to the caller below
                 failed.append(error)
                 return
             finally:
                 ready.set()
             try:
-                executor.spin()
+                executors[0].spin()
             except ExternalShutdownException:
                 pass
             finally:
@@ -79,7 +81,7 @@ class NodeHost:
             thread.join()
             raise failed[0]
         thread.name = made[0].get_name()
-        self._running.append((made[0], executor, thread))
+        self._running.append((made[0], executors[0], thread))
         return made[0]
 
     def alive(self) -> bool:
@@ -104,6 +106,14 @@ class NodeHost:
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
+
+
+def _executor(node: Node, context: Context) -> Executor:
+    """Return the executor that a node asks for: one thread, unless it has ``executor_threads``."""
+    threads = getattr(node, "executor_threads", 1)
+    if threads == 1:
+        return SingleThreadedExecutor(context=context)
+    return MultiThreadedExecutor(threads, context=context)
 
 
 def wait_for_stop(should_stop: Callable[[], bool] = lambda: False) -> int:

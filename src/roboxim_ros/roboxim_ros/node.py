@@ -137,9 +137,7 @@ class ErrorAnswer:
 
 def _descriptor(field: dataclasses.Field[Any], kind: Any) -> ParameterDescriptor:
     meta = field.metadata
-    descriptor = ParameterDescriptor(
-        description=meta.get("description", ""), read_only=meta.get("read_only", True)
-    )
+    descriptor = ParameterDescriptor(description=meta.get("description", ""), read_only=meta.get("read_only", True))
     if "range" in meta:
         low, high = meta["range"]
         if kind is int:

@@ -1,1 +1,1 @@
-"""One description of each robot and each object: sim realises it, planner collides with it, tasks reads its annotations."""
+"""One description of each robot and object: sim realises it, planner collides with it, tasks reads its notes."""

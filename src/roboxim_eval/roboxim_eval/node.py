@@ -1,0 +1,129 @@
+"""The evaluator node: hosts the one episode loop over the graph."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.context import Context
+from roboxim_interfaces.action import RunEpisodes as RunEpisodesAction
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
+from roboxim_interfaces.srv import RunEpisodes as RunEpisodesService
+
+from roboxim_core.episode import EpisodeResult, EpisodeRunner, Ports, RunConfig
+from roboxim_core.errors import ErrorCode, EvaluationError, RoboximError
+from roboxim_eval.ports import RosPorts
+from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.node import RoboximNode
+
+FEEDBACK_PERIOD_S = 0.2
+VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that an episode's bits depend on."""
+    found = {}
+    for name in VERSIONED:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "absent"
+    return found
+
+
+class EvaluatorNode(RoboximNode):
+    """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time."""
+
+    executor_threads = 3
+    """A run blocks its callback; cancelling it needs another thread."""
+
+    def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
+        """Make the node; see `RoboximNode`."""
+        super().__init__("evaluator", context=context, namespace=namespace, parameters=parameters)
+        self._busy = threading.Lock()
+        self._ports: RosPorts | None = None
+        group = MutuallyExclusiveCallbackGroup()
+        self.serve(RunEpisodesService, "evaluator/run_episodes", self._on_service, callback_group=group)
+        self._action = ActionServer(
+            self,
+            RunEpisodesAction,
+            "evaluator/run_episodes",
+            execute_callback=self._on_action,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+            result_timeout=10,
+        )
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its clients."""
+        if self._ports is not None:
+            self._ports.close()
+            self._ports = None
+        self._action.destroy()
+        super().destroy_node()
+
+    def _on_service(self, request: RunEpisodesService.Request, response: RunEpisodesService.Response) -> None:
+        response.results = [to_msg(result, EpisodeResultMsg) for result in self._run(request, lambda: False)]
+
+    def _on_action(self, goal: ServerGoalHandle) -> RunEpisodesAction.Result:
+        result = RunEpisodesAction.Result()
+        feedback = RunEpisodesAction.Feedback(total=len(goal.request.indices))
+        last = 0.0
+
+        def tick() -> bool:
+            nonlocal last
+            if time.monotonic() - last > FEEDBACK_PERIOD_S:
+                last = time.monotonic()
+                goal.publish_feedback(feedback)
+            return bool(goal.is_cancel_requested) or not self.context.ok()
+
+        with self.answering("evaluator/run_episodes", result):
+            for episode in self._run(goal.request, tick):
+                message = to_msg(episode, EpisodeResultMsg)
+                result.results = [*result.results, message]
+                feedback.done, feedback.finished, feedback.current = len(result.results), [message], episode.episode_id
+                goal.publish_feedback(feedback)
+                feedback.finished = []
+        if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:
+            goal.canceled()
+        elif result.error_code:
+            goal.abort()
+        else:
+            goal.succeed()
+        return result
+
+    def _run(self, request: Any, cancelled: Callable[[], bool]) -> Iterator[EpisodeResult]:
+        config = from_msg(request.config, RunConfig)
+        if not self._busy.acquire(blocking=False):
+            raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")
+        try:
+            runner = EpisodeRunner(self._make_ports(config), config, versions=versions())
+            for index in request.indices:
+                yield runner.run_index(int(index), cancelled=cancelled)
+        except RoboximError:
+            self._drop_ports()
+            raise
+        finally:
+            self._busy.release()
+
+    def _make_ports(self, config: RunConfig) -> Ports:
+        if self._ports is None:
+            self._ports = RosPorts(self.context, self.get_namespace())
+        actor, recorder = self._ports.for_run(config.actor, config.policy_timeout_s or 30.0, config.output_dir)
+        return Ports(
+            scenes=self._ports.tasks, sim=self._ports.sim, actor=actor, judge=self._ports.tasks, recorder=recorder,
+            clock=time.monotonic,
+        )  # fmt: skip
+
+    def _drop_ports(self) -> None:
+        """Start the next run with fresh clients: after a fault a peer may be gone."""
+        if self._ports is not None:
+            self._ports.close()
+            self._ports = None

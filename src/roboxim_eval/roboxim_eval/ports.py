@@ -1,0 +1,356 @@
+"""The episode loop's ports, made of ROS clients: what lets `core.episode` run over a graph."""
+
+from __future__ import annotations
+
+import json
+import threading
+import zlib
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
+from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
+from roboxim_interfaces.msg import RecordedTick, TickNotice
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg
+from roboxim_interfaces.srv import (
+    Act,
+    CloseEpisode,
+    DescribePolicy,
+    GenerateEpisode,
+    Judge,
+    LoadScene,
+    OpenEpisode,
+    ReleaseEpisode,
+    ResetPolicy,
+    Tick,
+)
+from sensor_msgs.msg import Image
+from simulation_interfaces.srv import GetSimulatorFeatures
+
+from roboxim_core.actions import ActionArray, check_chunk
+from roboxim_core.episode import Draw, EpisodeInfo, EpisodeResult, EpisodeStep
+from roboxim_core.errors import (
+    ErrorCode,
+    EvaluationError,
+    PolicyError,
+    RequestTimeoutError,
+    RoboximError,
+    UnavailableError,
+    raise_for_code,
+)
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import Verdict
+from roboxim_eval.conversions import act_request, proprio_of
+from roboxim_ros import qos
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
+
+SERVICE_TIMEOUT_S = 30.0
+MESSAGE_TIMEOUT_S = 10.0
+
+
+class TaskClient:
+    """Draws tasks and judges, through the task node."""
+
+    def __init__(self, clients: Clients) -> None:
+        """Use a set of clients."""
+        self._clients = clients
+
+    def draw(self, seed: SeedPath, task_config: str) -> Draw:
+        """Draw the episode of a seed path."""
+        request = GenerateEpisode.Request(
+            run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index, attempt=seed.attempt,
+            task_config=task_config,
+        )  # fmt: skip
+        answer = self._clients.call(GenerateEpisode, "tasks/generate_episode", request, timeout_s=2 * SERVICE_TIMEOUT_S)
+        return Draw(
+            task=from_msg(answer.task, TaskSpec), scene=from_msg(answer.scene, SceneSpec),
+            max_steps=answer.max_steps, config_json=answer.task_config_json or "{}",
+        )  # fmt: skip
+
+    def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
+        """Start a fold with tick 0."""
+        return self._judge(
+            Judge.Request(episode_id=episode_id, task=[to_msg(task, TaskSpecMsg)], state=to_msg(state, StateRecordMsg))
+        )
+
+    def judge(self, state: StateRecord) -> Verdict:
+        """Fold the next tick."""
+        return self._judge(Judge.Request(episode_id=state.episode_id, state=to_msg(state, StateRecordMsg)))
+
+    def _judge(self, request: Judge.Request) -> Verdict:
+        answer = self._clients.call(Judge, "tasks/judge", request, timeout_s=SERVICE_TIMEOUT_S)
+        return from_msg(answer.verdict, Verdict)
+
+
+class SimClient:
+    """The simulator, through its services; images through its topics."""
+
+    def __init__(self, clients: Clients) -> None:
+        """Subscribe to the sim's ticks."""
+        self._clients = clients
+        self._arrived = threading.Condition()
+        self._notice: TickNotice | None = None
+        self._images: dict[str, dict[int, Image]] = {}
+        self._subscriptions: dict[str, Subscription] = {}
+        self._renderer = ""
+        clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.STATE)
+
+    @property
+    def renderer(self) -> str:
+        """Renderer and device in use."""
+        if not self._renderer:
+            answer = self._clients.call(
+                GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()
+            )
+            info = json.loads(answer.features.custom_info)
+            self._renderer = f"{info['renderer']} ({info['device']})"
+        return self._renderer
+
+    def watch(self, cameras: tuple[str, ...]) -> None:
+        """Subscribe to cameras; done once per camera and run."""
+        for camera in cameras:
+            if camera not in self._subscriptions:
+                self._images[camera] = {}
+                self._subscriptions[camera] = self._clients.node.create_subscription(
+                    Image, f"camera/{camera}/image", lambda msg, name=camera: self._on_image(name, msg), qos.SENSOR
+                )
+
+    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+        """Rebuild the world and settle: tick 0."""
+        request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg))
+        answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
+        return from_msg(answer.state, StateRecord)
+
+    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
+        """Execute an action; returns tick ``seq``."""
+        request = Tick.Request(episode_id=episode_id, seq=seq, action=action)
+        answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S)
+        return from_msg(answer.state, StateRecord)
+
+    def release(self, episode_id: str) -> None:
+        """Give the lease back; a sim that has died has none to give."""
+        try:
+            self._clients.call(
+                ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request(episode_id=episode_id), timeout_s=5.0
+            )
+        except (RequestTimeoutError, UnavailableError) as error:
+            self._clients.node.get_logger().warning(f"could not release '{episode_id}': {error}")
+
+    def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
+        """Wait for the whole observation of a tick.
+
+        Raises:
+            EvaluationError: ``OBSERVATION_MISSING``, naming what did not come.
+        """
+        images: dict[str, Any] = {}
+        if cameras:
+            self.watch(cameras)
+            with self._arrived:
+                complete = self._arrived.wait_for(
+                    lambda: self._collect(state, cameras, images), timeout=MESSAGE_TIMEOUT_S
+                )
+            if not complete:
+                missing = [camera for camera in cameras if camera not in images]
+                raise EvaluationError(
+                    f"tick {state.seq} of '{state.episode_id}': no image of {', '.join(missing) or 'the tick'} within "
+                    f"{MESSAGE_TIMEOUT_S:g} s; is the camera in the scene and its publisher alive?",
+                    ErrorCode.OBSERVATION_MISSING,
+                )
+        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state))
+
+    def _collect(self, state: StateRecord, cameras: tuple[str, ...], images: dict[str, Any]) -> bool:
+        notice = self._notice
+        if notice is None or (notice.episode_id, notice.seq) != (state.episode_id, state.seq):
+            return False
+        expected = dict(zip(notice.topics, notice.image_crc32, strict=True))
+        for camera in cameras:
+            topic = f"camera/{camera}/image"
+            if topic not in expected:
+                raise EvaluationError(
+                    f"the sim publishes no camera '{camera}'; it has "
+                    f"{[name.split('/')[1] for name in expected if name.endswith('/image')]}",
+                    ErrorCode.OBSERVATION_MISSING,
+                )
+            msg = self._images[camera].get(state.stamp_ns)
+            if msg is not None and camera not in images and zlib.crc32(msg.data) == expected[topic]:
+                images[camera] = image_from_msg(msg)
+        return len(images) == len(cameras)
+
+    def _on_notice(self, msg: TickNotice) -> None:
+        with self._arrived:
+            self._notice = msg
+            self._arrived.notify_all()
+
+    def _on_image(self, camera: str, msg: Image) -> None:
+        with self._arrived:
+            kept = self._images[camera]
+            kept[stamp_to_ns(msg.header.stamp)] = msg
+            while len(kept) > 4:
+                del kept[next(iter(kept))]
+            self._arrived.notify_all()
+
+
+class ActorClient:
+    """A policy, through its three services. Whatever goes wrong with it is the policy's fault."""
+
+    def __init__(self, clients: Clients, namespace: str, timeout_s: float) -> None:
+        """Use the policy of a namespace.
+
+        Args:
+            clients: The clients.
+            namespace: Namespace of the policy, relative, e.g. ``expert``.
+            timeout_s: Longest wait for an answer [s].
+        """
+        self._clients = clients
+        self._namespace = namespace
+        self._timeout_s = timeout_s
+        self._privileged = False
+
+    def describe(self) -> PolicyDescription:
+        """Ask what it is.
+
+        Raises:
+            UnavailableError: When no policy serves the namespace.
+        """
+        answer = self._clients.call(
+            DescribePolicy, f"{self._namespace}/describe_policy", DescribePolicy.Request(), timeout_s=60.0
+        )
+        description = from_msg(answer.description, PolicyDescription)
+        self._privileged = description.privileged
+        return description
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode."""
+        request = ResetPolicy.Request(
+            episode_id=start.episode_id, instruction=start.instruction, seed=start.seed,
+            task=[to_msg(start.task, TaskSpecMsg)] if start.task else [],
+            scene=[to_msg(start.scene, SceneSpecMsg)] if start.scene else [],
+        )  # fmt: skip
+        self._call(ResetPolicy, "reset_policy", request)
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the next actions."""
+        answer = self._call(Act, "act", act_request(window))
+        actions = check_chunk(list(answer.actions)).reshape(-1)
+        if answer.horizon < 1 or actions.size != 7 * answer.horizon:
+            raise PolicyError(
+                f"policy '{self._namespace}' answered horizon {answer.horizon} with {actions.size} numbers; "
+                "expected horizon x 7",
+                ErrorCode.INVALID_ACTION,
+            )
+        return ActionChunk(actions=actions.reshape(answer.horizon, 7), done=answer.done, phases=tuple(answer.phases))
+
+    def _call(self, srv_type: Any, name: str, request: Any) -> Any:
+        try:
+            return self._clients.call(
+                srv_type, f"{self._namespace}/{name}", request, timeout_s=self._timeout_s, wait_s=self._timeout_s
+            )
+        except RequestTimeoutError as error:
+            raise PolicyError(str(error), ErrorCode.POLICY_LATE) from None
+        except UnavailableError as error:
+            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
+        except RoboximError as error:
+            raise PolicyError(str(error), error.code) from None
+
+
+class RecorderClient:
+    """The recorder: open, a step per tick with its acknowledgement, close."""
+
+    def __init__(self, clients: Clients, output_dir: str) -> None:
+        """Record into a folder.
+
+        Args:
+            clients: The clients.
+            output_dir: Folder for bags, absolute.
+        """
+        self._clients = clients
+        self._output_dir = output_dir
+        self._acknowledged = threading.Condition()
+        self._last = RecordedTick()
+        self._open = ""
+        clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.STATE)
+        self._publisher: Publisher = clients.node.create_publisher(EpisodeStepMsg, "evaluator/step", qos.SENSOR)
+
+    def open(self, info: EpisodeInfo) -> None:
+        """Open the episode's bag."""
+        request = OpenEpisode.Request(info=to_msg(info, EpisodeInfoMsg), output_dir=self._output_dir)
+        self._clients.call(OpenEpisode, "recorder/open_episode", request, timeout_s=SERVICE_TIMEOUT_S)
+        self._open = info.episode_id
+
+    def step(self, step: EpisodeStep) -> None:
+        """Publish a tick's step and wait until the bag has the tick as a whole.
+
+        Raises:
+            RoboximError: What the recorder refused the tick with, or a time-out.
+        """
+        self._publisher.publish(to_msg(step, EpisodeStepMsg))
+        with self._acknowledged:
+            done = self._acknowledged.wait_for(
+                lambda: (self._last.episode_id, self._last.seq) == (step.episode_id, step.seq),
+                timeout=MESSAGE_TIMEOUT_S,
+            )
+            last = self._last
+        if not done:
+            raise RequestTimeoutError(
+                f"the recorder did not acknowledge tick {step.seq} of '{step.episode_id}' within "
+                f"{MESSAGE_TIMEOUT_S:g} s; it hangs, has died, or lacks a message of the tick"
+            )
+        raise_for_code(last.error_code, last.error_msg)
+
+    def close(self, result: EpisodeResult, keep: str) -> str:
+        """Close the bag; return its path relative to the output folder."""
+        request = CloseEpisode.Request(result=to_msg(result, EpisodeResultMsg), keep=keep)
+        answer = self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=SERVICE_TIMEOUT_S)
+        self._open = ""
+        return str(answer.bag)
+
+    def abort(self) -> None:
+        """Drop an open bag after a fault."""
+        if not self._open:
+            return
+        request = CloseEpisode.Request(keep="drop")
+        request.result.episode_id = self._open
+        self._open = ""
+        try:
+            self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=5.0, wait_s=0.5)
+        except RoboximError as error:
+            self._clients.node.get_logger().warning(f"could not drop the open bag: {error}")
+
+    def _on_recorded(self, msg: RecordedTick) -> None:
+        with self._acknowledged:
+            self._last = msg
+            self._acknowledged.notify_all()
+
+
+class RosPorts:
+    """All five ports over one set of clients. A context manager."""
+
+    def __init__(self, context: Context, namespace: str) -> None:
+        """Make the clients.
+
+        Args:
+            context: An initialised rclpy context.
+            namespace: Namespace of the graph.
+        """
+        self.clients = Clients("evaluator_clients", context=context, namespace=namespace)
+        self.tasks = TaskClient(self.clients)
+        self.sim = SimClient(self.clients)
+        self.recorder = RecorderClient(self.clients, "")
+
+    def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[ActorClient, RecorderClient]:
+        """Return the actor and recorder of one run."""
+        self.recorder._output_dir = output_dir
+        return ActorClient(self.clients, actor, timeout_s), self.recorder
+
+    def close(self) -> None:
+        """Close the clients."""
+        self.clients.close()
