@@ -1,0 +1,245 @@
+"""GLSL of the `raster` renderer.
+
+Written for software GL first (llvmpipe), where every instruction of the fragment shader counts: no ``pow``, ``exp``
+or trigonometry per pixel, the surroundings are an analytic studio (sky, ground, two soft boxes) instead of a map, and
+depth and segmentation leave the same pass as the colour.
+"""
+
+_POSES = """
+layout(std140) uniform Poses { vec4 rows[3 * MAX_BODIES]; };
+vec3 to_world(uint body, vec4 p) {
+    int i = int(body) * 3;
+    return vec3(dot(rows[i], p), dot(rows[i + 1], p), dot(rows[i + 2], p));
+}
+"""
+
+SHADOW_VERTEX = (
+    """#version 330
+"""
+    + _POSES
+    + """
+uniform mat4 light_from_world;
+in vec3 in_position;
+in uvec2 in_ids;
+void main() { gl_Position = light_from_world * vec4(to_world(in_ids.x, vec4(in_position, 1.0)), 1.0); }
+"""
+)
+
+SHADOW_FRAGMENT = """#version 330
+void main() {}
+"""
+
+SCENE_VERTEX = (
+    """#version 330
+"""
+    + _POSES
+    + """
+uniform mat4 clip_from_world;
+uniform mat4 light_from_world;
+uniform float normal_offset;
+in vec3 in_position;
+in vec3 in_normal;
+in vec2 in_uv;
+in vec4 in_color;
+in vec4 in_surface;
+in uvec2 in_ids;
+out vec3 position;
+out vec3 normal;
+out vec2 uv;
+out vec4 light_position;
+flat out vec4 color;
+flat out vec3 surface;
+void main() {
+    position = to_world(in_ids.x, vec4(in_position, 1.0));
+    normal = to_world(in_ids.x, vec4(in_normal, 0.0));
+    uv = in_uv;
+    color = in_color;
+    surface = vec3(in_surface.x, floor(in_surface.y * 255.0 + 0.5), float(in_ids.y));
+    light_position = light_from_world * vec4(position + normal * normal_offset, 1.0);
+    light_position.xyz = light_position.xyz * 0.5 + light_position.w * 0.5;
+    gl_Position = clip_from_world * vec4(position, 1.0);
+}
+"""
+)
+
+SCENE_FRAGMENT = """#version 330
+uniform vec3 eye;
+uniform vec3 sky;
+uniform vec3 ground;
+uniform int light_count;
+uniform vec4 light_vectors[MAX_LIGHTS];   // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
+uniform vec3 light_colors[MAX_LIGHTS];    // irradiance / pi
+uniform float shadow_texel;               // 0: no shadow
+uniform sampler2DShadow shadow_map;
+uniform sampler2D contact_map;            // share of the sky covered just above, height of the cover
+uniform vec4 contact_box;                 // xy: lower corner, zw: 1 / extent
+uniform sampler2DArray textures;
+in vec3 position;
+in vec3 normal;
+in vec2 uv;
+in vec4 light_position;
+flat in vec4 color;
+flat in vec3 surface;
+layout(location = 0) out vec4 out_color;
+#ifdef GEOMETRY
+layout(location = 1) out vec2 out_geometry;
+#endif
+
+float sunlit() {
+    vec3 p = light_position.xyz / light_position.w;
+    float t = shadow_texel;
+    return 0.25 * (texture(shadow_map, vec3(p.xy + vec2(-0.5, -1.5) * t, p.z))
+                 + texture(shadow_map, vec3(p.xy + vec2(1.5, -0.5) * t, p.z))
+                 + texture(shadow_map, vec3(p.xy + vec2(0.5, 1.5) * t, p.z))
+                 + texture(shadow_map, vec3(p.xy + vec2(-1.5, 0.5) * t, p.z)));
+}
+
+void main() {
+    vec3 n = normalize(normal);
+    vec3 v = normalize(eye - position);
+    vec4 texel = texture(textures, vec3(uv, surface.y));
+    vec3 base = color.rgb * texel.rgb;
+    base *= base;                          // stored as square roots of linear values
+    float metallic = color.a;
+    float roughness = surface.x;
+    vec3 f0 = mix(vec3(0.04), base, metallic);
+    vec3 diffuse = base * (1.0 - metallic);
+    float a2 = roughness * roughness;
+    a2 *= a2;
+    float nv = clamp(dot(n, v), 0.02, 1.0);
+
+    vec3 lit = vec3(0.0);
+    for (int i = 0; i < light_count; i++) {
+        vec3 to_light = light_vectors[i].xyz;
+        float strength = 1.0;
+        if (light_vectors[i].w > 0.0) {
+            to_light -= position;
+            strength = light_vectors[i].w / max(dot(to_light, to_light), 0.01);
+        }
+        vec3 l = normalize(to_light);
+        vec3 h = normalize(l + v);
+        float nl = clamp(dot(n, l), 0.0, 1.0);
+        float nh = clamp(dot(n, h), 0.0, 1.0);
+        float f = 1.0 - clamp(dot(l, h), 0.0, 1.0);
+        float f2 = f * f;
+        float d = nh * nh * (a2 - 1.0) + 1.0;
+        float gloss = min(a2 * 0.5 / (d * d * mix(2.0 * nl * nv, nl + nv, roughness * roughness) + 1e-4), 8.0);
+        vec3 fresnel = f0 + (1.0 - f0) * (f2 * f2 * f);
+        if (i == 0 && shadow_texel > 0.0) strength *= sunlit();
+        lit += (nl * strength) * light_colors[i] * (diffuse + fresnel * gloss);
+    }
+
+    vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.zw).xy;
+    float gap = covered.y - position.z;    // height of what hangs over this point
+    float open = 1.0 - 0.75 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
+                 * clamp(0.3 + n.z, 0.0, 1.0);
+
+    vec3 r = 2.0 * dot(n, v) * n - v;
+    float spread = 1.0 + 30.0 * (1.0 - roughness) * (1.0 - roughness);
+    float box_a = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(-0.48, 0.36, 0.8))));
+    float box_b = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(0.3, -0.8, 0.52))));
+    vec3 around = mix(ground, sky, clamp(r.z * (1.2 - 0.7 * roughness) + 0.5, 0.0, 1.0));
+    around += sky * ((1.4 - roughness) * (1.6 * box_a * box_a + 1.0 * box_b * box_b));
+    float g = 1.0 - nv;
+    float g2 = g * g;
+    vec3 mirror = f0 * (1.0 - 0.45 * roughness) + (1.0 - roughness) * (1.0 - roughness) * (g2 * g2 * g) * (1.0 - f0);
+    vec3 ambient = diffuse * mix(ground, sky, n.z * 0.5 + 0.5) + around * mirror;
+    vec3 c = lit + ambient * open;
+
+    vec3 over = max(c - 0.6, 0.0);         // soft shoulder, asymptote 1
+    c = min(c, 0.6) + over / (1.0 + over * 2.5);
+    vec3 s1 = sqrt(c), s2 = sqrt(s1);      // linear to sRGB without pow; off by < 0.5 / 255 above the linear toe
+    c = 0.585122381 * s1 + 0.783140355 * s2 - 0.368262736 * sqrt(s2);
+    out_color = vec4(c, dot(c, vec3(0.299, 0.587, 0.114)));
+#ifdef GEOMETRY
+    out_geometry = vec2(1.0 / gl_FragCoord.w, surface.z);
+#endif
+}
+"""
+
+SCREEN_VERTEX = """#version 330
+in vec2 in_corner;
+void main() { gl_Position = vec4(in_corner, 1.0, 1.0); }
+"""
+
+BACKDROP_FRAGMENT = """#version 330
+uniform vec3 color;
+layout(location = 0) out vec4 out_color;
+#ifdef GEOMETRY
+layout(location = 1) out vec2 out_geometry;
+#endif
+void main() {
+    out_color = vec4(color, dot(color, vec3(0.299, 0.587, 0.114)));
+#ifdef GEOMETRY
+    out_geometry = vec2(uintBitsToFloat(0x7f800000u), 0.0);   // infinitely far
+#endif
+}
+"""
+
+# Fast approximate anti-aliasing on the luma in alpha; fetches stay inside the camera's own rectangle.
+FXAA_FRAGMENT = """#version 330
+uniform sampler2D image;
+uniform ivec4 rect;     // lower corner, upper corner (inclusive)
+uniform vec2 texel;
+out vec4 out_color;
+float luma(ivec2 p) { return texelFetch(image, clamp(p, rect.xy, rect.zw), 0).a; }
+vec3 smooth_at(vec2 p) { return texture(image, clamp(p, vec2(rect.xy) + 0.5, vec2(rect.zw) + 0.5) * texel).rgb; }
+void main() {
+    ivec2 p = ivec2(gl_FragCoord.xy);
+    vec4 m = texelFetch(image, p, 0);
+    float a = luma(p + ivec2(-1, -1)), b = luma(p + ivec2(1, -1));
+    float c = luma(p + ivec2(-1, 1)), d = luma(p + ivec2(1, 1));
+    float low = min(m.a, min(min(a, b), min(c, d))), high = max(m.a, max(max(a, b), max(c, d)));
+    vec2 along = vec2((c + d) - (a + b), (a + c) - (b + d));
+    float damp = max((a + b + c + d) * 0.03125, 0.0078125);
+    along = clamp(along / (min(abs(along.x), abs(along.y)) + damp), -8.0, 8.0);
+    vec2 at = gl_FragCoord.xy;
+    vec3 near = 0.5 * (smooth_at(at - along / 6.0) + smooth_at(at + along / 6.0));
+    vec3 wide = 0.5 * near + 0.25 * (smooth_at(at - along * 0.5) + smooth_at(at + along * 0.5));
+    float wide_luma = dot(wide, vec3(0.299, 0.587, 0.114));
+    vec3 blend = (wide_luma < low || wide_luma > high) ? near : wide;
+    out_color = vec4(high - low > max(0.03, high * 0.08) ? blend : m.rgb, 1.0);
+}
+"""
+
+# What stands or hangs where, seen from below: ambient light darkens where an object meets the table.
+CONTACT_VERTEX = (
+    """#version 330
+"""
+    + _POSES
+    + """
+uniform vec4 contact_box;
+uniform vec2 heights;
+in vec3 in_position;
+in uvec2 in_ids;
+out float height;
+void main() {
+    vec3 p = to_world(in_ids.x, vec4(in_position, 1.0));
+    height = p.z;
+    vec3 unit = vec3((p.xy - contact_box.xy) * contact_box.zw, (p.z - heights.x) * heights.y);
+    gl_Position = vec4(unit * 2.0 - 1.0, 1.0);
+}
+"""
+)
+
+CONTACT_FRAGMENT = """#version 330
+in float height;
+out vec2 out_cover;
+void main() { out_cover = vec2(1.0, height); }
+"""
+
+CONTACT_BLUR_FRAGMENT = """#version 330
+uniform sampler2D image;
+uniform float texel;
+out vec2 out_cover;
+void main() {
+    vec2 sum = vec2(0.0);
+    for (int y = -1; y <= 1; y++) {
+        for (int x = -1; x <= 1; x++) {
+            vec2 c = texture(image, (gl_FragCoord.xy + 2.0 * vec2(x, y)) * texel).xy;
+            sum += c * float((2 - abs(x)) * (2 - abs(y)));
+        }
+    }
+    out_cover = vec2(sum.x / 16.0, sum.y / max(sum.x, 1e-3));
+}
+"""

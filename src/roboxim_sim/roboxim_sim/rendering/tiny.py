@@ -1,0 +1,189 @@
+"""The `tiny` renderer: PyBullet's built-in software rasteriser, which needs no GL.
+
+Slower and plainer than `raster`: no metals, no anti-aliasing, hard shadows, the main light only. Pixels look along the
+same rays, and depth and segmentation mean the same.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pybullet
+from PIL import Image
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
+from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.rendering import CameraImages, RenderWorld, VisualPart
+from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
+from roboxim_sim.rendering import textures
+from roboxim_sim.rendering.geometry import check_mesh, check_request, textured
+from roboxim_sim.rendering.owner import Owner
+
+MAX_VERTICES = 131_072
+"""PyBullet's limit for one mesh."""
+OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""PyBullet's camera looks along -z with y upwards."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """A PyBullet body that shows one part."""
+
+    uid: int
+    key: str
+    entity_id: int
+
+
+class TinyRenderer:
+    """See the module; implements `roboxim_core.rendering.Renderer`."""
+
+    name = "tiny"
+    device = "PyBullet TinyRenderer"
+
+    def __init__(self) -> None:
+        """Start a PyBullet client of its own."""
+        self._owner = Owner()
+        self._client = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise SimError("PyBullet gives no further client; close some", ErrorCode.RENDERER_UNAVAILABLE)
+        self._parts: tuple[_Part, ...] | None = None
+        self._keys: tuple[str, ...] = ()
+        self._look = LookSpec()
+
+    def load(self, world: RenderWorld) -> None:
+        """Replace the world.
+
+        Raises:
+            InvalidRequestError: On a malformed world.
+            SimError: When called from another thread or process, or after `close`.
+        """
+        self._owner.check()
+        pybullet.resetSimulation(physicsClientId=self._client)
+        self._parts = None
+        entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
+        parts, loaded = [], dict[str, int]()
+        for body in world.bodies:
+            for part in body.parts:
+                uid = self._add(part, body.key, loaded)
+                parts.append(_Part(uid=uid, key=body.key, entity_id=entities[body.entity]))
+        self._keys = tuple(body.key for body in world.bodies)
+        self._look = world.look
+        self._parts = tuple(parts)
+
+    def render(self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> dict[str, CameraImages]:
+        """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
+
+        Raises:
+            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            SimError: When called from another thread or process, before `load` or after `close`.
+        """
+        self._owner.check()
+        if self._parts is None:
+            raise SimError("the renderer has no world yet: call load() first", ErrorCode.NO_SCENE)
+        check_request(self._keys, poses, cameras)
+        for part in self._parts:
+            pose = poses.get(part.key, IDENTITY)
+            pybullet.resetBasePositionAndOrientation(
+                part.uid, pose.position, pose.quat_xyzw, physicsClientId=self._client
+            )
+        return {camera.name: self._draw(camera, pose, self._parts) for camera, pose in cameras}
+
+    def close(self) -> None:
+        """Stop the client. Closing twice is harmless."""
+        if not self._owner.closed:
+            self._owner.check()
+            self._owner.closed = True
+            pybullet.disconnect(physicsClientId=self._client)
+
+    def _add(self, part: VisualPart, key: str, loaded: dict[str, int]) -> int:
+        """Add a part and return its PyBullet body."""
+        check_mesh(part.mesh, key)
+        name = part.material.texture
+        mesh = textured(part.mesh) if name else part.mesh
+        if max(len(mesh.vertices), mesh.faces.size) > MAX_VERTICES:
+            raise InvalidRequestError(
+                f"body '{key}': renderer 'tiny' takes at most {MAX_VERTICES} vertices and indices a part, got "
+                f"{len(mesh.vertices)} and {mesh.faces.size}; use 'raster' or a simpler mesh"
+            )
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=mesh.vertices.tolist(),
+            indices=mesh.faces.reshape(-1).tolist(),
+            normals=mesh.normals.tolist(),
+            uvs=[] if mesh.uv is None else mesh.uv.tolist(),
+            rgbaColor=(*part.material.color, 1.0),
+            specularColor=[0.4 * (1.0 - part.material.roughness)] * 3,
+            physicsClientId=self._client,
+        )
+        uid = int(pybullet.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=self._client))
+        if name:
+            if name not in loaded:
+                loaded[name] = self._load_texture(name)
+            pybullet.changeVisualShape(uid, -1, textureUniqueId=loaded[name], physicsClientId=self._client)
+        return uid
+
+    def _load_texture(self, name: str) -> int:
+        with tempfile.TemporaryDirectory(prefix="roboxim-") as folder:
+            path = Path(folder) / f"{name}.png"
+            Image.fromarray(textures.pixels(name)).save(path)
+            return int(pybullet.loadTexture(str(path), physicsClientId=self._client))
+
+    def _draw(self, camera: CameraSpec, pose: Pose, parts: tuple[_Part, ...]) -> CameraImages:
+        near, far = camera.near, camera.far
+        projection = pybullet.computeProjectionMatrixFOV(
+            math.degrees(camera.fov_y_rad), camera.width / camera.height, near, far
+        )
+        view = OPTICAL_TO_GL @ pose.inverse().matrix
+        _, _, rgba, depth, mask = pybullet.getCameraImage(
+            camera.width,
+            camera.height,
+            view.T.reshape(-1).tolist(),
+            projection,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+            **_light(self._look),
+        )
+        shape = (camera.height, camera.width)
+        rgb = np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy()
+        z_buffer = np.asarray(depth, dtype=np.float64).reshape(shape)
+        uids = np.asarray(mask, dtype=np.int64).reshape(shape)
+        metric = np.where(uids < 0, np.inf, far * near / (far - (far - near) * z_buffer)).astype(np.float32)
+        ids = np.zeros(max(part.uid for part in parts) + 2 if parts else 1, np.uint16)
+        for part in parts:
+            ids[part.uid] = part.entity_id
+        return CameraImages(
+            rgb=_backdrop(rgb, uids < 0, self._look),
+            depth=metric if camera.depth else None,
+            segmentation=np.where(uids < 0, 0, ids[uids]).astype(np.uint16) if camera.segmentation else None,
+        )
+
+
+def _backdrop(rgb: npt.NDArray[np.uint8], nothing: npt.NDArray[np.bool_], look: LookSpec) -> npt.NDArray[np.uint8]:
+    rgb[nothing] = np.rint(255 * np.sqrt(np.clip(look.ambient, 0.0, 1.0))).astype(np.uint8)
+    return rgb
+
+
+def _light(look: LookSpec) -> dict[str, object]:
+    """Return PyBullet's light for the main light and the surroundings."""
+    main = next((light for light in look.lights if light.shadow), None) or next(iter(look.lights), None)
+    if main is None:
+        main = LightSpec(intensity=0.0, shadow=False)
+    if main.kind == "lamp":
+        towards, distance = np.asarray(main.position, dtype=float), float(np.linalg.norm(main.position))
+    else:
+        towards, distance = -np.asarray(main.direction, dtype=float), 3.0
+    return {
+        "lightDirection": (towards / max(float(np.linalg.norm(towards)), 1e-9)).tolist(),
+        "lightDistance": max(distance, 0.1),
+        "lightColor": list(main.color),
+        "shadow": int(main.shadow),
+        "lightAmbientCoeff": float(np.clip(np.sqrt(np.mean(look.ambient)), 0.0, 1.0)),
+        "lightDiffuseCoeff": float(np.clip(0.2 * main.intensity, 0.0, 1.0)),
+        "lightSpecularCoeff": 0.1,
+    }

@@ -1,0 +1,107 @@
+"""Matrices of cameras and of the main light.
+
+Clip space is used with y downwards, so that row 0 of a framebuffer is the top row of the image and nothing has to be
+flipped after reading it; triangles that are counter-clockwise from outside are then clockwise for GL.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.poses import Pose
+from roboxim_core.specs import CameraSpec, LightSpec
+
+Array = npt.NDArray[np.float64]
+
+EXTENT_STEP_M = 0.1
+"""The shadow map's extent grows in such steps, so that shadows' edges do not crawl while the robot moves."""
+
+
+def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
+    """Return the projection of a pinhole camera with square pixels and its principal point in the image's centre."""
+    focal = 1.0 / math.tan(camera.fov_y_rad / 2)
+    near, far = camera.near, camera.far
+    projection = np.zeros((4, 4))
+    projection[0, 0] = focal * camera.height / camera.width
+    projection[1, 1] = focal
+    projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
+    projection[3, 2] = 1.0
+    return projection @ pose_optical_in_world.inverse().matrix
+
+
+def visible(matrix: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
+    """Tell which spheres touch a clip volume.
+
+    Args:
+        matrix: Clip from world, shape (4, 4).
+        centers: Shape (N, 3) [m].
+        radii: Shape (N,) [m].
+    """
+    planes = np.concatenate([matrix[3] + matrix[:3], matrix[3] - matrix[:3]])
+    planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    return np.asarray((centers @ planes[:, :3].T + planes[:, 3] > -radii[:, None]).all(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightView:
+    """The main light's view of the shadow casters."""
+
+    matrix: Array
+    """Clip from world, shape (4, 4)."""
+    texel_m: float
+    """Size of a shadow map's texel at the casters [m]."""
+
+
+def light_view(light: LightSpec, centers: Array, radii: Array, size: int) -> LightView:
+    """Fit the light's view around the casters.
+
+    Args:
+        light: The light.
+        centers: Centres of the casters' bounding spheres, shape (N, 3), N > 0 [m].
+        radii: Their radii, shape (N,) [m].
+        size: Width and height of the shadow map [texel].
+    """
+    if light.kind == "lamp":
+        return _lamp_view(np.asarray(light.position), centers, radii, size)
+    axes = _axes(np.asarray(light.direction))
+    points = centers @ axes.T
+    low, high = (points - radii[:, None]).min(axis=0), (points + radii[:, None]).max(axis=0)
+    extent = math.ceil((high - low)[:2].max() / EXTENT_STEP_M + 0.5) * EXTENT_STEP_M
+    texel = extent / size
+    middle = np.round((low + high)[:2] / 2 / texel) * texel
+    scale = np.array([2 / extent, 2 / extent, 2 / (high - low)[2]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale[:, None] * axes
+    matrix[:3, 3] = -scale * np.array([*middle, (low + high)[2] / 2])
+    return LightView(matrix=matrix, texel_m=texel)
+
+
+def _lamp_view(position: Array, centers: Array, radii: Array, size: int) -> LightView:
+    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
+    middle = (low + high) / 2
+    radius = float((np.linalg.norm(centers - middle, axis=1) + radii).max())
+    distance = max(float(np.linalg.norm(middle - position)), 1e-3)
+    half_angle = math.asin(min(radius / distance, math.sin(math.radians(70.0))))
+    near, far = max(distance - radius, 0.05), distance + radius
+    axes = _axes(middle - position)
+    view = np.eye(4)
+    view[:3, :3] = axes
+    view[:3, 3] = -axes @ position
+    projection = np.zeros((4, 4))
+    projection[0, 0] = projection[1, 1] = 1 / math.tan(half_angle)
+    projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
+    projection[3, 2] = 1.0
+    return LightView(matrix=projection @ view, texel_m=2 * distance * math.tan(half_angle) / size)
+
+
+def _axes(forward: Array) -> Array:
+    """Return an orthonormal right-handed frame's axes as rows, the third along ``forward``."""
+    z = forward / max(float(np.linalg.norm(forward)), 1e-9)
+    side = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    x = np.cross(side, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
