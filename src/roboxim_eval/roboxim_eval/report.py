@@ -1,0 +1,151 @@
+"""A self-contained HTML report of an evaluation: rates with intervals, films of episodes, and what makes it again.
+
+It gets plain values only: results, and frames that somebody read from bags.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_eval.statistics import SuccessRate, failure_reasons, rate_of, rates_by
+
+Frames = Sequence[npt.NDArray[np.uint8]]
+FILM_FRAMES = 24
+FILM_MS = 150
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyRun:
+    """One policy's episodes."""
+
+    policy: str
+    """Name of the policy."""
+    results: Sequence[EpisodeResult]
+    """Its results."""
+    films: dict[str, Frames] = field(default_factory=dict)
+    """Episode id to frames, each of shape (height, width, 3), cameras side by side."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Report:
+    """What a report says."""
+
+    title: str
+    """Headline."""
+    runs: Sequence[PolicyRun]
+    """The policies, the one under test first."""
+    facts: dict[str, str]
+    """What makes it again: seed, task, renderer, dataset, ..."""
+    versions: dict[str, str]
+    """Package to version."""
+    command: str
+    """The command that makes it again."""
+
+
+def webp_film(frames: Frames) -> str:
+    """Encode frames as an animated WebP data URI, at most `FILM_FRAMES` of them, the last one held."""
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(FILM_FRAMES, len(frames))).round().astype(int))
+    images = [Image.fromarray(frames[i]) for i in chosen]
+    buffer = io.BytesIO()
+    durations = [FILM_MS] * (len(images) - 1) + [1200]
+    images[0].save(
+        buffer, "WEBP", save_all=True, append_images=images[1:], duration=durations, loop=0, quality=70, method=2
+    )
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def verdict_line(runs: Sequence[PolicyRun]) -> str:
+    """Compare the first policy with each other one by their intervals, in one sentence each."""
+    first = rate_of(runs[0].results)
+    sentences = []
+    for other in runs[1:]:
+        rate = rate_of(other.results)
+        if first.low > rate.high:
+            relation = "lies above"
+        elif first.high < rate.low:
+            relation = "lies below"
+        else:
+            relation = "overlaps"
+        sentences.append(
+            f"The interval of {runs[0].policy} ({100 * first.low:.0f} to {100 * first.high:.0f} %) {relation} "
+            f"that of {other.policy} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)."
+        )
+    return " ".join(sentences)
+
+
+def summary(report: Report) -> dict[str, Any]:
+    """Return the report's numbers as plain data."""
+    return {
+        "title": report.title,
+        "policies": {
+            run.policy: {
+                **asdict(rate_of(run.results)),
+                "rate": rate_of(run.results).rate,
+                "by_instruction": {k: asdict(v) for k, v in rates_by(run.results, lambda r: r.instruction).items()},
+                "failure_reasons": failure_reasons(run.results),
+            }
+            for run in report.runs
+        },
+        "comparison": verdict_line(report.runs),
+        "facts": report.facts,
+        "versions": report.versions,
+        "command": report.command,
+    }
+
+
+def write_report(report: Report, folder: Path) -> Path:
+    """Write ``report.html`` (self-contained) and ``summary.json``.
+
+    Args:
+        report: What to say.
+        folder: Existing folder.
+
+    Returns:
+        The HTML file.
+    """
+    environment = Environment(
+        loader=PackageLoader("roboxim_eval", "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters["percent"] = lambda value: f"{100 * value:.0f} %"
+    page = environment.get_template("report.html").render(
+        report=report,
+        comparison=verdict_line(report.runs),
+        runs=[_run_view(run) for run in report.runs],
+    )
+    (folder / "summary.json").write_text(json.dumps(summary(report), indent=2) + "\n")
+    path = folder / "report.html"
+    path.write_text(page)
+    return path
+
+
+def _run_view(run: PolicyRun) -> dict[str, Any]:
+    rate: SuccessRate = rate_of(run.results)
+    steps = [result.steps for result in run.results if result.outcome == "success"]
+    inference = [1000 * result.inference_s / result.steps for result in run.results if result.steps]
+    films = [
+        {"result": result, "film": webp_film(run.films[result.episode_id])}
+        for result in sorted(run.results, key=lambda r: (r.outcome == "success", r.index))
+        if run.films.get(result.episode_id)
+    ]
+    return {
+        "policy": run.policy,
+        "rate": rate,
+        "groups": rates_by(run.results, lambda r: r.instruction),
+        "reasons": failure_reasons(run.results),
+        "median_steps": int(np.median(steps)) if steps else None,
+        "inference_ms": float(np.median(inference)) if inference else None,
+        "failures": [film for film in films if film["result"].outcome != "success"],
+        "successes": [film for film in films if film["result"].outcome == "success"],
+    }

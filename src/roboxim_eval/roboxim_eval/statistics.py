@@ -1,0 +1,86 @@
+"""Success rates with their uncertainty."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from scipy.stats import binomtest
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import InvalidRequestError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuccessRate:
+    """A share of successes with its 95 % interval."""
+
+    successes: int
+    """Episodes that succeeded."""
+    episodes: int
+    """Episodes run, errors included."""
+    low: float
+    """Lower bound of the interval, 0..1."""
+    high: float
+    """Upper bound of the interval, 0..1."""
+
+    @property
+    def rate(self) -> float:
+        """Share of successes, 0..1; 0 for no episodes."""
+        return self.successes / self.episodes if self.episodes else 0.0
+
+    def __str__(self) -> str:
+        """Say it in one line, e.g. ``14 of 20 = 70 % (95 % interval 48 to 85 %)``."""
+        if not self.episodes:
+            return "no episodes"
+        return (
+            f"{self.successes} of {self.episodes} = {100 * self.rate:.0f} % "
+            f"(95 % interval {100 * self.low:.0f} to {100 * self.high:.0f} %)"
+        )
+
+
+def success_rate(successes: int, episodes: int) -> SuccessRate:
+    """Return a success rate with the Wilson score interval at 95 %.
+
+    Args:
+        successes: Episodes that succeeded.
+        episodes: Episodes run.
+
+    Raises:
+        InvalidRequestError: When there are more successes than episodes, or negative ones.
+
+    Source:
+        Wilson (1927), as `scipy.stats.binomtest` computes it.
+    """
+    if not 0 <= successes <= episodes:
+        raise InvalidRequestError(f"needs 0 <= successes <= episodes, got {successes} of {episodes}")
+    if episodes == 0:
+        return SuccessRate(successes=0, episodes=0, low=0.0, high=1.0)
+    interval = binomtest(successes, episodes).proportion_ci(confidence_level=0.95, method="wilson")
+    return SuccessRate(successes=successes, episodes=episodes, low=float(interval.low), high=float(interval.high))
+
+
+def rate_of(results: Iterable[EpisodeResult]) -> SuccessRate:
+    """Return the success rate of results; an error counts as no success."""
+    outcomes = [result.outcome == "success" for result in results]
+    return success_rate(sum(outcomes), len(outcomes))
+
+
+def rates_by(results: Sequence[EpisodeResult], key: Callable[[EpisodeResult], str]) -> dict[str, SuccessRate]:
+    """Return the success rate of each group, sorted by name.
+
+    Args:
+        results: The results.
+        key: Names the group of a result, e.g. its instruction.
+    """
+    groups: dict[str, list[EpisodeResult]] = {}
+    for result in results:
+        groups.setdefault(key(result), []).append(result)
+    return {name: rate_of(groups[name]) for name in sorted(groups)}
+
+
+def failure_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
+    """Count the reasons of the episodes that did not succeed, most frequent first."""
+    reasons = Counter(result.reason or "unnamed" for result in results if result.outcome != "success")
+    return dict(reasons.most_common())

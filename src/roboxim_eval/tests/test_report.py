@@ -1,0 +1,66 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
+from roboxim_eval.statistics import failure_reasons, rate_of, success_rate
+
+
+def result(index, outcome="success", reason="", instruction="Pick up the red cube"):
+    return EpisodeResult(
+        episode_id=f"eval-0-{index:05d}-0",
+        index=index,
+        outcome=outcome,
+        reason=reason,
+        instruction=instruction,
+        steps=40,
+    )
+
+
+def test_wilson_interval_agrees_with_published_values():
+    # Newcombe (1998), table I, method 3: 81 of 263 and 0 of 20.
+    rate = success_rate(81, 263)
+    assert (rate.low, rate.high) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    rate = success_rate(0, 20)
+    assert (rate.low, rate.high) == pytest.approx((0.0, 0.1611), abs=1e-4)
+
+
+def test_impossible_counts_are_refused():
+    with pytest.raises(InvalidRequestError, match="3 of 2"):
+        success_rate(3, 2)
+
+
+def test_errors_count_as_failures():
+    results = [result(0), result(1, "error", "policy_late"), result(2, "failure", "not_lifted")]
+    assert rate_of(results).successes == 1
+    assert failure_reasons(results) == {"policy_late": 1, "not_lifted": 1}
+
+
+def test_report_is_self_contained_and_escapes(tmp_path):
+    frames = [np.full((32, 64, 3), value, np.uint8) for value in (0, 128, 255)]
+    good = PolicyRun(
+        policy="bc",
+        results=[result(i, instruction="<b>Pick & place</b>") for i in range(18)]
+        + [result(18, "failure", "not_lifted")],
+        films={"eval-0-00000-0": frames, "eval-0-00018-0": frames},
+    )
+    bad = PolicyRun(policy="random", results=[result(i, "failure", "max_steps") for i in range(20)])
+    report = Report(
+        title="Pick up the cube",
+        runs=[good, bad],
+        facts={"seed": "0"},
+        versions={"numpy": "2"},
+        command="roboxim evaluate",
+    )
+    page = write_report(report, tmp_path).read_text()
+    assert not re.search(r'(src|href)="(?!data:)', page), "a report must not refer to other files"
+    assert "<b>Pick" not in page
+    assert page.count("data:image/webp") == 2
+    assert "lies above" in verdict_line(report.runs)
+    numbers = json.loads((tmp_path / "summary.json").read_text())
+    assert numbers["policies"]["bc"]["successes"] == 18
+    assert numbers["policies"]["random"]["failure_reasons"] == {"max_steps": 20}
