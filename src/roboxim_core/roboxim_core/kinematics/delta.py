@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
+from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import WorkspaceSpec
@@ -102,7 +103,12 @@ class DeltaController:
         Raises:
             InvalidRequestError: With code ``INVALID_ACTION`` on a wrong shape or a NaN.
         """
-        executed, clipped = self._clip(check_chunk(action)[0])
+        chunk = check_chunk(action)
+        if len(chunk) != 1:
+            raise InvalidRequestError(
+                f"one tick takes one action, shape (7,), got {np.shape(action)}", ErrorCode.INVALID_ACTION
+            )
+        executed, clipped = self._clip(chunk[0])
         position = np.array(state.pose.position) + executed[:3].astype(float)
         rotation = Rotation.from_euler("xyz", executed[3:6].astype(float)) * state.pose.rotation
         position, left = self._keep_inside(np.array(state.pose.position), position)

@@ -169,14 +169,19 @@ def body_key(entity: str, link: str) -> str:
 class ScenePoses:
     """Where the bodies and cameras of a scene are, given a state record. Not thread-safe (see `ArmKinematics`)."""
 
-    def __init__(self, scene: SceneSpec, library: ModelLibrary) -> None:
+    def __init__(self, scene: SceneSpec, library: ModelLibrary, arm: ArmKinematics | None = None) -> None:
         """Prepare the kinematics of a scene's robot and objects.
+
+        Args:
+            scene: The scene.
+            library: Where its models come from.
+            arm: Kinematics of its robot, to share; none: made here.
 
         Raises:
             ConfigError: When a model or a modifier is unknown.
         """
         self._scene = scene
-        self._arm = ArmKinematics(library.robot(scene.robot.model))
+        self._arm = arm or ArmKinematics(library.robot(scene.robot.model))
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         for camera in scene.cameras:
             self._check_parent(camera)

@@ -1,0 +1,142 @@
+"""What happened during a tick: contacts and joint extremes over its physics steps, and the state at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pybullet
+
+from roboxim_core.kinematics import ArmKinematics, ControllerState
+from roboxim_core.models.description import RobotModel
+from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.state import Contact, EntityState, RobotState, hash_floats
+from roboxim_sim.bodies import ObjectBody, RobotBody
+
+_Pair = tuple[str, str, str, str]
+
+
+class TickObserver:
+    """Watches the physics steps of one tick."""
+
+    def __init__(self, client: int, robot: RobotBody, objects: Sequence[ObjectBody], fixed: Mapping[int, str]) -> None:
+        """Begin to watch.
+
+        Args:
+            client: PyBullet client id.
+            robot: The robot.
+            objects: The objects.
+            fixed: Body id to name of table and floor.
+        """
+        self._client = client
+        self._names = {**fixed, robot.id: "robot", **{body.id: body.name for body in objects}}
+        self._links = {robot.id: robot.link_names, **{body.id: body.link_names for body in objects}}
+        self._jointed = [body for body in objects if body.joint_names]
+        self._pairs: dict[tuple[int, int, int, int], _Pair] = {}
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the last tick."""
+        self._last: dict[_Pair, float] = {}
+        self._highest_force: dict[_Pair, float] = {}
+        self._lowest: dict[str, tuple[float, ...]] = {}
+        self._highest: dict[str, tuple[float, ...]] = {}
+
+    def after_step(self) -> None:
+        """Take in one physics step."""
+        last: dict[_Pair, float] = {}
+        for point in pybullet.getContactPoints(physicsClientId=self._client):
+            if point[9] > 0.0:
+                key = point[1:5]
+                pair = self._pairs.get(key) or self._name(key)
+                last[pair] = last.get(pair, 0.0) + point[9]
+        for pair, force in last.items():
+            if force > self._highest_force.get(pair, 0.0):
+                self._highest_force[pair] = force
+        self._last = last
+        for body in self._jointed:
+            positions, _ = body.read_joints()
+            self._lowest[body.name] = tuple(map(min, positions, self._lowest.get(body.name, positions)))
+            self._highest[body.name] = tuple(map(max, positions, self._highest.get(body.name, positions)))
+
+    def contacts(self) -> tuple[Contact, ...]:
+        """Return the tick's contacts, sorted."""
+        return tuple(
+            Contact(
+                body_a=pair[0],
+                link_a=pair[1],
+                body_b=pair[2],
+                link_b=pair[3],
+                force_last=self._last.get(pair, 0.0),
+                force_max=self._highest_force[pair],
+            )
+            for pair in sorted(self._highest_force)
+        )
+
+    def extremes(self, body: ObjectBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the lowest and highest joint positions of an object over the tick."""
+        now, _ = body.read_joints()
+        return self._lowest.get(body.name, now), self._highest.get(body.name, now)
+
+    def _name(self, key: tuple[int, int, int, int]) -> _Pair:
+        body_a, body_b, link_a, link_b = key
+        ends = sorted(
+            (self._names[body], self._links[body][link] if body in self._links else "")
+            for body, link in ((body_a, link_a), (body_b, link_b))
+        )
+        self._pairs[key] = (*ends[0], *ends[1])
+        return self._pairs[key]
+
+
+def read_robot(
+    body: RobotBody, model: RobotModel, arm: ArmKinematics, command: ControllerState, base: Pose
+) -> tuple[RobotState, list[float]]:
+    """Return the robot's state, and all its joint positions and velocities for the hash.
+
+    Args:
+        body: The robot.
+        model: Its model.
+        arm: Its kinematics.
+        command: What it is commanded.
+        base: Pose of its base in the world.
+    """
+    positions, velocities = body.read_joints()
+    count = len(model.joint_names)
+    fingers = tuple(positions[count:])
+    measured = arm.fk(positions[:count])
+    state = RobotState(
+        joint_names=model.joint_names,
+        joint_positions=tuple(positions[:count]),
+        joint_velocities=tuple(velocities[:count]),
+        joint_commands=command.joints,
+        pose_tcp_measured=measured if base == IDENTITY else base @ measured,
+        pose_tcp_commanded=command.pose if base == IDENTITY else base @ command.pose,
+        gripper_opening=min(1.0, max(0.0, sum(fingers) / model.gripper.max_opening_m)),
+        gripper_command=command.gripper,
+        finger_positions=fingers,
+    )
+    return state, positions + velocities
+
+
+def hash_state(
+    robot_joints: list[float],
+    command: ControllerState,
+    entities: Sequence[EntityState],
+    joint_velocities: Sequence[tuple[float, ...]],
+) -> str:
+    """Hash everything that moves: joints and their velocities, the command, object poses, twists and joints."""
+    groups: list[tuple[float, ...] | list[float]] = [
+        robot_joints,
+        (*command.pose.position, *command.pose.quat_xyzw, *command.joints, command.gripper),
+    ]
+    for entity, speeds in zip(entities, joint_velocities, strict=True):
+        groups.append(
+            (
+                *entity.pose.position,
+                *entity.pose.quat_xyzw,
+                *entity.linear_velocity,
+                *entity.angular_velocity,
+                *entity.joint_positions,
+                *speeds,
+            )
+        )
+    return hash_floats(*groups)

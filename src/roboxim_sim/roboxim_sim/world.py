@@ -1,0 +1,574 @@
+"""The simulated world: a scene spec becomes bodies, actions become ticks, ticks become state records.
+
+Every reset rebuilds the world from nothing in one fixed order: PyBullet repeats its results bit for bit only from a
+fresh world, not after moving bodies of an old one. So a snapshot is a scene and the actions since tick 0, and restoring
+one executes them again, with every tick's hash checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+
+import numpy as np
+import numpy.typing as npt
+import pybullet
+from scipy.interpolate import CubicHermiteSpline
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
+from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController
+from roboxim_core.models.description import RobotModel
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses
+from roboxim_core.poses import Pose, Vec3
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
+from roboxim_sim.readout import TickObserver, hash_state, read_robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A world's full state, as what leads to it."""
+
+    scene: SceneSpec
+    """The scene of tick 0."""
+    actions: tuple[tuple[float, ...], ...] = ()
+    """Executed actions since tick 0, 7 float32 values each."""
+    hashes: tuple[str, ...] = ()
+    """State hash of every tick, tick 0 first."""
+    record: StateRecord
+    """State at the snapshot."""
+
+
+class World:
+    """A Panda at a table in PyBullet. A context manager; one thread at a time.
+
+    Non-obvious: time moves in ticks while an episode holds the world (`tick`), freely otherwise (`step`,
+    `follow_trajectory`, `move_gripper`); free motion marks the record as ``disturbed``, as no actions lead to it.
+    """
+
+    def __init__(self, library: ModelLibrary | None = None) -> None:
+        """Connect to a physics server of this process.
+
+        Args:
+            library: Where models come from; none: RoboXim's own.
+        """
+        self.library = library or ModelLibrary()
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self._arms: dict[str, ArmKinematics] = {}
+        self._scene: SceneSpec | None = None
+        self._tick0_scene: SceneSpec | None = None
+        self._episode_id = ""
+
+    def __enter__(self) -> World:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect from the physics server."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    # ---------------------------------------------------------------- state
+
+    @property
+    def scene(self) -> SceneSpec:
+        """The scene as it is now, spawned and deleted entities included.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        if self._scene is None:
+            raise SimError("no scene is loaded; load one first", ErrorCode.NO_SCENE)
+        return self._scene
+
+    @property
+    def loaded(self) -> bool:
+        """Whether a scene is loaded."""
+        return self._scene is not None
+
+    @property
+    def episode_id(self) -> str:
+        """Episode that holds the world; empty: none."""
+        return self._episode_id
+
+    @property
+    def record(self) -> StateRecord:
+        """The present state.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        _ = self.scene
+        return self._record
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot's model.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        return self.library.robot(self.scene.robot.model)
+
+    def body_poses(self) -> dict[str, Pose]:
+        """Return the pose of every moving body in the world, by the keys of `render_world`."""
+        return self._poses().body_poses(self._record)
+
+    def camera_poses(self) -> dict[str, Pose]:
+        """Return the pose of every camera's optical frame in the world, by name."""
+        return self._poses().camera_poses(self._record.robot)
+
+    def link_poses(self) -> dict[str, Pose]:
+        """Return the pose of every robot link in the world, by name."""
+        return self._poses().link_poses(self._record.robot)
+
+    # ---------------------------------------------------------------- life of a scene
+
+    def load(self, scene: SceneSpec, episode_id: str = "") -> StateRecord:
+        """Rebuild the world from a scene and let it settle.
+
+        Args:
+            scene: The scene.
+            episode_id: Episode that then holds the world; empty: none.
+
+        Returns:
+            Tick 0.
+
+        Raises:
+            ConfigError: When a model, modifier or camera parent is unknown; the old world then stays.
+            InvalidRequestError: When the robot's start is beyond its limits.
+        """
+        model = self.library.robot(scene.robot.model)
+        if scene.robot.model not in self._arms:
+            self._arms[scene.robot.model] = ArmKinematics(model)
+        arm = self._arms[scene.robot.model]
+        joints = self._start_joints(scene, arm)
+        self._entity_models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
+        ScenePoses(scene, self.library, arm)
+        self._scene = None  # until the new one stands
+
+        configure(self._client, scene.physics_rate_hz)
+        self._fixed = build_table(self._client, scene.table)
+        self._robot = RobotBody(self._client, model, scene.robot, joints)
+        self._objects = [ObjectBody(self._client, self._entity_models[e.name], e) for e in scene.entities]
+        self._controller = DeltaController(
+            arm,
+            workspace=scene.workspace,
+            pose_base_in_world=scene.robot.pose,
+            semantics=ActionSemantics(rate_hz=scene.control_rate_hz),
+        )
+        self._command = self._controller.start(joints, scene.robot.gripper_opening)
+        self._steps_per_tick = round(scene.physics_rate_hz / scene.control_rate_hz)
+        self._step_ns = 1e9 / scene.physics_rate_hz
+        self._scene = self._tick0_scene = scene
+        self._rewatch()
+        self._advance(max(0, scene.settle_steps - self._steps_per_tick))
+        self._observer.begin()
+        self._advance(min(scene.settle_steps, self._steps_per_tick))
+        self._episode_id = episode_id
+        self._seq = self._steps = 0
+        self._disturbed = False
+        self._record = self._read()
+        self._actions: list[tuple[float, ...]] = []
+        self._hashes = [self._record.state_hash]
+        return self._record
+
+    def release(self, episode_id: str = "") -> None:
+        """End an episode's hold; the world stays as it is.
+
+        Args:
+            episode_id: The holder; empty: whoever it is.
+
+        Raises:
+            SimError: With code ``LEASE_HELD`` when another episode holds the world.
+        """
+        if episode_id and self._episode_id and episode_id != self._episode_id:
+            raise SimError(
+                f"episode '{self._episode_id}' holds the sim, not '{episode_id}'", ErrorCode.LEASE_HELD
+            )
+        self._episode_id = ""
+
+    def tick(self, seq: int, action: npt.ArrayLike, *, episode_id: str | None = None) -> StateRecord:
+        """Execute one action.
+
+        Args:
+            seq: Tick that the action leads to: the last one + 1.
+            action: 7 numbers, see `roboxim_core.actions`.
+            episode_id: Who asks; none: not checked.
+
+        Returns:
+            The new tick.
+
+        Raises:
+            SimError: With code ``NO_SCENE``, ``LEASE_HELD`` (another episode) or ``WRONG_SEQ``.
+            InvalidRequestError: With code ``INVALID_ACTION``. The world has not moved in any of these cases.
+        """
+        _ = self.scene
+        if episode_id is not None and episode_id != self._episode_id:
+            holder = f"episode '{self._episode_id}' holds" if self._episode_id else "no episode holds"
+            raise SimError(f"{holder} the sim, not '{episode_id}'; load a scene for it first", ErrorCode.LEASE_HELD)
+        if seq != self._seq + 1:
+            raise SimError(f"tick {seq} was asked for, the next one is {self._seq + 1}", ErrorCode.WRONG_SEQ)
+        step = self._controller.step(self._command, action)
+        self._observer.begin()
+        self._robot.drive_gripper(step.state.gripper)
+        before, self._command = self._command, step.state
+        self._advance(self._steps_per_tick, before)
+        self._seq += 1
+        self._steps += self._steps_per_tick
+        self._actions.append(step.action_executed)
+        self._record = replace(
+            self._read(),
+            action_executed=step.action_executed,
+            clipped=step.clipped,
+            left_workspace=step.left_workspace,
+        )
+        self._hashes.append(self._record.state_hash)
+        return self._record
+
+    # ---------------------------------------------------------------- free motion, outside an episode
+
+    def step(self, steps: int) -> StateRecord:
+        """Let physics run.
+
+        Args:
+            steps: Number of physics steps, >= 1.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
+            InvalidRequestError: On a number below 1.
+        """
+        self._require_free("step")
+        if steps < 1:
+            raise InvalidRequestError(f"steps must be >= 1, got {steps}")
+        return self._free_motion(steps)
+
+    def follow_trajectory(
+        self,
+        times_s: Sequence[float],
+        positions: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+    ) -> Iterator[StateRecord]:
+        """Move the arm along a trajectory from where it is commanded to be; advances time.
+
+        Args:
+            times_s: Increasing times from the start, shape (m,) [s].
+            positions: Arm joint positions, shape (m, n) [rad].
+            velocities: Arm joint velocities, shape (m, n) [rad/s]; none: straight lines between the points.
+
+        Yields:
+            The state after every control period; closing the generator stops the arm where it is.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
+            InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
+                positions beyond the limits, or jumps that no motor can follow.
+        """
+        self._require_free("follow a trajectory")
+        times, points, speeds = self._checked_trajectory(times_s, positions, velocities)
+        return self._follow(times, points, speeds)
+
+    def move_gripper(self, opening: float, force_n: float | None = None, timeout_s: float = 3.0) -> Iterator[StateRecord]:
+        """Move the gripper until it arrives or stalls; advances time.
+
+        Args:
+            opening: 1 = open, 0 = closed.
+            force_n: Largest force of each finger [N]; none: the model's.
+            timeout_s: Simulated time after which it is given up [s].
+
+        Yields:
+            The state after every control period.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
+            InvalidRequestError: When the opening is not within 0..1.
+        """
+        self._require_free("move the gripper")
+        if not 0.0 <= opening <= 1.0:
+            raise InvalidRequestError(f"the gripper's opening must be from 0 (closed) to 1 (open), got {opening}")
+        return self._move_gripper(opening, force_n, timeout_s)
+
+    # ---------------------------------------------------------------- interference
+
+    def set_entity_state(
+        self,
+        name: str,
+        pose: Pose | None = None,
+        linear_velocity: Vec3 = (0.0, 0.0, 0.0),
+        angular_velocity: Vec3 = (0.0, 0.0, 0.0),
+        joint_positions: dict[str, float] | None = None,
+    ) -> StateRecord:
+        """Move an object; marks the episode as disturbed.
+
+        Args:
+            name: The entity.
+            pose: Pose of its base in the world; none: as it is.
+            linear_velocity: Velocity that goes with the pose [m/s].
+            angular_velocity: Angular velocity that goes with the pose [rad/s].
+            joint_positions: Joint name to position [m or rad].
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
+        """
+        self._object(name).set_state(pose, linear_velocity, angular_velocity, joint_positions)
+        return self._disturb()
+
+    def spawn_entity(self, entity: EntitySpec) -> StateRecord:
+        """Add an object; marks the episode as disturbed.
+
+        Raises:
+            SimError: With code ``NO_SCENE``.
+            ConfigError: When the model is unknown.
+            InvalidRequestError: When the name is taken.
+        """
+        scene = replace(self.scene, entities=(*self.scene.entities, entity))
+        model = self.library.entity_model(entity)
+        self._objects.append(ObjectBody(self._client, model, entity))
+        self._scene = scene
+        return self._disturb()
+
+    def delete_entity(self, name: str) -> StateRecord:
+        """Remove an object; marks the episode as disturbed.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
+        """
+        body = self._object(name)
+        pybullet.removeBody(body.id, physicsClientId=self._client)
+        self._objects.remove(body)
+        self._scene = replace(self.scene, entities=tuple(e for e in self.scene.entities if e.name != name))
+        return self._disturb()
+
+    # ---------------------------------------------------------------- snapshots
+
+    def snapshot(self) -> Snapshot:
+        """Return the full state.
+
+        Raises:
+            SimError: With code ``NO_SCENE``.
+        """
+        record = self.record
+        scene = self.scene if record.disturbed else self._tick0_scene or self.scene
+        return Snapshot(scene=scene, actions=tuple(self._actions), hashes=tuple(self._hashes), record=record)
+
+    def restore(self, snapshot: Snapshot, episode_id: str = "", *, approximate: bool = False) -> StateRecord:
+        """Bring a snapshot back.
+
+        Args:
+            snapshot: The snapshot.
+            episode_id: Episode that then holds the world; empty: none.
+            approximate: Set poses and joints instead of executing the actions again: contacts and velocities are lost
+                and the record is marked as disturbed.
+
+        Raises:
+            SimError: With code ``DIVERGED`` naming the first tick whose hash differs, or when a disturbed snapshot is to
+                be restored exactly.
+        """
+        if approximate:
+            return self._restore_poses(snapshot, episode_id)
+        if snapshot.record.disturbed:
+            raise SimError(
+                "this snapshot was taken after interference or free motion, which actions do not re-create; "
+                "restore it with approximate=True",
+                ErrorCode.DIVERGED,
+            )
+        record = self.load(snapshot.scene, episode_id)
+        expected = snapshot.hashes or ("",) * (len(snapshot.actions) + 1)
+        for seq in range(len(snapshot.actions) + 1):
+            if seq > 0:
+                record = self.tick(seq, snapshot.actions[seq - 1])
+            if expected[seq] and record.state_hash != expected[seq]:
+                raise SimError(
+                    f"restoring diverged at tick {seq} of {len(snapshot.actions)}: the state's hash is "
+                    f"{record.state_hash}, not {expected[seq]}; other versions or another type of machine?",
+                    ErrorCode.DIVERGED,
+                )
+        return record
+
+    # ---------------------------------------------------------------- inside
+
+    def _start_joints(self, scene: SceneSpec, arm: ArmKinematics) -> tuple[float, ...]:
+        joints = scene.robot.joint_positions or arm.model.home
+        if len(joints) != len(arm.model.joint_names) or not arm.within_limits(joints, -1e-9):
+            raise InvalidRequestError(
+                f"the robot's start must be {len(arm.model.joint_names)} joint positions within "
+                f"{arm.model.limits.lower} and {arm.model.limits.upper}, got {joints}",
+                ErrorCode.START_OUTSIDE_LIMITS,
+            )
+        if not 0.0 <= scene.robot.gripper_opening <= 1.0:
+            raise InvalidRequestError(f"gripper_opening must be from 0 to 1, got {scene.robot.gripper_opening}")
+        return joints
+
+    def _poses(self) -> ScenePoses:
+        if self._scene_poses is None:
+            self._scene_poses = ScenePoses(self.scene, self.library, self._controller.arm)
+        return self._scene_poses
+
+    def _rewatch(self) -> None:
+        self._observer = TickObserver(self._client, self._robot, self._objects, self._fixed)
+        self._scene_poses: ScenePoses | None = None
+        self._robot.drive_gripper(self._command.gripper)
+
+    def _advance(self, steps: int, before: ControllerState | None = None) -> None:
+        """Run physics while the arm's target moves evenly from an earlier command to the present one."""
+        end = np.array(self._command.joints)
+        start = end if before is None else np.array(before.joints)
+        speed = (end - start) * (self.scene.physics_rate_hz / max(steps, 1))
+        velocities = speed.tolist()
+        for number in range(1, steps + 1):
+            target = end if number == steps else start + (end - start) * (number / steps)
+            self._robot.drive_arm(target.tolist(), velocities)
+            pybullet.stepSimulation(physicsClientId=self._client)
+            self._observer.after_step()
+
+    def _read(self) -> StateRecord:
+        scene = self.scene
+        robot, joints = read_robot(
+            self._robot, self._controller.arm.model, self._controller.arm, self._command, scene.robot.pose
+        )
+        read = [body.read(*self._observer.extremes(body)) for body in self._objects]
+        entities = tuple(entity for entity, _ in read)
+        return StateRecord(
+            episode_id=self._episode_id,
+            seq=self._seq,
+            stamp_ns=round(self._steps * self._step_ns),
+            robot=robot,
+            entities=entities,
+            contacts=self._observer.contacts(),
+            disturbed=self._disturbed,
+            state_hash=hash_state(joints, self._command, entities, [speeds for _, speeds in read]),
+        )
+
+    def _require_free(self, what: str) -> None:
+        _ = self.scene
+        if self._episode_id:
+            raise SimError(
+                f"cannot {what}: episode '{self._episode_id}' holds the sim; release it first", ErrorCode.LEASE_HELD
+            )
+
+    def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
+        self._disturbed = True
+        self._observer.begin()
+        self._advance(steps, before)
+        self._seq += 1
+        self._steps += steps
+        self._record = self._read()
+        return self._record
+
+    def _disturb(self) -> StateRecord:
+        self._disturbed = True
+        self._rewatch()
+        self._record = replace(
+            self._read(),
+            action_executed=self._record.action_executed,
+            clipped=self._record.clipped,
+            left_workspace=self._record.left_workspace,
+        )
+        return self._record
+
+    def _object(self, name: str) -> ObjectBody:
+        _ = self.scene
+        for body in self._objects:
+            if body.name == name:
+                return body
+        names = [body.name for body in self._objects]
+        raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
+
+    def _checked_trajectory(
+        self, times_s: Sequence[float], positions: npt.ArrayLike, velocities: npt.ArrayLike | None
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64] | None]:
+        arm = self._controller.arm
+        times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
+        speeds = None if velocities is None else np.asarray(velocities, dtype=float)
+        shape = (len(times), len(arm.model.joint_names))
+        problem = ""
+        if not len(times) or points.shape != shape or (speeds is not None and speeds.shape != shape):
+            problem = f"needs positions (and velocities) of shape {shape} with at least one point, got {points.shape}"
+        elif not all(np.isfinite(a).all() for a in (times, points, *([] if speeds is None else [speeds]))):
+            problem = "holds a number that is not finite"
+        elif times[0] < 0 or np.any(np.diff(times) <= 0):
+            problem = f"needs increasing times from 0, got {times.tolist()}"
+        elif not all(arm.within_limits(point, -1e-6) for point in points):
+            problem = "leaves the joint limits"
+        else:
+            if times[0] > 0:
+                times, points = np.append(0.0, times), np.vstack([self._command.joints, points])
+                speeds = None if speeds is None else np.vstack([np.zeros(shape[1]), speeds])
+            elif np.abs(points[0] - self._command.joints).max() > 0.01:
+                problem = f"starts at {points[0].round(3).tolist()}, but the arm is at {self._command.joints}"
+            mean_speed = np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]
+            if np.any(mean_speed > 1.2 * arm.velocity):
+                problem = "is faster than the joints' velocity limits"
+        if problem:
+            raise InvalidRequestError(f"the trajectory {problem}", ErrorCode.TRAJECTORY_INVALID)
+        return times, points, speeds
+
+    def _follow(
+        self,
+        times: npt.NDArray[np.float64],
+        points: npt.NDArray[np.float64],
+        speeds: npt.NDArray[np.float64] | None,
+    ) -> Iterator[StateRecord]:
+        curve = CubicHermiteSpline(times, points, speeds) if speeds is not None and len(times) > 1 else None
+        total = int(np.ceil(times[-1] * self.scene.physics_rate_hz - 1e-9))
+        done = 0
+        while done < total:
+            self._disturbed = True
+            self._observer.begin()
+            steps = min(self._steps_per_tick, total - done)
+            for number in range(done + 1, done + steps + 1):
+                at = min(number / self.scene.physics_rate_hz, float(times[-1]))
+                target = curve(at) if curve else np.array([np.interp(at, times, column) for column in points.T])
+                before = self._command
+                self._command = replace(before, joints=tuple(target.tolist()))
+                self._advance(1, before)
+            done += steps
+            self._seq += 1
+            self._steps += steps
+            self._command = replace(self._command, pose=self._controller.arm.fk(self._command.joints))
+            self._record = self._read()
+            yield self._record
+
+    def _move_gripper(self, opening: float, force_n: float | None, timeout_s: float) -> Iterator[StateRecord]:
+        self._command = replace(self._command, gripper=float(opening))
+        self._robot.drive_gripper(opening, force_n)
+        last, still = self._record.robot.gripper_opening, 0
+        for _ in range(round(timeout_s * self.scene.control_rate_hz)):
+            record = self._free_motion(self._steps_per_tick)
+            yield record
+            still = still + 1 if abs(record.robot.gripper_opening - last) < 0.005 else 0
+            last = record.robot.gripper_opening
+            if still >= 3:
+                return
+
+    def _restore_poses(self, snapshot: Snapshot, episode_id: str) -> StateRecord:
+        record = snapshot.record
+        states = {entity.name: entity for entity in record.entities}
+        entities = tuple(
+            replace(
+                spec,
+                pose=states[spec.name].pose,
+                joint_positions=dict(zip(states[spec.name].joint_names, states[spec.name].joint_positions, strict=True)),
+            )
+            for spec in snapshot.scene.entities
+        )
+        opening = min(1.0, max(0.0, record.robot.gripper_opening))
+        robot = replace(
+            snapshot.scene.robot, joint_positions=record.robot.joint_commands, gripper_opening=opening
+        )
+        self.load(replace(snapshot.scene, entities=entities, robot=robot, settle_steps=0), episode_id)
+        self._command = replace(self._command, gripper=record.robot.gripper_command)
+        self._seq = record.seq
+        self._steps = round(record.stamp_ns / self._step_ns)
+        return self._disturb()
