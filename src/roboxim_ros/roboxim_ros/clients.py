@@ -7,6 +7,8 @@ clients of a process part live on a node of their own, spun by a thread of their
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.client import Client
@@ -15,6 +17,16 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from roboxim_core.errors import RequestTimeoutError, UnavailableError, raise_for_code
+
+
+def _wait_for(ready: Callable[[], bool], timeout_s: float) -> bool:
+    """Ask until it is so. rclpy's own wait asks only four times a second, which every first call would pay."""
+    deadline = time.monotonic() + timeout_s
+    while not ready():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 class Clients:
@@ -72,7 +84,7 @@ class Clients:
             RoboximError: What the response's ``error_code`` and ``error_msg`` say, when it has them.
         """
         client = self.client(srv_type, name)
-        if not client.service_is_ready() and not client.wait_for_service(timeout_sec=wait_s):
+        if not _wait_for(client.service_is_ready, wait_s):
             raise UnavailableError(f"service '{client.srv_name}' is not there after {wait_s:g} s; is its node running?")
         done = threading.Event()
         future = client.call_async(request)

@@ -18,6 +18,8 @@ from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedEx
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from roboxim_ros.runs import activate_transport
+
 N = TypeVar("N", bound=Node)
 
 
@@ -25,12 +27,13 @@ class NodeHost:
     """A context with nodes, each spun by a thread of its own. A context manager."""
 
     def __init__(self, *, domain_id: int | None = None, args: Sequence[str] = ()) -> None:
-        """Initialise a context.
+        """Initialise a context whose nodes are reached as ``ROBOXIM_TRANSPORT`` says: from this machine, by default.
 
         Args:
             domain_id: ROS domain; none: as the environment says.
             args: ROS arguments, e.g. ``["--ros-args", "--params-file", FILE]``.
         """
+        activate_transport()
         self.context = Context()
         rclpy.init(
             args=list(args),
@@ -43,8 +46,8 @@ class NodeHost:
     def add(self, make: Callable[[Context], N]) -> N:
         """Make a node and spin it.
 
-        The node is made in the thread that spins it, because a GL context belongs to the thread that made it. A node with
-        an attribute ``executor_threads`` above 1 gets a `MultiThreadedExecutor`.
+        The node is made in the thread that spins it, because a GL context belongs to the thread that made it. A node
+        with an attribute ``executor_threads`` above 1 gets a `MultiThreadedExecutor`.
 
         Args:
             make: Makes the node from the context.
@@ -86,7 +89,11 @@ class NodeHost:
 
     def alive(self) -> bool:
         """Tell whether every node still spins."""
-        return all(thread.is_alive() for _, _, thread in self._running)
+        return not self.dead()
+
+    def dead(self) -> list[str]:
+        """Return the names of the nodes that no longer spin, because a callback raised."""
+        return [thread.name for _, _, thread in self._running if not thread.is_alive()]
 
     def close(self) -> None:
         """Stop every node in reverse order, then shut the context down."""
