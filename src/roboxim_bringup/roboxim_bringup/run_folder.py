@@ -1,0 +1,108 @@
+"""A run on disk: what was asked and which indices are done, so that Ctrl-C and a crash lose at most running episodes.
+
+``run.json`` holds the configuration, ``results.jsonl`` one finished result a line. Asking for the same run again goes on
+where it stopped; asking for another run in the same folder is refused.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import from_json, to_json
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+
+RUN_FILE = "run.json"
+RESULTS_FILE = "results.jsonl"
+MAY_DIFFER = ("episodes", "workers")
+"""Keys of a run's configuration that may change when it goes on: more episodes, other machines."""
+
+
+class RunFolder:
+    """The folder of one run."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Name the folder; nothing is made yet."""
+        self.path = Path(path).resolve()
+
+    @contextmanager
+    def opened(self, config: Mapping[str, Any]) -> Iterator[RunFolder]:
+        """Make the folder or go on with it, alone.
+
+        Args:
+            config: Everything that results depend on, plain data; compared with the stored one.
+
+        Raises:
+            ConfigError: When the folder holds another run or something else, or is in use.
+        """
+        stored_at = self.path / RUN_FILE
+        if self.path.exists() and not stored_at.exists() and any(p.name != ".lock" for p in self.path.iterdir()):
+            raise ConfigError(f"{self.path} exists and is not a run's folder; choose another --out or empty it")
+        self.path.mkdir(parents=True, exist_ok=True)
+        with open(self.path / ".lock", "w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise ConfigError(f"another command is running in {self.path}; wait for it or stop it") from None
+            if stored_at.exists():
+                self._require_same(json.loads(stored_at.read_text()), config)
+            write_atomically(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
+            yield self
+
+    def _require_same(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+        keys = (set(stored) | set(config)) - set(MAY_DIFFER)
+        plain = json.loads(json.dumps(dict(config)))
+        differing = sorted(key for key in keys if stored.get(key) != plain.get(key))
+        if differing:
+            details = "; ".join(f"{key}: {stored.get(key)!r} there, {plain.get(key)!r} asked" for key in differing)
+            raise ConfigError(
+                f"{self.path} holds a run with another configuration ({details}); "
+                "choose another --out, or ask for the same to go on with it"
+            )
+
+    def config(self) -> dict[str, Any]:
+        """Return the stored configuration.
+
+        Raises:
+            ConfigError: When the folder is not a run's.
+        """
+        try:
+            return dict(json.loads((self.path / RUN_FILE).read_text()))
+        except (OSError, json.JSONDecodeError) as error:
+            raise ConfigError(f"{self.path} is not a run's folder (no readable {RUN_FILE}): {error}") from None
+
+    def results(self) -> list[EpisodeResult]:
+        """Return the finished results in the order of their indices; a torn last line (a crash) is left out."""
+        path = self.path / RESULTS_FILE
+        if not path.exists():
+            return []
+        lines = path.read_text().split("\n")
+        found = {}
+        for number, line in enumerate(lines[:-1], start=1):
+            result = from_json(line, EpisodeResult, source=f"{path} line {number}")
+            found[result.index] = result
+        return [found[index] for index in sorted(found)]
+
+    def append(self, result: EpisodeResult) -> None:
+        """Add a finished result; it is on the disk when this returns."""
+        path = self.path / RESULTS_FILE
+        if path.exists() and not path.read_bytes().endswith(b"\n") and path.stat().st_size:
+            whole = path.read_bytes().rpartition(b"\n")[0]
+            write_atomically(path, whole.decode() + ("\n" if whole else ""))
+        with open(path, "a") as file:
+            file.write(to_json(result) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file so that it is there as a whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text)
+    partial.replace(path)

@@ -1,0 +1,55 @@
+import json
+
+import pytest
+from roboxim_bringup.run_folder import RESULTS_FILE, RunFolder
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+from roboxim_core.verdicts import Verdict
+
+
+def result(index):
+    verdict = Verdict(success=True, predicates={"lift_m": 0.0512345678901234})
+    return EpisodeResult(episode_id=f"e{index}", index=index, outcome="success", verdict=verdict)
+
+
+def test_results_survive_a_torn_last_line(tmp_path):
+    with RunFolder(tmp_path / "run").opened({"seed": 0}) as folder:
+        folder.append(result(1))
+        folder.append(result(0))
+    path = tmp_path / "run" / RESULTS_FILE
+    path.write_text(path.read_text() + '{"episode_id": "e2", "ind')
+    with RunFolder(tmp_path / "run").opened({"seed": 0}) as folder:
+        assert folder.results() == [result(0), result(1)]
+        folder.append(result(2))
+        assert folder.results() == [result(0), result(1), result(2)]
+
+
+def test_another_configuration_is_refused_by_key(tmp_path):
+    with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 5}):
+        pass
+    with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 9}) as folder:
+        assert folder.config()["episodes"] == 9
+    with pytest.raises(ConfigError, match="seed: 0 there, 1 asked"), RunFolder(tmp_path / "run").opened({"seed": 1}):
+        pass
+
+
+def test_a_foreign_folder_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(ConfigError, match="not a run's folder"), RunFolder(tmp_path).opened({"seed": 0}):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_two_commands_in_one_folder_are_refused(tmp_path):
+    with (
+        RunFolder(tmp_path / "run").opened({"seed": 0}),
+        pytest.raises(ConfigError, match="another command"),
+        RunFolder(tmp_path / "run").opened({"seed": 0}),
+    ):
+        pass
+
+
+def test_config_is_readable_by_people(tmp_path):
+    with RunFolder(tmp_path / "run").opened({"seed": 0}):
+        pass
+    assert json.loads((tmp_path / "run" / "run.json").read_text()) == {"seed": 0}
