@@ -79,21 +79,28 @@ class Clients:
             wait_s: Longest wait for the service to appear [s].
 
         Raises:
-            UnavailableError: When no such service appears in time.
+            UnavailableError: When no such service appears in time, or it goes away before it has answered.
             RequestTimeoutError: When the answer does not come in time.
             RoboximError: What the response's ``error_code`` and ``error_msg`` say, when it has them.
         """
         client = self.client(srv_type, name)
         if not _wait_for(client.service_is_ready, wait_s):
-            raise UnavailableError(f"service '{client.srv_name}' is not there after {wait_s:g} s; is its node running?")
+            raise UnavailableError(
+                f"service '{client.service_name}' is not there after {wait_s:g} s; is its node running?"
+            )
         done = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: done.set())
-        if not done.wait(timeout_s):
-            client.remove_pending_request(future)
-            raise RequestTimeoutError(
-                f"service '{client.srv_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
-            )
+        deadline = time.monotonic() + timeout_s
+        while not done.wait(min(1.0, max(0.0, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline:
+                client.remove_pending_request(future)
+                raise RequestTimeoutError(
+                    f"service '{client.service_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
+                )
+            if not client.service_is_ready():  # its lease ran out
+                client.remove_pending_request(future)
+                raise UnavailableError(f"service '{client.service_name}' went away during the call; its node has died")
         response = future.result()
         raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response

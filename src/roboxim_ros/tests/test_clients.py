@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+from roboxim_core.errors import RequestTimeoutError, UnavailableError
+from roboxim_ros.clients import Clients
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain
+
+pytestmark = pytest.mark.ros
+
+
+def _server(context) -> Node:
+    node = Node("server", context=context)
+
+    def trigger(_, response):
+        response.message = "done"
+        return response
+
+    def nested(request, response):
+        with Clients("inner", context=context) as inner:
+            response.message = inner.call(Trigger, "other/trigger", Trigger.Request()).message
+        return response
+
+    def slow(_, response):
+        time.sleep(0.5)
+        return response
+
+    node.create_service(Trigger, "trigger", trigger)
+    node.create_service(SetBool, "nested", nested)
+    node.create_service(Trigger, "slow", slow)
+    return node
+
+
+def test_call_from_within_a_callback_and_from_many_threads(graph_host):
+    graph_host.add(_server)
+    graph_host.add(lambda context: _renamed(context))
+    with Clients("clients", context=graph_host.context) as clients:
+        assert clients.call(SetBool, "nested", SetBool.Request()).message == "done"
+        answers = []
+        threads = [
+            threading.Thread(target=lambda: answers.append(clients.call(Trigger, "trigger", Trigger.Request()).message))
+            for _ in range(8)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert answers == ["done"] * 8
+
+
+def _renamed(context) -> Node:
+    node = Node("other", context=context, namespace="other")
+
+    def trigger(_, response):
+        response.message = "done"
+        return response
+
+    node.create_service(Trigger, "trigger", trigger)
+    return node
+
+
+def test_absent_and_slow_services_are_told_apart(graph_host):
+    graph_host.add(_server)
+    with Clients("clients", context=graph_host.context) as clients:
+        with pytest.raises(UnavailableError, match="/nowhere"):
+            clients.call(Trigger, "nowhere", Trigger.Request(), wait_s=0.1)
+        with pytest.raises(RequestTimeoutError, match="/slow"):
+            clients.call(Trigger, "slow", Trigger.Request(), timeout_s=0.1)
+
+
+HANGING = """
+import sys, time
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from roboxim_ros.host import NodeHost
+def make(context):
+    node = Node("hanging", context=context)
+    node.create_service(Trigger, "hang", lambda request, response: time.sleep(60))
+    return node
+with NodeHost(domain_id=int(sys.argv[1])) as host:
+    host.add(make)
+    time.sleep(60)
+"""
+
+
+def test_call_to_a_killed_process_ends_before_its_timeout():
+    with (
+        free_domain() as domain,
+        subprocess.Popen([sys.executable, "-c", HANGING, str(domain)]) as server,
+        NodeHost(domain_id=domain) as host,
+        Clients("clients", context=host.context) as clients,
+    ):
+        threading.Timer(2.0, server.send_signal, [signal.SIGKILL]).start()
+        with pytest.raises(UnavailableError, match="has died"):
+            clients.call(Trigger, "hang", Trigger.Request(), timeout_s=60)
