@@ -1,0 +1,229 @@
+"""The episode loop over ports made of plain Python."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
+from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, SimError, TaskError
+from roboxim_core.policies import ActionChunk, CameraRequirement, Observation, PolicyDescription
+from roboxim_core.poses import Pose
+from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
+from roboxim_core.state import RobotState, StateRecord
+from roboxim_core.verdicts import Verdict
+
+ROBOT = RobotState(
+    joint_names=(), joint_positions=(), joint_velocities=(), joint_commands=(), pose_tcp_measured=Pose(),
+    pose_tcp_commanded=Pose(), gripper_opening=1.0, gripper_command=0.25,
+)  # fmt: skip
+
+
+class World:
+    """Scene, sim, judge and recorder in one; success when x has travelled far enough and not slid back."""
+
+    renderer = "none"
+
+    def __init__(self, goal=3.0, slides_back=False):
+        self.goal, self.slides_back = goal, slides_back
+        self.log, self.steps, self.closed, self.executed = [], [], [], []
+        self.infeasible_attempts = 0
+
+    def draw(self, seed, task_config):
+        if seed.attempt < self.infeasible_attempts:
+            raise TaskError("no room", ErrorCode.RESET_INFEASIBLE)
+        task = TaskSpec(skill="go", objects={}, instruction=f"go {seed.index}")
+        scene = SceneSpec(cameras=(CameraSpec(name="workspace"), CameraSpec(name="wrist")))
+        return Draw(task=task, scene=scene, max_steps=8)
+
+    def load(self, episode_id, scene):
+        self.x, self.scene = 0.0, scene
+        return StateRecord(episode_id=episode_id, seq=0, stamp_ns=0, robot=ROBOT)
+
+    def tick(self, episode_id, seq, action):
+        self.executed.append(action)
+        moved = float(action[0])
+        self.x += moved if moved or not self.slides_back else -5.0
+        return StateRecord(
+            episode_id=episode_id, seq=seq, stamp_ns=seq, robot=ROBOT, action_executed=tuple(map(float, action))
+        )
+
+    def observe(self, state, cameras):
+        images = {name: np.full((2, 2, 3), state.seq, np.uint8) for name in cameras}
+        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images)
+
+    def release(self, episode_id):
+        self.log.append("release")
+
+    def start(self, episode_id, task, state):
+        self.ever = False
+        return self.judge(state)
+
+    def judge(self, state):
+        success = self.x >= self.goal
+        self.ever |= success
+        return Verdict(success=success, success_ever=self.ever, reason="" if success else "not_there")
+
+    def open(self, info):
+        self.log.append("open")
+        self.steps = []
+
+    def step(self, step):
+        self.steps.append(step)
+
+    def close(self, result, keep):
+        self.closed.append((result, keep))
+        return f"{keep}/{result.episode_id}"
+
+    def abort(self):
+        self.log.append("abort")
+
+
+class Actor:
+    def __init__(self, act=None, **description):
+        self.description = PolicyDescription(**{"name": "test", **description})
+        self.windows, self.starts = [], []
+        self._act = act or (lambda window: np.array([[1.0, 0, 0, 0, 0, 0, 1.0]], np.float32))
+
+    def describe(self):
+        return self.description
+
+    def reset(self, start):
+        self.starts.append(start)
+
+    def act(self, window):
+        self.windows.append(window)
+        answer = self._act(window)
+        return answer if isinstance(answer, ActionChunk) else ActionChunk(actions=answer)
+
+
+def run(world, actor, **config):
+    ports = Ports(scenes=world, sim=world, actor=actor, judge=world, recorder=world, clock=lambda: 0.0)
+    return EpisodeRunner(ports, RunConfig(**{"output_dir": "/out", "settle_ticks": 2, **config}))
+
+
+def test_success_is_judged_after_settling_and_every_tick_is_recorded():
+    world = World()
+    result = run(world, Actor()).run_index(0)
+    assert (result.outcome, result.steps, result.last_seq) == ("success", 3, 5)
+    assert [step.phase for step in world.steps] == ["start", "act", "act", "act", "settle", "settle"]
+    assert [step.seq for step in world.steps] == list(range(6))
+    assert world.executed[-1].tolist() == [0, 0, 0, 0, 0, 0, 0.25], "settling holds the commanded gripper"
+    assert result.bag == "keep/eval-0-00000-0"
+
+
+def test_what_slides_away_while_settling_is_a_failure():
+    result = run(World(slides_back=True), Actor(), keep="successful").run_index(0)
+    assert (result.outcome, result.reason, result.success_ever) == ("failure", "not_there", True)
+    assert result.bag.startswith("set_apart/")
+
+
+def test_limit_of_steps():
+    result = run(World(goal=100), Actor()).run_index(0)
+    assert (result.outcome, result.reason, result.steps) == ("failure", "not_there", 8)
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        (np.array([[np.nan] * 7]), "invalid_action"),
+        (np.zeros((1, 6)), "invalid_action"),
+        (PolicyError("late", ErrorCode.POLICY_LATE), "policy_late"),
+    ],
+)
+def test_a_policys_fault_fails_that_episode_by_reason(bad, reason):
+    def act(window):
+        if isinstance(bad, Exception):
+            raise bad
+        return bad
+
+    world = World()
+    runner = run(world, Actor(act))
+    result = runner.run_index(0)
+    assert (result.outcome, result.reason) == ("error", reason)
+    assert world.closed[0][0].reason == reason
+    assert "release" in world.log
+
+
+def test_a_simulators_fault_halts_and_drops_the_bag():
+    world = World()
+    world.tick = lambda *_: (_ for _ in ()).throw(SimError("exploded"))
+    with pytest.raises(SimError, match="exploded"):
+        run(world, Actor()).run_index(0)
+    assert world.log == ["open", "abort", "release"]
+
+
+def test_window_is_padded_with_the_first_frame():
+    actor = Actor(window=3, cameras=(CameraRequirement(name="workspace"),))
+    run(World(), actor).run_index(0)
+    first, second = actor.windows[:2]
+    assert first.pad_mask == (False, False, True)
+    assert [o.seq for o in first.observations] == [0, 0, 0]
+    assert second.pad_mask == (False, True, True)
+    assert [int(o.images["workspace"][0, 0, 0]) for o in second.observations] == [0, 0, 1]
+
+
+def test_chunks_are_executed_as_configured():
+    chunk = np.zeros((4, 7), np.float32)
+    chunk[:, 0] = 0.5
+    actor = Actor(lambda window: chunk, horizon=4)
+    run(World(goal=2.0), actor, execute=2).run_index(0)
+    assert [window.seq for window in actor.windows] == [0, 2]
+
+
+def test_only_a_privileged_actor_sees_state_task_and_scene():
+    blind, expert = Actor(), Actor(privileged=True)
+    run(World(), blind).run_index(0)
+    run(World(), expert).run_index(0)
+    assert all(o.state is None for w in blind.windows for o in w.observations)
+    assert (blind.starts[0].task, blind.starts[0].scene) == (None, None)
+    assert all(o.state is not None for w in expert.windows for o in w.observations)
+    assert expert.starts[0].task is not None
+
+
+def test_noise_only_where_the_actor_is_free_and_the_label_stays_clean():
+    action = np.array([[1.0, 0, 0, 0, 0, 0, 1.0]], np.float32)
+    phases = deque(["free", "fine", "fine"])
+    actor = Actor(lambda window: ActionChunk(actions=action, phases=(phases.popleft(),)))
+    world = World(goal=2.5)
+    run(world, actor, noise_translation_m=0.01).run_index(0)
+    noisy, fine = world.steps[1], world.steps[2]
+    assert noisy.disturbance
+    assert noisy.action_label == tuple(action[0].tolist()) != noisy.action_executed
+    assert noisy.action_executed[6] == 1.0
+    assert not fine.disturbance
+    assert fine.action_label == fine.action_executed
+
+
+def test_attempts_are_drawn_anew_until_one_is_kept():
+    world = World()
+    world.infeasible_attempts = 2
+    result = run(world, Actor(), max_attempts=3).run_index(4)
+    assert (result.outcome, result.attempt, result.episode_id) == ("success", 2, "eval-0-00004-2")
+    result = run(world, Actor(), max_attempts=1).run_index(4)
+    assert (result.outcome, result.reason) == ("error", "reset_infeasible")
+
+
+def test_what_the_run_cannot_give_is_refused_before_the_first_step():
+    with pytest.raises(InvalidRequestError, match="no camera 'ceiling'.*workspace"):
+        run(World(), Actor(cameras=(CameraRequirement(name="ceiling"),))).run_index(0)
+    semantics = replace(ActionSemantics(), gripper="minus_one_open")
+    with pytest.raises(EvaluationError, match="gripper") as caught:
+        run(World(), Actor(semantics=semantics)).run_index(0)
+    assert caught.value.code == ErrorCode.SEMANTICS_MISMATCH
+
+
+def test_a_missing_image_is_an_error_by_name():
+    world = World()
+    world.observe = lambda state, cameras: Observation(seq=state.seq, stamp_ns=0)
+    with pytest.raises(EvaluationError, match="wrist"):
+        run(world, Actor(cameras=(CameraRequirement(name="wrist"),))).run_index(0)
+
+
+def test_cancelling_drops_the_bag():
+    world = World(goal=100)
+    with pytest.raises(Exception, match="cancelled"):
+        run(world, Actor()).run_index(0, cancelled=lambda: len(world.steps) > 3)
+    assert "abort" in world.log

@@ -1,0 +1,102 @@
+"""The walls of the house: who may import whom, and that no core needs ROS."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).resolve().parents[1] / "src"
+ROOMS = ["sim", "planner", "tasks", "recorder", "eval", "policies"]
+NODE_MODULES = {"node", "conversions", "ports", "clients", "expert_node", "serve"}
+"""Modules of a room that may use rclpy."""
+ALLOWED = {
+    "roboxim_core": set(),
+    "roboxim_ros": {"roboxim_core", "roboxim_interfaces"},
+    **{f"roboxim_{room}": {"roboxim_core", "roboxim_ros", "roboxim_interfaces"} for room in ROOMS},
+    "roboxim_bringup": {"roboxim_core", "roboxim_ros", "roboxim_interfaces"} | {f"roboxim_{room}" for room in ROOMS},
+}
+ROS_FREE_KIT = {"roboxim_ros.conversions"}
+"""Modules of the node kit that need no rclpy, so that a core may use them."""
+
+
+def modules(package):
+    root = SRC / package / package
+    return sorted(path for path in root.rglob("*.py"))
+
+
+def imports_of(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            yield node.module
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_packages_import_only_what_the_table_allows(package):
+    assert modules(package), f"{package} has no modules"
+    for path in modules(package):
+        ours = {name.split(".")[0] for name in imports_of(path) if name.startswith("roboxim_")}
+        assert ours - {package} <= ALLOWED[package], (
+            f"{path.relative_to(SRC)} imports {ours - {package} - ALLOWED[package]}"
+        )
+
+
+def core_modules():
+    for package in ["roboxim_core", *(f"roboxim_{room}" for room in ROOMS)]:
+        for path in modules(package):
+            if path.stem not in NODE_MODULES:
+                name = ".".join(path.relative_to(SRC / package).with_suffix("").parts)
+                yield name.removesuffix(".__init__")
+
+
+def test_cores_import_without_rclpy():
+    script = f"""
+import importlib, sys
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name == "rclpy" or name.startswith("rclpy."):
+            raise ImportError("rclpy is blocked")
+sys.meta_path.insert(0, Block())
+failed = []
+for name in {list(core_modules())!r}:
+    try:
+        importlib.import_module(name)
+    except ImportError as error:
+        failed.append(f"{{name}}: {{error}}")
+sys.exit("\\n".join(failed))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+
+
+def test_cores_name_no_ros_module():
+    for package in ["roboxim_core", *(f"roboxim_{room}" for room in ROOMS)]:
+        for path in modules(package):
+            if path.stem in NODE_MODULES:
+                continue
+            for name in imports_of(path):
+                ros = name.split(".")[0] in {"rclpy", "roboxim_interfaces"} or (
+                    name.startswith("roboxim_ros") and name not in ROS_FREE_KIT
+                )
+                assert not ros, f"{path.relative_to(SRC)} is a core module and imports {name}"
+
+
+def test_what_ros_makes_hang_is_not_used():
+    banned = ["spin_until_" + "future_complete", "Events" + "Executor", "os." + "fork("]
+    for package in ALLOWED:
+        for path in modules(package):
+            text = path.read_text()
+            for word in banned:
+                assert word not in text, f"{path.relative_to(SRC)} uses {word}"
+
+
+def test_error_codes_are_mirrored():
+    from roboxim_interfaces.msg import ErrorCode as Message
+
+    from roboxim_core.errors import ErrorCode
+
+    for code in ErrorCode:
+        assert getattr(Message, code.name) == code
