@@ -1,0 +1,180 @@
+"""Straight-line motions of the tcp: position linear, rotation along the shortest arc, one speed law for both.
+
+The joint path follows by continuing the inverse kinematics densely along the line; a smooth spline through it, driven by
+a one-degree-of-freedom Ruckig profile that is stretched in time until every joint limit holds, is the motion. Stretching
+is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from roboxim_core.poses import Pose, distance
+from scipy.interpolate import PPoly, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.timing import Motion, MotionLimits, line_profile, still
+
+Array = npt.NDArray[np.float64]
+_NODE_M = 0.004
+_NODE_RAD = 0.02
+_MIN_NODES = 8
+_JUMP_RAD = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinePath:
+    """Joint path of a straight line of the tcp."""
+
+    joints: Array
+    """Arm configurations at evenly spaced places from the start to where the line could be followed, (N, dof) [rad]."""
+    fraction: float
+    """Part of the line that they cover, 0..1."""
+    length_m: float
+    """Length of the whole line [m]."""
+    angle_rad: float
+    """Angle that the whole line turns by [rad]."""
+    reason: str = ""
+    """Why it ends early; empty when it does not."""
+
+    def cut(self, count: int) -> LinePath:
+        """Return the line up to its first ``count`` configurations."""
+        fraction = self.fraction * (count - 1) / max(1, len(self.joints) - 1)
+        return replace(self, joints=self.joints[:count], fraction=fraction)
+
+
+def follow_line(robot: PlannerRobot, start: Array, target: Pose) -> LinePath:
+    """Follow a straight line by inverse kinematics from a configuration.
+
+    First the redundancy stays as it is; where that ends at a limit or a singularity, once more with the redundancy
+    drawn to the middle of the joints' ranges. The longer of the two is returned.
+
+    Args:
+        robot: The robot.
+        start: Arm configuration at the start, shape (dof,) [rad].
+        target: The tcp at the end of the line, in the robot's base.
+    """
+    best = _follow(robot, start, target, None)
+    if best.fraction < 1.0:
+        other = _follow(robot, start, target, 0.5 * (robot.lower + robot.upper))
+        best = max(best, other, key=lambda path: path.fraction)
+    return best
+
+
+def line_poses(begin: Pose, end: Pose, count: int) -> list[Pose]:
+    """Return evenly spaced poses of a straight line, both ends included."""
+    turn = (end.rotation * begin.rotation.inv()).as_rotvec()
+    a, b = np.array(begin.position), np.array(end.position)
+    places = np.linspace(0.0, 1.0, count)
+    return [
+        Pose.from_arrays(a + s * (b - a), Rotation.from_rotvec(s * turn) * begin.rotation) for s in places
+    ]
+
+
+def _follow(robot: PlannerRobot, start: Array, target: Pose, posture: Array | None) -> LinePath:
+    begin = robot.fk(start)
+    length, angle = distance(begin, target)
+    count = 1 + max(_MIN_NODES, int(np.ceil(max(length / _NODE_M, angle / _NODE_RAD))))
+    path, reason = [start], ""
+    previous = start
+    for i, pose in enumerate(line_poses(begin, target, count)[1:], start=1):
+        guess = path[-1] + (path[-1] - previous)
+        found = robot.kinematics.ik_near(pose, np.clip(guess, robot.lower, robot.upper), posture=posture)
+        jump = float(np.abs(found.joints - path[-1]).max())
+        if not found.converged or jump > _JUMP_RAD:
+            reason = _why(robot, found.joints, jump, found.position_error_m, (i - 1) / (count - 1), length)
+            break
+        previous = path[-1]
+        path.append(found.joints)
+    return LinePath(
+        joints=np.array(path),
+        fraction=(len(path) - 1) / (count - 1),
+        length_m=length,
+        angle_rad=angle,
+        reason=reason,
+    )
+
+
+def _why(
+    robot: PlannerRobot, joints: Array, jump: float, error: float, fraction: float, length: float
+) -> str:
+    at = f"at {100.0 * fraction:.0f} % of the line ({1000.0 * fraction * length:.1f} of {1000.0 * length:.1f} mm)"
+    names = robot.description.joint_names
+    stopped = [
+        n for n, q, lo, hi in zip(names, joints, robot.lower, robot.upper, strict=True) if not lo < q < hi
+    ]
+    if stopped:
+        return f"{' and '.join(stopped)} at a limit {at}"
+    if jump > _JUMP_RAD:
+        return f"the arm would have to jump by {jump:.2f} rad {at}, a singularity"
+    return f"out of reach {at}, off by {1000.0 * error:.1f} mm"
+
+
+class LineMotion:
+    """Timed motion along a joint path whose places the tcp passes at an even spacing."""
+
+    def __init__(self, joints: Array, limits: MotionLimits, length_m: float, angle_rad: float) -> None:
+        """Time the path.
+
+        Args:
+            joints: Arm configurations, shape (N, dof), N >= 2 [rad].
+            limits: Limits.
+            length_m: Distance that the tcp covers along ``joints`` [m].
+            angle_rad: Angle that it turns by [rad].
+        """
+        knots = np.linspace(0.0, 1.0, len(joints))
+        degree = min(5, len(joints) - 1)
+        path = make_interp_spline(knots, joints, k=degree)
+        self._path = [path, *(path.derivative(k) for k in (1, 2, 3))]
+        slope = np.maximum(np.abs(self._path[1](np.linspace(0.0, 1.0, 4 * len(joints)))).max(axis=0), 1e-9)
+        speed = min(
+            float((limits.velocity / slope).min()),
+            0.999 * limits.tcp_speed / max(length_m, 1e-12),
+            0.999 * limits.tcp_rot_speed / max(angle_rad, 1e-12),
+        )
+        acceleration, jerk = float((limits.acceleration / slope).min()), float((limits.jerk / slope).min())
+        for _ in range(3):  # once is enough but for what falls between the samples
+            self._set_law(*line_profile(1.0, 0.0, 0.0, speed, acceleration, jerk))
+            factor = self._excess(limits)
+            if factor <= 1.0:
+                break
+            factor *= 1.0005
+            speed, acceleration, jerk = speed / factor, acceleration / factor**2, jerk / factor**3
+
+    def _set_law(self, durations: Array, coefficients: Array) -> None:
+        law = PPoly(coefficients, np.concatenate([[0.0], np.cumsum(durations)]))
+        self._law = [law, *(law.derivative(k) for k in (1, 2, 3))]
+
+    def _excess(self, limits: MotionLimits) -> float:
+        """Return by what factor time must be stretched for every limit to hold (<= 1: they hold)."""
+        times = np.unique(
+            np.concatenate([np.linspace(0.0, self.duration, 400), self._law[0].x, self._law[0].x - 1e-9])
+        )
+        _, v, a, j = self.evaluate(times)
+        return max(
+            float((np.abs(v) / limits.velocity).max()),
+            float(np.sqrt((np.abs(a) / limits.acceleration).max())),
+            float(np.cbrt((np.abs(j) / limits.jerk).max())),
+        )
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self._law[0].x[-1])
+
+    def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Return positions, velocities, accelerations, jerks by the chain rule."""
+        clipped = np.clip(times, 0.0, self.duration)
+        s, ds, dds, ddds = (np.asarray(d(clipped))[:, None] for d in self._law)
+        q, q1, q2, q3 = (np.asarray(d(np.clip(s[:, 0], 0.0, 1.0))) for d in self._path)
+        return q, q1 * ds, q2 * ds**2 + q1 * dds, q3 * ds**3 + 3.0 * q2 * ds * dds + q1 * ddds
+
+
+def time_line(path: LinePath, limits: MotionLimits) -> Motion:
+    """Return the timed motion along a followed line, or one that stays when it goes nowhere."""
+    if len(path.joints) < 2 or float(np.abs(path.joints - path.joints[0]).max()) < 1e-9:
+        return still(path.joints[0])
+    return LineMotion(path.joints, limits, path.fraction * path.length_m, path.fraction * path.angle_rad)

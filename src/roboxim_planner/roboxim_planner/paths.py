@@ -1,0 +1,195 @@
+"""Collision-free joint paths: OMPL's RRTConnect over whole-edge checks, then deterministic shortcuts.
+
+OMPL draws from a global random number generator, so searches take turns under a lock and set its seed first; with a
+budget of iterations instead of seconds the same request gives the same path under any load.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from roboxim_planner.collision import CollisionWorld
+
+Array = npt.NDArray[np.float64]
+Watch = Callable[[str, int], None]
+"""Called with the stage and the iterations spent; raises to end the request (deadline passed, cancelled)."""
+
+_OMPL_LOCK = threading.Lock()
+ou.setLogLevel(ou.LOG_NONE)  # OMPL objects to each new seed, though a seed set under the lock does reproduce
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchConfig:
+    """Budget of the path search."""
+
+    iterations: int = 4000
+    """Iterations of RRTConnect."""
+    range_rad: float = 1.2
+    """Longest edge that the tree grows by [rad]."""
+    check_step_m: float = 0.02
+    """Largest motion of any point of the arm between two checks of an edge [m]."""
+    shortcuts: int = 60
+    """Random shortcuts tried."""
+
+
+class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
+    """Hands whole edges to the collision world. It must not refer to the space information: that cycle leaks."""
+
+    def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, step: float) -> None:
+        super().__init__(info)
+        self._world = world
+        self._step = step
+
+    def checkMotion(self, start: ob.State, end: ob.State) -> bool:  # noqa: N802 - OMPL's name
+        dof = self._world.robot.dof
+        return bool(self._world.edge_is_free(np.array(start[0:dof]), np.array(end[0:dof]), self._step))
+
+
+class _Stop:
+    """Ends a search by iterations, or when the watch raises; keeps what it raised, since OMPL cannot carry it."""
+
+    def __init__(self, watch: Watch, iterations: int) -> None:
+        self._watch = watch
+        self._left = iterations
+        self.spent = 0
+        self.error: BaseException | None = None
+
+    def __call__(self) -> bool:
+        self.spent += 1
+        if self.error is None:
+            try:
+                self._watch("search", self.spent)
+            except BaseException as error:  # handed on after OMPL has returned
+                self.error = error
+        return bool(self.error is not None or self.spent > self._left)
+
+
+def search(
+    world: CollisionWorld, start: Array, goals: Array, *, seed: int, config: SearchConfig, watch: Watch
+) -> Array | None:
+    """Search a collision-free path from a configuration to any of several.
+
+    Args:
+        world: Robot and obstacles.
+        start: Free arm configuration, shape (dof,) [rad].
+        goals: Free arm configurations, shape (N, dof) [rad].
+        seed: Seed of the search.
+        config: Budget.
+        watch: Called now and then; ends the search by raising.
+
+    Returns:
+        Waypoints, shape (M, dof), whose last is one of the goals; none when the budget is spent.
+    """
+    robot = world.robot
+    with _OMPL_LOCK:
+        ou.RNG.setSeed(seed % (2**31 - 1) + 1)
+        space = ob.RealVectorStateSpace(robot.dof)
+        bounds = ob.RealVectorBounds(robot.dof)
+        for i in range(robot.dof):
+            bounds.setLow(i, float(robot.lower[i]))
+            bounds.setHigh(i, float(robot.upper[i]))
+        space.setBounds(bounds)
+        info = ob.SpaceInformation(space)
+        info.setStateValidityChecker(lambda state: bool(world.is_free(np.array(state[0 : robot.dof]))))
+        info.setMotionValidator(_EdgeValidator(info, world, config.check_step_m))
+        info.setup()
+        problem = ob.ProblemDefinition(info)
+        problem.addStartState(_state(space, start))
+        targets = ob.GoalStates(info)
+        for goal in goals:
+            targets.addState(_state(space, goal))
+        problem.setGoal(targets)
+        planner = og.RRTConnect(info)
+        planner.setRange(config.range_rad)
+        planner.setProblemDefinition(problem)
+        planner.setup()
+        stop = _Stop(watch, config.iterations)
+        planner.solve(ob.PlannerTerminationCondition(stop))
+        if stop.error is not None:
+            raise stop.error
+        if not problem.hasExactSolution():
+            return None
+        states = problem.getSolutionPath().getStates()
+        return np.array([state[0 : robot.dof] for state in states])
+
+
+def _state(space: ob.RealVectorStateSpace, joints: Array) -> ob.State:
+    state = space.allocState()
+    for i, value in enumerate(joints):
+        state[i] = float(value)
+    return state
+
+
+def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConfig, watch: Watch) -> Array:
+    """Shorten a free path: leave out waypoints, then cut corners between random places. Ends stay.
+
+    Args:
+        world: Robot and obstacles.
+        path: Waypoints, shape (N, dof).
+        seed: Seed of the random cuts.
+        config: Budget.
+        watch: Called now and then.
+
+    Returns:
+        Waypoints of a free path that is no longer.
+    """
+    rng = np.random.default_rng(seed)
+    path = _skip_waypoints(world, path, config.check_step_m)
+    idle = 0
+    for turn in range(config.shortcuts):
+        if len(path) <= 2 or idle > 20:
+            break
+        watch("search", turn)
+        cut = _cut(world, path, rng, config.check_step_m)
+        idle = 0 if cut is not None else idle + 1
+        path = path if cut is None else cut
+    return _skip_waypoints(world, path, config.check_step_m)
+
+
+def _skip_waypoints(world: CollisionWorld, path: Array, step: float) -> Array:
+    kept, at = [0], 0
+    while at < len(path) - 1:
+        following = at + 1
+        for far in range(len(path) - 1, at + 1, -1):
+            if world.edge_is_free(path[at], path[far], step):
+                following = far
+                break
+        kept.append(following)
+        at = following
+    return path[kept]
+
+
+def _cut(world: CollisionWorld, path: Array, rng: np.random.Generator, step: float) -> Array | None:
+    """Try to replace what lies between two random places on the path by a straight edge."""
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    first, second = np.sort(rng.uniform(0.0, ends[-1], 2))
+    i, j = (
+        int(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(lengths) - 1)) for x in (first, second)
+    )
+    if i == j:
+        return None
+    a = path[i] + (first - ends[i]) / lengths[i] * (path[i + 1] - path[i])
+    b = path[j] + (second - ends[j]) / lengths[j] * (path[j + 1] - path[j])
+    if second - first - np.linalg.norm(b - a) < 1e-3 or not world.edge_is_free(a, b, step):
+        return None
+    return without_repeats(np.concatenate([path[: i + 1], a[None], b[None], path[j + 1 :]]))
+
+
+def without_repeats(path: Array) -> Array:
+    """Drop waypoints that repeat their predecessor; the last waypoint always stays."""
+    kept = [path[0]]
+    for point in path[1:]:
+        if np.abs(point - kept[-1]).max() > 1e-7:
+            kept.append(point)
+    if len(kept) > 1:
+        kept[-1] = path[-1]
+    return np.array(kept)

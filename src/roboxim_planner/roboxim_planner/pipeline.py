@@ -1,0 +1,566 @@
+"""The planner: goals, direct edge, search, shortcut, blends, time law, verification; replanning when one fails.
+
+A plan leaves here only after `verify` has passed the timed motion. Everything is a function of the request and its
+seed; a deadline can only end a request (see `Watch`), never change its answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
+from roboxim_core.models.description import RobotModel
+from roboxim_core.poses import Pose
+
+from roboxim_planner.cartesian import follow_line, time_line
+from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.ik import IkConfig, IkSolver
+from roboxim_planner.paths import SearchConfig, Watch, search, shorten, without_repeats
+from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.scene import PlanningScene
+from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
+from roboxim_planner.verify import Finding, verify_motion, verify_samples
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerConfig:
+    """How the planner works."""
+
+    padding_m: float = 0.005
+    """Distance that the search keeps from obstacles where start and goal allow it [m]."""
+    max_blend_rad: float = 0.4
+    """Largest distance from a corner at which its blend begins [rad]."""
+    attempts: int = 4
+    """Searches with other seeds when a motion does not pass verification."""
+    ik: IkConfig = IkConfig()
+    """Inverse kinematics."""
+    search: SearchConfig = SearchConfig()
+    """Path search."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """What a request may ask of a motion."""
+
+    velocity_scaling: float = 1.0
+    """Fraction of the joints' velocity limits, in (0, 1]."""
+    acceleration_scaling: float = 1.0
+    """Fraction of their acceleration and jerk limits, in (0, 1]."""
+    max_tcp_speed_m_s: float = np.inf
+    """Limit of the tcp's speed [m/s]."""
+    max_tcp_rot_speed_rad_s: float = np.inf
+    """Limit of the tcp's angular speed [rad/s]."""
+    padding_m: float | None = None
+    """Distance kept from obstacles [m]; none: the planner's."""
+    seed: int = 0
+    """Same request and seed, same plan."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a value that is not a number or out of range.
+        """
+        for name in ("velocity_scaling", "acceleration_scaling"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InvalidRequestError(f"{name} must be in (0, 1], got {getattr(self, name)}")
+        for name in ("max_tcp_speed_m_s", "max_tcp_rot_speed_rad_s"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidRequestError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.padding_m is not None and not 0.0 <= self.padding_m <= 0.1:
+            raise InvalidRequestError(f"padding must be 0..0.1 m, got {self.padding_m}")
+        if self.seed < 0:
+            raise InvalidRequestError(f"seed must be >= 0, got {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A verified motion."""
+
+    motion: Motion
+    """The motion as a function of time."""
+    route: str
+    """``still``, ``direct``, ``sampled`` or ``cartesian``."""
+    goal_index: int = -1
+    """Which of several goals was reached; -1 where there is no choice."""
+    fraction: float = 1.0
+    """Part of a straight line that it covers."""
+    waypoints: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """Joint path that was timed, shape (N, dof) [rad]."""
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.motion.duration
+
+    @property
+    def end(self) -> Array:
+        """Arm configuration at the end, shape (dof,) [rad]."""
+        return self.motion.evaluate(np.array([self.duration]))[0][0]
+
+    def sample(self, period_s: float) -> Trajectory:
+        """Sample the motion at a period, its end included."""
+        count = max(1, int(np.ceil(self.duration / period_s - 1e-9)))
+        times = np.append(np.arange(count) * period_s, self.duration)
+        q, v, a, _ = self.motion.evaluate(times)
+        return Trajectory(times=times, positions=q, velocities=v, accelerations=a)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Samples of a motion."""
+
+    times: Array
+    """From 0, shape (N,) [s]."""
+    positions: Array
+    """Shape (N, dof) [rad]."""
+    velocities: Array
+    """Shape (N, dof) [rad/s]."""
+    accelerations: Array
+    """Shape (N, dof) [rad/s^2]."""
+
+
+class PathIncompleteError(PlannerError):
+    """A straight line can only be followed in part; ``partial`` is the verified plan of that part, or none."""
+
+    code = ErrorCode.PATH_INCOMPLETE
+
+    def __init__(self, message: str, partial: Plan) -> None:
+        """Make the error with the part that can be done."""
+        super().__init__(message)
+        self.partial = partial
+
+
+def no_watch(stage: str, iterations: int) -> None:
+    """Watch that never ends a request."""
+
+
+class Planner:
+    """Plans motions of one robot. Serves one thread at a time; make one per thread."""
+
+    def __init__(self, robot: RobotModel, config: PlannerConfig | None = None) -> None:
+        """Load the robot.
+
+        Args:
+            robot: The robot's description.
+            config: How to plan; none: the defaults.
+        """
+        self.robot = PlannerRobot(robot)
+        self.config = config or PlannerConfig()
+        self.ik = IkSolver(self.robot, self.config.ik)
+
+    def plan_to_pose(
+        self,
+        scene: PlanningScene,
+        start: npt.ArrayLike,
+        targets: list[Pose],
+        options: MotionOptions | None = None,
+        watch: Watch = no_watch,
+    ) -> Plan:
+        """Plan a motion of the tcp to the nearest reachable of some poses.
+
+        Args:
+            scene: What to avoid.
+            start: Arm configuration at the start, shape (dof,) [rad].
+            targets: Goals of the tcp in the world, at least one.
+            options: Limits, padding, seed; none: the defaults.
+            watch: Called now and then; ends the request by raising.
+
+        Raises:
+            PlannerError: When there is no plan; the message says why.
+            InvalidRequestError: On malformed input.
+        """
+        options = options or MotionOptions()
+        if not targets:
+            raise InvalidRequestError("plan_to_pose needs at least one target pose")
+        worlds = self._worlds(scene, options)
+        begin = self._check_start(worlds, start)
+        to_base = scene.robot_pose.inverse()
+        goals = [to_base @ target for target in targets]
+        watch("goals", 0)
+        for i, goal in enumerate(goals):
+            near = self.ik.nearest(goal, begin)
+            plan = None if near is None else self._try_direct(worlds, begin, near, options, i, watch)
+            if plan is not None:
+                return plan
+        found, owners = self._goal_configurations(worlds, begin, goals, options.seed, watch)
+        return self._plan(worlds, begin, found, owners, options, watch)
+
+    def plan_to_joints(
+        self,
+        scene: PlanningScene,
+        start: npt.ArrayLike,
+        target: npt.ArrayLike,
+        options: MotionOptions | None = None,
+        watch: Watch = no_watch,
+    ) -> Plan:
+        """Plan a motion to an arm configuration; arguments and errors as `plan_to_pose`."""
+        options = options or MotionOptions()
+        worlds = self._worlds(scene, options)
+        begin = self._check_start(worlds, start)
+        goal = self.robot.check_joints(target, what="target")
+        broken = self.robot.limit_violations(goal)
+        if broken:
+            raise PlannerError(f"goal unreachable: {'; '.join(broken)}", ErrorCode.GOAL_UNREACHABLE)
+        goal = np.clip(goal, self.robot.lower, self.robot.upper)
+        contacts = worlds.exact.contacts(goal)
+        if contacts:
+            said = "; ".join(str(contact) for contact in contacts)
+            raise PlannerError(f"goal in collision: {said}", ErrorCode.GOAL_IN_COLLISION)
+        plan = self._try_direct(worlds, begin, goal, options, -1, watch)
+        return plan or self._plan(worlds, begin, goal[None], [-1], options, watch)
+
+    def plan_cartesian(
+        self,
+        scene: PlanningScene,
+        start: npt.ArrayLike,
+        waypoints: list[Pose],
+        options: MotionOptions | None = None,
+        *,
+        min_fraction: float = 1.0,
+        ignore_collisions: bool = False,
+        watch: Watch = no_watch,
+    ) -> Plan:
+        """Plan straight lines of the tcp through poses, stopping at each.
+
+        Args:
+            scene: What to avoid.
+            start: Arm configuration at the start, shape (dof,) [rad].
+            waypoints: Poses of the tcp in the world, at least one.
+            options: Limits and seed; the padding is not used: a line is checked exactly.
+            min_fraction: Smallest part of the lines that counts as success, 0..1.
+            ignore_collisions: Whether collisions do not matter.
+            watch: Called now and then; ends the request by raising.
+
+        Raises:
+            PathIncompleteError: When less than ``min_fraction`` can be done, with the part that can.
+            PlannerError: As `plan_to_pose`.
+        """
+        options = options or MotionOptions()
+        if not waypoints or not 0.0 <= min_fraction <= 1.0:
+            raise InvalidRequestError(
+                f"plan_cartesian needs waypoints and min_fraction in 0..1, got {len(waypoints)} and {min_fraction}"
+            )
+        limits = self.limits(options)
+        worlds = self._worlds(scene, options)
+        begin = self._check_start(worlds, start, collisions=not ignore_collisions)
+        world = None if ignore_collisions else worlds.exact
+        to_base = scene.robot_pose.inverse()
+        motions: list[Motion] = []
+        at, done, reason = begin, 0.0, ""
+        for i, waypoint in enumerate(waypoints):
+            watch("goals", i)
+            path = follow_line(self.robot, at, to_base @ waypoint)
+            free, why = self._free_part(world, path.joints)
+            part = path.fraction * (free - 1) / max(1, len(path.joints) - 1)
+            reason = why or path.reason
+            motions.append(time_line(path.cut(free), limits))
+            done += part
+            at = path.joints[free - 1]
+            if part < 1.0:
+                break
+        fraction = done / len(waypoints)
+        watch("verify", 0)
+        motion = MotionSequence(motions)
+        finding = verify_motion(world, self.robot, motion, limits)
+        if not finding.valid:
+            raise PlannerError(f"the timed line is not valid: {finding}", ErrorCode.TRAJECTORY_INVALID)
+        plan = Plan(motion=motion, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
+        if fraction < min_fraction - 1e-9:
+            raise PathIncompleteError(
+                f"only {100.0 * fraction:.1f} % of the straight line can be done, {100.0 * min_fraction:.0f} % asked: "
+                f"{reason}",
+                plan,
+            )
+        return plan
+
+    def check_state(self, scene: PlanningScene, joints: npt.ArrayLike) -> Finding:
+        """Check an arm configuration of shape (dof,) [rad] for limits and collisions (without padding)."""
+        q = self.robot.check_joints(joints, what="state")
+        world = CollisionWorld(self.robot, scene)
+        return Finding(contacts=world.contacts(q), violations=self.robot.limit_violations(q))
+
+    def check_trajectory(
+        self,
+        scene: PlanningScene,
+        positions: npt.ArrayLike,
+        times: npt.ArrayLike | None = None,
+        velocities: npt.ArrayLike | None = None,
+        accelerations: npt.ArrayLike | None = None,
+        options: MotionOptions | None = None,
+    ) -> Finding:
+        """Check a joint path or sampled trajectory, straight lines between its points; see `verify_samples`.
+
+        Args:
+            scene: What to avoid.
+            positions: Arm configurations, shape (N, dof), N >= 1 [rad].
+            times: Strictly increasing, shape (N,) [s]; none: no speeds are checked.
+            velocities: Shape (N, dof) [rad/s]; none: those between the points.
+            accelerations: Shape (N, dof) [rad/s^2]; none: not checked.
+            options: Limits and padding; with no padding given, 0.
+        """
+        options = options or MotionOptions()
+        path = np.atleast_2d(np.asarray(positions, dtype=float))
+        if path.shape[0] == 0 or path.shape[1] != self.robot.dof or not np.isfinite(path).all():
+            raise InvalidRequestError(
+                f"a trajectory needs finite positions of shape (N, {self.robot.dof}), N >= 1, got shape {path.shape}"
+            )
+        clock = None if times is None else np.asarray(times, dtype=float)
+        if clock is not None and (clock.shape != path.shape[:1] or not (np.diff(clock) > 0).all()):
+            raise InvalidRequestError(
+                "times of a trajectory must be finite, one per point, and strictly increasing"
+            )
+        rates = []
+        for name, values in (("velocities", velocities), ("accelerations", accelerations)):
+            array = None if values is None else np.asarray(values, dtype=float)
+            if array is not None and (array.shape != path.shape or not np.isfinite(array).all()):
+                raise InvalidRequestError(f"{name} must be finite and of the positions' shape {path.shape}")
+            rates.append(array)
+        world = CollisionWorld(self.robot, scene, padding=options.padding_m or 0.0)
+        return verify_samples(world, self.limits(options), path, clock, rates[0], rates[1])
+
+    def inverse_kinematics(
+        self,
+        target: Pose,
+        reference: npt.ArrayLike,
+        *,
+        scene: PlanningScene | None = None,
+        robot_pose: Pose | None = None,
+        count: int = 1,
+        seed: int = 0,
+    ) -> Array:
+        """Return arm configurations that put the tcp at a pose, nearest to a reference first.
+
+        Args:
+            target: The tcp in the world.
+            reference: Arm configuration that distances are measured from, shape (dof,) [rad].
+            scene: What solutions must not touch; none: collisions do not matter.
+            robot_pose: Base in the world when there is no scene; none: identity.
+            count: At most so many.
+            seed: Seed of the search.
+
+        Returns:
+            Shape (N, dof), 1 <= N <= count.
+
+        Raises:
+            PlannerError: ``GOAL_UNREACHABLE`` or ``GOAL_IN_COLLISION``.
+        """
+        near = self.robot.check_joints(reference, what="seed_state")
+        base = scene.robot_pose if scene is not None else (robot_pose or Pose())
+        goal = base.inverse() @ target
+        world = None if scene is None else CollisionWorld(self.robot, scene)
+        if count == 1:
+            first = self.ik.nearest(goal, near)
+            if first is not None and (world is None or world.is_free(first)):
+                return first[None]
+        solutions = self.ik.solve(goal, near, seed=seed, rounds=None if count == 1 and world is None else 2)
+        if world is None:
+            return solutions[:count]
+        free = np.array([q for q in solutions if world.is_free(q)])
+        if not len(free):
+            raise self._no_free_goal(world, solutions)
+        return free[:count]
+
+    def limits(self, options: MotionOptions) -> MotionLimits:
+        """Return the limits that options mean for this robot."""
+        return MotionLimits(
+            velocity=self.robot.max_velocity * options.velocity_scaling,
+            acceleration=self.robot.max_acceleration * options.acceleration_scaling,
+            jerk=self.robot.max_jerk * options.acceleration_scaling,
+            tcp_speed=options.max_tcp_speed_m_s,
+            tcp_rot_speed=options.max_tcp_rot_speed_rad_s,
+        )
+
+    def _worlds(self, scene: PlanningScene, options: MotionOptions) -> _Worlds:
+        padding = self.config.padding_m if options.padding_m is None else options.padding_m
+        return _Worlds(self.robot, scene, padding)
+
+    def _check_start(self, worlds: _Worlds, start: npt.ArrayLike, *, collisions: bool = True) -> Array:
+        begin = self.robot.check_joints(start, what="start")
+        broken = self.robot.limit_violations(begin, tolerance=1e-3)
+        if broken:
+            raise PlannerError(f"start outside limits: {'; '.join(broken)}", ErrorCode.START_OUTSIDE_LIMITS)
+        begin = np.clip(begin, self.robot.lower, self.robot.upper)
+        if collisions and not worlds.exact.is_free(begin):
+            said = "; ".join(str(contact) for contact in worlds.exact.contacts(begin))
+            raise PlannerError(
+                f"start in collision: {said}; allow the contact or attach the body",
+                ErrorCode.START_IN_COLLISION,
+            )
+        return begin
+
+    def _goal_configurations(
+        self, worlds: _Worlds, begin: Array, goals: list[Pose], seed: int, watch: Watch
+    ) -> tuple[Array, list[int]]:
+        """Return collision-free configurations of all goals, nearest first, and which goal each belongs to."""
+        all_found: list[Array] = []
+        owners: list[int] = []
+        failure: PlannerError | None = None
+        for i, goal in enumerate(goals):
+            watch("goals", i)
+            try:
+                solutions = self.ik.solve(goal, begin, seed=seed)
+            except PlannerError as error:
+                failure = failure or error
+                continue
+            free = [q for q in solutions if worlds.exact.is_free(q)]
+            if not free:
+                solutions = self.ik.solve(goal, begin, seed=seed + 1, rounds=self.config.ik.rounds)
+                free = [q for q in solutions if worlds.exact.is_free(q)]
+            if not free:
+                failure = self._no_free_goal(worlds.exact, solutions)
+            all_found += free
+            owners += [i] * len(free)
+        if not all_found:
+            assert failure is not None
+            raise failure
+        order = np.argsort([np.abs(q - begin).max() for q in all_found], kind="stable")
+        return np.array(all_found)[order], [owners[k] for k in order]
+
+    @staticmethod
+    def _no_free_goal(world: CollisionWorld, solutions: Array) -> PlannerError:
+        said = "; ".join(str(contact) for contact in world.contacts(solutions[0])[:3])
+        return PlannerError(
+            f"no collision-free goal among {len(solutions)} configurations; at the nearest {said}",
+            ErrorCode.GOAL_IN_COLLISION,
+        )
+
+    def _try_direct(
+        self, worlds: _Worlds, begin: Array, goal: Array, options: MotionOptions, owner: int, watch: Watch
+    ) -> Plan | None:
+        """Return the plan of the straight joint line, or none when it is not valid."""
+        if float(np.abs(goal - begin).max()) < 1e-9:
+            return Plan(
+                motion=still(begin), route="still", goal_index=owner, waypoints=np.stack([begin, goal])
+            )
+        watch("direct", 0)
+        path = np.stack([begin, goal])
+        world = worlds.for_ends(begin, goal)
+        if world is None or not world.edge_is_free(begin, goal, self.config.search.check_step_m):
+            return None
+        motion = time_path(path, np.zeros(0), self.limits(options), self.robot.kinematics.jacobian)
+        if not verify_motion(worlds.exact, self.robot, motion, self.limits(options), goal).valid:
+            return None
+        return Plan(motion=motion, route="direct", goal_index=owner, waypoints=path)
+
+    def _plan(
+        self,
+        worlds: _Worlds,
+        begin: Array,
+        goals: Array,
+        owners: list[int],
+        options: MotionOptions,
+        watch: Watch,
+    ) -> Plan:
+        """Direct edges to every goal, nearest first; then searches until a motion passes verification."""
+        for goal, owner in zip(goals[:8], owners, strict=False):
+            plan = self._try_direct(worlds, begin, goal, options, owner, watch)
+            if plan is not None:
+                return plan
+        finding: Finding | None = None
+        for attempt in range(self.config.attempts):
+            world = worlds.for_goals(begin, goals, padded=attempt < self.config.attempts - 1)
+            reachable = np.array([q for q in goals if world.is_free(q)])
+            seed = options.seed + 7919 * attempt
+            path = search(world, begin, reachable, seed=seed, config=self.config.search, watch=watch)
+            if path is None:
+                continue
+            path = without_repeats(path)
+            owner = owners[int(np.argmin(np.abs(goals - path[-1]).max(axis=1)))]
+            path = shorten(world, path, seed=seed, config=self.config.search, watch=watch)
+            motion, finding = self._time_and_verify(worlds.exact, world, path, options, watch)
+            if motion is not None:
+                return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
+        if finding is not None:
+            raise PlannerError(
+                f"no path passed verification, the last because {finding}", ErrorCode.TRAJECTORY_INVALID
+            )
+        raise PlannerError(
+            f"no path found to {len(goals)} goal configuration(s) in {self.config.attempts} searches of "
+            f"{self.config.search.iterations} iterations; obstacles may close the way"
+        )
+
+    def _time_and_verify(
+        self, exact: CollisionWorld, world: CollisionWorld, path: Array, options: MotionOptions, watch: Watch
+    ) -> tuple[Motion | None, Finding]:
+        """Time a path with blends, then with smaller ones, then stopping at its waypoints, until one is valid."""
+        limits = self.limits(options)
+        corners = self._blends(world, path)
+        finding = Finding()
+        for shrink in (1.0, 0.4, 0.0):
+            watch("timing", 0)
+            motion = time_path(path, corners * shrink, limits, self.robot.kinematics.jacobian)
+            watch("verify", 0)
+            finding = verify_motion(exact, self.robot, motion, limits, path[-1])
+            if finding.valid:
+                return motion, finding
+            if not len(corners):
+                break
+        return None, finding
+
+    def _blends(self, world: CollisionWorld, path: Array) -> Array:
+        """Return the largest collision-free blend distance of each inner waypoint, 0 where there is none."""
+        lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        corners = np.zeros(max(0, len(path) - 2))
+        for i in range(len(corners)):
+            distance = min(self.config.max_blend_rad, 0.499 * lengths[i], 0.499 * lengths[i + 1])
+            for _ in range(5):
+                if world.path_is_free(blend_points(path[i], path[i + 1], path[i + 2], distance)[1:-1]):
+                    corners[i] = distance
+                    break
+                distance *= 0.5
+        return corners
+
+    @staticmethod
+    def _free_part(world: CollisionWorld | None, path: Array) -> tuple[int, str]:
+        """Return how many leading configurations of a path are free, and what stops it."""
+        if world is None:
+            return len(path), ""
+        hit = world.first_collision(path)
+        if hit < 0:
+            return len(path), ""
+        return max(1, hit), "; ".join(str(contact) for contact in world.contacts(path[hit])[:3])
+
+    def named_state(self, name: str) -> Array:
+        """Return a named arm configuration of the robot.
+
+        Raises:
+            InvalidRequestError: When there is none of that name; lists what there is.
+        """
+        states = {"home": self.robot.description.home, **self.robot.description.named_states}
+        if name not in states:
+            raise InvalidRequestError(
+                f"robot '{self.robot.description.id}': unknown state; {one_of(states, name)}"
+            )
+        return np.array(states[name])
+
+
+class _Worlds:
+    """The scene with and without padding; built when first needed, since most requests need few of them."""
+
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene, padding: float) -> None:
+        self.exact = CollisionWorld(robot, scene)
+        self._make = lambda: CollisionWorld(robot, scene, padding=padding) if padding > 0 else self.exact
+        self._padded: CollisionWorld | None = None
+
+    @property
+    def padded(self) -> CollisionWorld:
+        if self._padded is None:
+            self._padded = self._make()
+        return self._padded
+
+    def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
+        """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""
+        if self.padded.is_free(begin) and self.padded.is_free(goal):
+            return self.padded
+        return self.exact if self.exact.is_free(goal) else None
+
+    def for_goals(self, begin: Array, goals: Array, *, padded: bool) -> CollisionWorld:
+        """Return the padded world where the start and any goal keep the distance and it is asked for."""
+        if padded and self.padded.is_free(begin) and any(self.padded.is_free(q) for q in goals):
+            return self.padded
+        return self.exact

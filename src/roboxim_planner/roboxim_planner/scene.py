@@ -1,0 +1,237 @@
+"""What a motion must not collide with: an immutable snapshot that belongs to one request.
+
+Robot-neutral plain values: built from a simulated scene and its state, from inline primitives, or from both. Attached
+objects and allowed contacts are part of it, so the planner keeps no state between requests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.models.description import JointModel, ObjectModel, Shape
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import EntityState, StateRecord
+from scipy.spatial.transform import Rotation
+
+TABLE = "table"
+ROBOT = "robot"
+GRIPPER = "gripper"
+_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "hull": 0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointHull:
+    """The convex hull of points, for geometry that comes in a request instead of a file."""
+
+    points: tuple[Vec3, ...]
+    """At least 4 points that span a volume [m]."""
+    pose: Pose = IDENTITY
+    """Pose in the object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """A rigid body made of convex parts."""
+
+    name: str
+    """Unique name in the scene."""
+    shapes: tuple[Shape | PointHull, ...]
+    """Its parts."""
+    pose: Pose = IDENTITY
+    """Pose in the world, or in the tcp frame when attached."""
+
+    def __post_init__(self) -> None:
+        """Check name and sizes.
+
+        Raises:
+            InvalidRequestError: Naming the body and what is wrong.
+        """
+        if not self.name or self.name in (ROBOT, GRIPPER, "world"):
+            raise InvalidRequestError(
+                f"a body needs a name other than robot, gripper and world, got '{self.name}'"
+            )
+        if not self.shapes:
+            raise InvalidRequestError(f"body '{self.name}' has no shape")
+        for shape in self.shapes:
+            if isinstance(shape, PointHull):
+                continue
+            if shape.kind not in _SIZES:
+                raise InvalidRequestError(f"body '{self.name}': unknown shape; {one_of(_SIZES, shape.kind)}")
+            if len(shape.size) != _SIZES[shape.kind] or not all(0.0 < value < 100.0 for value in shape.size):
+                raise InvalidRequestError(
+                    f"body '{self.name}': a {shape.kind} has {_SIZES[shape.kind]} sizes between 0 and 100 m, "
+                    f"got {shape.size}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attached:
+    """A body that the gripper holds."""
+
+    body: Body
+    """The body; its pose is in the tcp frame."""
+    touch_links: tuple[str, ...] = ()
+    """Robot links that may touch it; empty: the gripper's links."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AllowedContact:
+    """A pair that may touch: a robot link or body by name, ``robot``, ``gripper``; an empty name is anything."""
+
+    body_a: str
+    """First of the pair."""
+    body_b: str = ""
+    """Second of the pair."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanningScene:
+    """An immutable snapshot of the bodies around a robot."""
+
+    robot_pose: Pose = IDENTITY
+    """Pose of the robot's base in the world."""
+    gripper_opening: float = 1.0
+    """1 = open, 0 = closed."""
+    bodies: tuple[Body, ...] = ()
+    """Obstacles, poses in the world."""
+    attached: tuple[Attached, ...] = ()
+    """What the gripper holds."""
+    allowed: tuple[AllowedContact, ...] = ()
+    """Pairs that may touch."""
+    joint_command: tuple[float, ...] = ()
+    """Arm joints that the controller holds in this revision [rad]; empty when the scene is not a simulated one."""
+    pose_tcp: Pose | None = None
+    """Measured tcp in the world in this revision; none when the scene is not a simulated one."""
+
+    def __post_init__(self) -> None:
+        """Check names and the opening.
+
+        Raises:
+            InvalidRequestError: On a duplicate name, an opening beyond 0..1, or a contact of unknown bodies.
+        """
+        names = [body.name for body in self.bodies] + [held.body.name for held in self.attached]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InvalidRequestError(
+                f"names of bodies must be unique, got {', '.join(twice)} more than once"
+            )
+        if not 0.0 <= self.gripper_opening <= 1.0:
+            raise InvalidRequestError(f"gripper_opening must be 0..1, got {self.gripper_opening}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies, attached ones last."""
+        return tuple(body.name for body in self.bodies) + tuple(held.body.name for held in self.attached)
+
+    def with_bodies(self, bodies: Iterable[Body]) -> PlanningScene:
+        """Return the scene with bodies added."""
+        return replace(self, bodies=(*self.bodies, *bodies))
+
+    def without(self, names: Iterable[str]) -> PlanningScene:
+        """Return the scene without some bodies.
+
+        Raises:
+            InvalidRequestError: When there is no body of such a name.
+        """
+        gone = set(names)
+        for name in gone - {body.name for body in self.bodies}:
+            raise InvalidRequestError(f"no body '{name}' in the scene; {one_of(self.names, name)}")
+        return replace(self, bodies=tuple(body for body in self.bodies if body.name not in gone))
+
+    def attach(self, name: str, pose_tcp: Pose, touch_links: Sequence[str] = ()) -> PlanningScene:
+        """Return the scene with a body turned into one that the gripper holds, where it is now.
+
+        Args:
+            name: Name of the body.
+            pose_tcp: The tcp in the world now.
+            touch_links: Robot links that may touch it; empty: the gripper's.
+
+        Raises:
+            InvalidRequestError: When there is no such body.
+        """
+        rest = self.without([name])
+        body = next(body for body in self.bodies if body.name == name)
+        held = replace(body, pose=pose_tcp.inverse() @ body.pose)
+        return replace(rest, attached=(*self.attached, Attached(body=held, touch_links=tuple(touch_links))))
+
+    @staticmethod
+    def from_state(spec: SceneSpec, state: StateRecord, library: ModelLibrary) -> PlanningScene:
+        """Build the snapshot of a simulated scene at one tick.
+
+        Args:
+            spec: The scene.
+            state: The state of the tick; it says where everything is.
+            library: Where the geometry comes from.
+
+        Raises:
+            ConfigError: When an entity names a model that the library does not have.
+        """
+        bodies = [table_body(spec)]
+        for entity in spec.entities:
+            model = library.entity_model(entity)
+            placed = state.entity(entity.name)
+            shapes = _posed_shapes(model, placed)
+            if shapes:
+                bodies.append(Body(name=entity.name, shapes=shapes, pose=placed.pose))
+        return PlanningScene(
+            robot_pose=spec.robot.pose,
+            gripper_opening=min(1.0, max(0.0, state.robot.gripper_opening)),
+            bodies=tuple(bodies),
+            joint_command=state.robot.joint_commands,
+            pose_tcp=state.robot.pose_tcp_measured,
+        )
+
+
+def table_body(spec: SceneSpec) -> Body:
+    """Return the table of a scene, its top at ``center``."""
+    x, y, z = spec.table.center
+    size = spec.table.size
+    return Body(
+        name=TABLE, shapes=(Shape(kind="box", size=size),), pose=Pose(position=(x, y, z - size[2] / 2.0))
+    )
+
+
+def box(name: str, size: Vec3, pose: Pose = IDENTITY) -> Body:
+    """Return a box-shaped body with extents ``size`` [m]."""
+    return Body(name=name, shapes=(Shape(kind="box", size=size),), pose=pose)
+
+
+def _posed_shapes(model: ObjectModel, state: EntityState) -> tuple[Shape | PointHull, ...]:
+    """Return the shapes of all links in the base link's frame, at the state's joint positions."""
+    positions = dict(zip(state.joint_names, state.joint_positions, strict=True))
+    return tuple(
+        replace(shape, pose=pose @ shape.pose)
+        for name, pose in _link_poses(model, positions).items()
+        for link in model.links
+        if link.name == name
+        for shape in link.collision
+    )
+
+
+def _link_poses(model: ObjectModel, positions: dict[str, float]) -> dict[str, Pose]:
+    poses = {model.links[0].name: IDENTITY}
+    waiting = list(model.joints)
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent in poses]
+        if not ready:
+            raise InvalidRequestError(
+                f"object '{model.id}': joints {[j.name for j in waiting]} hang on no link"
+            )
+        for joint in ready:
+            poses[joint.child] = (
+                poses[joint.parent] @ joint.pose @ _joint_motion(joint, positions.get(joint.name, 0.0))
+            )
+            waiting.remove(joint)
+    return poses
+
+
+def _joint_motion(joint: JointModel, position: float) -> Pose:
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    if joint.kind == "prismatic":
+        return Pose.from_arrays(axis * position)
+    return Pose.from_arrays((0.0, 0.0, 0.0), Rotation.from_rotvec(axis * position))

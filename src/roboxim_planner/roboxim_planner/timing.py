@@ -1,0 +1,324 @@
+"""Time laws: a path becomes a motion within velocity, acceleration and jerk limits.
+
+Straight joint lines run under a one-degree-of-freedom Ruckig profile; corners are blends whose velocity turns smoothly
+from one line's direction to the next, so that the motion leaves the lines only there (and can be checked for collisions
+there) and never exceeds a limit. Everything is one piecewise polynomial in time, evaluated in one call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from roboxim_core.errors import PlannerError
+from ruckig import InputParameter, Result, Ruckig, Trajectory
+from scipy.interpolate import PPoly
+
+Array = npt.NDArray[np.float64]
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionLimits:
+    """Limits of a motion, scaling applied."""
+
+    velocity: Array
+    """Of each arm joint, shape (dof,) [rad/s]."""
+    acceleration: Array
+    """[rad/s^2]."""
+    jerk: Array
+    """[rad/s^3]."""
+    tcp_speed: float = np.inf
+    """Of the tcp [m/s]."""
+    tcp_rot_speed: float = np.inf
+    """Of the tcp [rad/s]."""
+
+    @property
+    def limits_tcp(self) -> bool:
+        """Whether the tcp's speed is limited."""
+        return bool(np.isfinite(self.tcp_speed) or np.isfinite(self.tcp_rot_speed))
+
+
+class Motion(Protocol):
+    """A timed joint motion."""
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+
+    def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Return positions, velocities, accelerations, jerks at times of shape (N,); each of shape (N, dof)."""
+
+
+class PolynomialMotion:
+    """A motion that is a polynomial of time, piece by piece."""
+
+    def __init__(self, breaks: Array, coefficients: Array) -> None:
+        """Make the motion.
+
+        Args:
+            breaks: Times between pieces, from 0, shape (M + 1,) [s].
+            coefficients: Highest power first, shape (order + 1, M, dof).
+        """
+        position = PPoly(coefficients, breaks)
+        self._derivatives = [position, *(position.derivative(k) for k in (1, 2, 3))]
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self._derivatives[0].x[-1])
+
+    def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Return positions, velocities, accelerations, jerks."""
+        clipped = np.clip(times, 0.0, self.duration)
+        q, v, a, j = (np.asarray(d(clipped)) for d in self._derivatives)
+        return q, v, a, j
+
+
+class MotionSequence:
+    """Motions one after the other, at rest in between."""
+
+    def __init__(self, motions: list[Motion]) -> None:
+        """Join motions; there is at least one."""
+        self._motions = motions
+        self._starts = np.concatenate([[0.0], np.cumsum([m.duration for m in motions])])
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self._starts[-1])
+
+    def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Return positions, velocities, accelerations, jerks."""
+        which = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self._motions) - 1)
+        parts = [m.evaluate(times[which == i] - self._starts[i]) for i, m in enumerate(self._motions)]
+        q, v, a, j = (np.concatenate([part[k] for part in parts]) for k in range(4))
+        return q, v, a, j
+
+
+def still(joints: Array) -> PolynomialMotion:
+    """Return the motion that stays for a millisecond, for a goal that is the start."""
+    return PolynomialMotion(np.array([0.0, 1e-3]), joints[None, None, :].copy())
+
+
+def line_profile(
+    length: float, speed_in: float, speed_out: float, velocity: float, acceleration: float, jerk: float
+) -> tuple[Array, Array]:
+    """Return the time law of a line: durations (M,) [s] and cubic coefficients (4, M) of the distance run.
+
+    Acceleration is zero at both ends.
+
+    Args:
+        length: Length of the line.
+        speed_in: Speed at its start.
+        speed_out: Speed at its end.
+        velocity: Speed limit.
+        acceleration: Acceleration limit.
+        jerk: Jerk limit.
+
+    Raises:
+        PlannerError: When Ruckig finds no profile.
+    """
+    ruckig, request, result = Ruckig(1), InputParameter(1), Trajectory(1)
+    request.current_position, request.target_position = [0.0], [length]
+    request.current_velocity, request.target_velocity = [speed_in], [speed_out]
+    request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]
+    outcome = ruckig.calculate(request, result)
+    if outcome not in (Result.Working, Result.Finished):
+        raise PlannerError(
+            f"no time law for a line of {length:.4g} from {speed_in:.4g} to {speed_out:.4g}: {outcome}"
+        )
+    profile = result.profiles[0][0]
+    durations = np.array(profile.t)
+    kept = durations > 1e-12
+    coefficients = np.stack(
+        [
+            np.array(profile.j) / 6.0,
+            np.array(profile.a[:7]) / 2.0,
+            np.array(profile.v[:7]),
+            np.array(profile.p[:7]),
+        ]
+    )
+    return durations[kept], coefficients[:, kept]
+
+
+@dataclass(kw_only=True)
+class _Corner:
+    distance: float
+    speed: float = 0.0
+
+
+class TcpRates:
+    """How fast the tcp moves per unit of joint path, for limits of its speed."""
+
+    def __init__(self, jacobian: Callable[[Array], Array], limits: MotionLimits) -> None:
+        """Take the tcp's Jacobian and the limits."""
+        self._jacobian = jacobian
+        self._limits = limits
+
+    def speed_limit(self, points: Array, directions: Array) -> float:
+        """Return the largest path speed at which the tcp keeps its limits at points with directions (N, dof)."""
+        if not self._limits.limits_tcp:
+            return np.inf
+        limit = np.inf
+        for point, direction in zip(points, directions, strict=True):
+            rate = self._jacobian(point) @ direction
+            linear, angular = np.linalg.norm(rate[:3]), np.linalg.norm(rate[3:])
+            limit = min(
+                limit,
+                self._limits.tcp_speed / max(linear, 1e-12),
+                self._limits.tcp_rot_speed / max(angular, 1e-12),
+            )
+        return 0.995 * limit
+
+
+BLEND_SAMPLES = np.linspace(0.0, 1.0, 9)
+
+
+def blend_points(
+    before: Array, corner: Array, after: Array, distance: float, samples: Array = BLEND_SAMPLES
+) -> Array:
+    """Return points on a corner's blend, shape (N, dof).
+
+    Args:
+        before: Waypoint before the corner.
+        corner: The corner.
+        after: Waypoint after it.
+        distance: Where the blend leaves and joins the lines, as a distance from the corner [rad].
+        samples: Places along the blend, 0..1.
+    """
+    u, w = _direction(before, corner), _direction(corner, after)
+    start = corner - distance * u
+    ahead, turned = samples[:, None], (samples**3 - 0.5 * samples**4)[:, None]
+    return start + 2.0 * distance * (u * ahead + (w - u) * turned)
+
+
+def time_path(
+    path: Array, corners: Array, limits: MotionLimits, jacobian: Callable[[Array], Array]
+) -> PolynomialMotion:
+    """Give a polyline with blended corners its time law.
+
+    Args:
+        path: Waypoints, shape (N, dof), N >= 2, neighbours distinct.
+        corners: Distance of each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop there.
+        limits: Limits.
+        jacobian: The tcp's Jacobian at an arm configuration, for tcp speed limits.
+    """
+    deltas = np.diff(path, axis=0)
+    lengths = np.linalg.norm(deltas, axis=1)
+    directions = deltas / lengths[:, None]
+    rates = TcpRates(jacobian, limits)
+    ends = np.concatenate([[0.0], corners, [0.0]])
+    rest = np.maximum(lengths - ends[:-1] - ends[1:], 0.0)
+    caps = [_line_limits(path[i], path[i + 1], directions[i], limits, rates) for i in range(len(lengths))]
+    speeds = np.zeros(len(path))
+    for i, distance in enumerate(corners, start=1):
+        if distance > _SAME:
+            turn = _corner_speed(
+                path[i - 1 : i + 2], distance, directions[i - 1], directions[i], limits, rates
+            )
+            speeds[i] = min(turn, caps[i - 1][0], caps[i][0])
+    _make_reachable(speeds, rest, caps)
+    durations, pieces = [], []
+    for i in range(len(lengths)):
+        start = path[i] + ends[i] * directions[i]
+        if rest[i] > _SAME:
+            times, law = line_profile(rest[i], speeds[i], speeds[i + 1], *caps[i])
+            durations.append(times)
+            piece = np.zeros((5, len(times), path.shape[1]))
+            piece[1:] = law[:, :, None] * directions[i]
+            piece[4] += start
+            pieces.append(piece)
+        if i < len(corners) and corners[i] > _SAME:
+            time, piece = _blend_piece(
+                path[i + 1], corners[i], speeds[i + 1], directions[i], directions[i + 1]
+            )
+            durations.append(np.array([time]))
+            pieces.append(piece)
+    breaks = np.concatenate([[0.0], np.cumsum(np.concatenate(durations))])
+    return PolynomialMotion(breaks, np.concatenate(pieces, axis=1))
+
+
+def _direction(start: Array, end: Array) -> Array:
+    delta = end - start
+    return np.asarray(delta / np.linalg.norm(delta))
+
+
+def _line_limits(
+    start: Array, end: Array, direction: Array, limits: MotionLimits, rates: TcpRates
+) -> tuple[float, float, float]:
+    share = np.maximum(np.abs(direction), 1e-12)
+    places = np.linspace(0.0, 1.0, 17)[:, None]
+    velocity = min(
+        float((limits.velocity / share).min()),
+        rates.speed_limit(start + places * (end - start), np.broadcast_to(direction, (17, len(direction)))),
+    )
+    return velocity, float((limits.acceleration / share).min()), float((limits.jerk / share).min())
+
+
+def _corner_speed(
+    around: Array, distance: float, before: Array, after: Array, limits: MotionLimits, rates: TcpRates
+) -> float:
+    """Return the speed through a blend of duration 2 d / v whose velocity turns by the smoothstep 3 s^2 - 2 s^3.
+
+    Its acceleration peaks at 0.75 v^2 |turn| / d and its jerk at 1.5 v^3 |turn| / d^2.
+    """
+    turn = np.maximum(np.abs(after - before), 1e-12)
+    largest = np.maximum(np.maximum(np.abs(before), np.abs(after)), 1e-12)
+    s = BLEND_SAMPLES[:, None]
+    velocities = before + (after - before) * (3.0 * s**2 - 2.0 * s**3)
+    return min(
+        float((limits.velocity / largest).min()),
+        float(np.sqrt(limits.acceleration * distance / (0.75 * turn)).min()),
+        float(np.cbrt(limits.jerk * distance**2 / (1.5 * turn)).min()),
+        rates.speed_limit(blend_points(around[0], around[1], around[2], distance), velocities),
+    )
+
+
+def _blend_piece(
+    corner: Array, distance: float, speed: float, before: Array, after: Array
+) -> tuple[float, Array]:
+    time = 2.0 * distance / speed
+    turn = speed * (after - before)
+    piece = np.zeros((5, 1, len(corner)))
+    piece[0, 0] = -0.5 * turn / time**3
+    piece[1, 0] = turn / time**2
+    piece[3, 0] = speed * before
+    piece[4, 0] = corner - distance * before
+    return time, piece
+
+
+def _make_reachable(speeds: Array, rest: Array, caps: list[tuple[float, float, float]]) -> None:
+    """Lower corner speeds, in place, until every line is long enough for its change of speed."""
+    for i in range(len(rest)):
+        speeds[i + 1] = _reachable(speeds[i], speeds[i + 1], rest[i], caps[i])
+    for i in reversed(range(len(rest))):
+        speeds[i] = _reachable(speeds[i + 1], speeds[i], rest[i], caps[i])
+
+
+def _reachable(low: float, high: float, length: float, cap: tuple[float, float, float]) -> float:
+    """Return the largest speed up to ``high`` that a line of a length can change to from ``low``."""
+    if high <= low or _change_distance(low, high, cap) <= length:
+        return high
+    bottom, top = low, high
+    for _ in range(40):
+        middle = 0.5 * (bottom + top)
+        if _change_distance(low, middle, cap) <= 0.999 * length:
+            bottom = middle
+        else:
+            top = middle
+    return bottom
+
+
+def _change_distance(low: float, high: float, cap: tuple[float, float, float]) -> float:
+    _, acceleration, jerk = cap
+    change = high - low
+    time = (
+        2.0 * np.sqrt(change / jerk)
+        if change <= acceleration**2 / jerk
+        else change / acceleration + acceleration / jerk
+    )
+    return 0.5 * (low + high) * float(time)

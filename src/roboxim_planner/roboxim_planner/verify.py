@@ -1,0 +1,189 @@
+"""The last word on a motion: the timed trajectory is sampled densely and every promise is checked on the samples.
+
+Nothing here trusts how the motion was made: collisions are checked by coal on the exact convex geometry without padding,
+limits at a millisecond's spacing, the goal by forward kinematics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_planner.collision import CollisionWorld, ContactPair
+from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.timing import Motion, MotionLimits
+
+Array = npt.NDArray[np.float64]
+LIMIT_PERIOD_S = 1e-3
+MAX_JOINT_STEP_RAD = 0.01
+MAX_STEP_M = 0.01
+_SLACK = 1.0 + 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a check found; empty means valid."""
+
+    contacts: tuple[ContactPair, ...] = ()
+    """Pairs that touch at the first colliding place, deepest first."""
+    violations: tuple[str, ...] = ()
+    """Broken limits, as sentences."""
+    time_s: float = -1.0
+    """Time of the first collision [s]; negative: none."""
+    index: int = -1
+    """For a sampled trajectory: its first point at or after which something is wrong; -1: none."""
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing was found."""
+        return not self.contacts and not self.violations
+
+    def __str__(self) -> str:
+        """Say it for an error message."""
+        when = f" at {self.time_s:.3f} s" if self.time_s >= 0 else ""
+        return "; ".join([*(f"{contact}{when}" for contact in self.contacts), *self.violations]) or "valid"
+
+
+def verify_motion(
+    world: CollisionWorld | None,
+    robot: PlannerRobot,
+    motion: Motion,
+    limits: MotionLimits,
+    goal: Array | None = None,
+) -> Finding:
+    """Check a timed motion.
+
+    Args:
+        world: Robot and obstacles without padding; none: collisions are not checked.
+        robot: The robot.
+        motion: The motion.
+        limits: What it must keep within.
+        goal: Arm configuration that it must end at; none: not checked.
+    """
+    times = np.append(np.arange(0.0, motion.duration, LIMIT_PERIOD_S), motion.duration)
+    q, v, a, j = motion.evaluate(times)
+    violations = _limit_violations(robot, times, q, limits, velocities=v, accelerations=a, jerks=j)
+    if goal is not None and float(np.abs(q[-1] - goal).max()) > 1e-6:
+        violations += (f"the motion ends {np.abs(q[-1] - goal).max():.2g} rad from its goal",)
+    if float(np.abs(v[[0, -1]]).max()) > 1e-6:
+        violations += ("the motion does not start and end at rest",)
+    if world is None:
+        return Finding(violations=violations)
+    chosen = _spaced(q, robot.reach)
+    hit = world.first_collision(q[chosen])
+    if hit < 0:
+        return Finding(violations=violations)
+    return Finding(
+        contacts=world.contacts(q[chosen[hit]]), violations=violations, time_s=float(times[chosen[hit]])
+    )
+
+
+def verify_samples(
+    world: CollisionWorld,
+    limits: MotionLimits,
+    positions: Array,
+    times: Array | None = None,
+    velocities: Array | None = None,
+    accelerations: Array | None = None,
+) -> Finding:
+    """Check a joint path or sampled trajectory, straight lines between its points.
+
+    Args:
+        world: Robot and obstacles.
+        limits: What it must keep within.
+        positions: Arm configurations, shape (N, dof), N >= 1 [rad].
+        times: Times of the points, strictly increasing, shape (N,) [s]; none: a path without speed.
+        velocities: Velocities at the points, shape (N, dof) [rad/s]; none: those between points follow from the times.
+        accelerations: Accelerations at the points, shape (N, dof) [rad/s^2]; none: not checked.
+    """
+    robot = world.robot
+    if times is not None and velocities is None and len(positions) > 1:
+        velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
+        velocities = np.concatenate([velocities[:1], velocities])
+    violations = _limit_violations(
+        robot, times, positions, limits, velocities=velocities, accelerations=accelerations, jerks=None
+    )
+    inside = (positions >= robot.lower - 1e-6) & (positions <= robot.upper + 1e-6)
+    first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
+    for i in range(len(positions)):
+        piece = world.densify(positions[max(0, i - 1) : i + 1], MAX_STEP_M, MAX_JOINT_STEP_RAD)
+        hit = world.first_collision(piece[-1:] if i == 0 else piece[1:])
+        if hit >= 0:
+            contacts = world.contacts(piece[-1] if i == 0 else piece[1 + hit])
+            index = max(0, i - 1) if hit < len(piece) - 2 else i
+            return Finding(
+                contacts=contacts,
+                violations=violations,
+                time_s=-1.0 if times is None else float(times[i]),
+                index=index if first < 0 else min(first, index),
+            )
+    return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
+
+
+def _spaced(q: Array, reach: Array) -> Array:
+    """Choose samples so that no joint and no point of the arm moves too far between two of them."""
+    moved = np.abs(np.diff(q, axis=0))
+    travel = np.concatenate(
+        [[0.0], np.cumsum(np.maximum(moved.max(axis=1) / MAX_JOINT_STEP_RAD, moved @ reach / MAX_STEP_M))]
+    )
+    marks = np.arange(0.0, travel[-1], 0.9)
+    return np.unique(np.append(np.searchsorted(travel, marks), len(q) - 1))
+
+
+def _limit_violations(
+    robot: PlannerRobot,
+    times: Array | None,
+    positions: Array,
+    limits: MotionLimits,
+    *,
+    velocities: Array | None,
+    accelerations: Array | None,
+    jerks: Array | None,
+) -> tuple[str, ...]:
+    names = robot.description.joint_names
+    found = []
+    for i, name in enumerate(names):
+        low, high = float(positions[:, i].min()), float(positions[:, i].max())
+        if low < robot.lower[i] - 1e-6 or high > robot.upper[i] + 1e-6:
+            worst = low if robot.lower[i] - low > high - robot.upper[i] else high
+            found.append(
+                f"{name} reaches {worst:.4f} rad, outside [{robot.lower[i]:.4f}, {robot.upper[i]:.4f}]"
+            )
+    for what, unit, values, limit in (
+        ("velocity", "rad/s", velocities, limits.velocity),
+        ("acceleration", "rad/s^2", accelerations, limits.acceleration),
+        ("jerk", "rad/s^3", jerks, limits.jerk),
+    ):
+        if values is not None:
+            ratio = np.abs(values).max(axis=0) / limit
+            worst = int(np.argmax(ratio))
+            if ratio[worst] > _SLACK:
+                peak = np.abs(values[:, worst]).max()
+                found.append(
+                    f"{what} of {names[worst]} reaches {peak:.4g} {unit}, its limit is {limit[worst]:.4g}"
+                )
+    if limits.limits_tcp and velocities is not None:
+        found.extend(_tcp_violations(robot, positions, velocities, limits))
+    return tuple(found)
+
+
+def _tcp_violations(
+    robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits
+) -> list[str]:
+    every = max(1, len(positions) // 200)
+    rates = np.array(
+        [
+            robot.kinematics.jacobian(q) @ v
+            for q, v in zip(positions[::every], velocities[::every], strict=True)
+        ]
+    )
+    found = []
+    for what, unit, speeds, limit in (
+        ("speed", "m/s", np.linalg.norm(rates[:, :3], axis=1), limits.tcp_speed),
+        ("angular speed", "rad/s", np.linalg.norm(rates[:, 3:], axis=1), limits.tcp_rot_speed),
+    ):
+        if speeds.max() > limit * (_SLACK + 0.01):
+            found.append(f"{what} of the tcp reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")
+    return found
