@@ -1,0 +1,130 @@
+"""What may vary, as configuration: a list in order or at random, or a range (thesis 4.2.2).
+
+An ordered list is a function of the episode's index, so that any worker draws the same and a retried index stays in its
+cell. A range or a random list draws from the component's own generator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.poses import Array
+from roboxim_core.specs import Scalar
+
+ORDERS = ("random", "in_order")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A scalar: one of ``values``, or a number of the range ``lower`` to ``upper``."""
+
+    values: tuple[Scalar, ...] = ()
+    """What to choose from; empty: the range."""
+    lower: float | None = None
+    """Lower end of the range."""
+    upper: float | None = None
+    """Upper end of the range."""
+    order: str = "random"
+    """``random``, or ``in_order``: value ``index % len(values)``."""
+
+    def __post_init__(self) -> None:
+        """Check that there is either a list or a range.
+
+        Raises:
+            ConfigError: Saying which is wrong.
+        """
+        _check(bool(self.values), self.lower, self.upper, self.order)
+        if self.lower is not None and self.upper is not None and self.lower > self.upper:
+            raise ConfigError(f"lower must not be above upper, got {self.lower:g} and {self.upper:g}")
+
+    def draw(self, rng: np.random.Generator, index: int) -> Scalar:
+        """Draw a value.
+
+        Args:
+            rng: Generator of the component that asks.
+            index: Index of the episode.
+        """
+        if self.values:
+            return self.values[index % len(self.values) if self.order == "in_order" else int(rng.integers(len(self.values)))]
+        assert self.lower is not None and self.upper is not None
+        return float(rng.uniform(self.lower, self.upper))
+
+    def draw_number(self, rng: np.random.Generator, index: int) -> float:
+        """Draw a value that must be a number.
+
+        Raises:
+            ConfigError: When it is none.
+        """
+        value = self.draw(rng, index)
+        if isinstance(value, str | bool):
+            raise ConfigError(f"expected a number, got {value!r}")
+        return float(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VectorChoice:
+    """A vector: one of ``values``, or uniform in the box ``lower`` to ``upper``."""
+
+    values: tuple[tuple[float, ...], ...] = ()
+    """What to choose from; empty: the box."""
+    lower: tuple[float, ...] | None = None
+    """Lower corner of the box."""
+    upper: tuple[float, ...] | None = None
+    """Upper corner of the box."""
+    order: str = "random"
+    """``random``, or ``in_order``: value ``index % len(values)``."""
+
+    def __post_init__(self) -> None:
+        """Check that there is either a list or a box, all of one length.
+
+        Raises:
+            ConfigError: Saying which is wrong.
+        """
+        _check(bool(self.values), self.lower, self.upper, self.order)
+        vectors = self.values or (self.lower or (), self.upper or ())
+        if len({len(vector) for vector in vectors}) > 1:
+            raise ConfigError(f"vectors must have one length, got {[len(vector) for vector in vectors]}")
+        if self.lower is not None and self.upper is not None:
+            for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
+                if low > high:
+                    raise ConfigError(f"lower must not be above upper, got {low:g} and {high:g} on axis {axis}")
+
+    @property
+    def size(self) -> int:
+        """Length of the vectors."""
+        return len(self.values[0] if self.values else self.lower or ())
+
+    def require_size(self, size: int, name: str) -> None:
+        """Refuse vectors of another length.
+
+        Raises:
+            ConfigError: Naming the key.
+        """
+        if self.size != size:
+            raise ConfigError(f"{name} must be vectors of {size} numbers, got {self.size}")
+
+    def draw(self, rng: np.random.Generator, index: int) -> Array:
+        """Draw a vector of shape (size,).
+
+        Args:
+            rng: Generator of the component that asks.
+            index: Index of the episode.
+        """
+        if self.values:
+            row = index % len(self.values) if self.order == "in_order" else int(rng.integers(len(self.values)))
+            return np.array(self.values[row], dtype=float)
+        drawn: npt.NDArray[np.float64] = rng.uniform(self.lower, self.upper)  # type: ignore[arg-type]
+        return drawn
+
+
+def _check(listed: bool, lower: object, upper: object, order: str) -> None:
+    if listed == (lower is not None or upper is not None) or (lower is None) != (upper is None):
+        raise ConfigError("give either values (a list) or lower and upper (a range)")
+    if order not in ORDERS:
+        raise ConfigError(f"unknown order '{order}'; {one_of(ORDERS, order)}")
+    if order == "in_order" and not listed:
+        raise ConfigError("only values can come in_order; a range is drawn at random")

@@ -1,0 +1,106 @@
+"""What a reset component is (thesis 4.2.2), and what it works with.
+
+A component is a function of a scene, its configuration and its own random stream; the skill's resetter chains
+components. Adding one touches one new file here and one entry in a task's YAML.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.registry import Registry
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+
+if TYPE_CHECKING:
+    from roboxim_tasks.config import TaskConfig
+
+
+class RejectedError(Exception):
+    """A drawn scene breaks a constraint; the resetter draws the placement again."""
+
+    def __init__(self, constraint: str) -> None:
+        """Remember the constraint's name."""
+        super().__init__(constraint)
+        self.constraint = constraint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constraint:
+    """Something that a skill demands of a drawn scene."""
+
+    name: str
+    """Name for messages and statistics, e.g. ``target_reachable``."""
+    holds: Callable[[SceneSpec], bool]
+    """Whether a scene meets it."""
+
+
+@dataclass(kw_only=True)
+class ResetContext:
+    """One reset: where its randomness comes from, and what it counts."""
+
+    seed: SeedPath
+    """Address of the episode's randomness."""
+    config: TaskConfig
+    """Task configuration."""
+    task: TaskSpec
+    """The task to prepare."""
+    library: ModelLibrary
+    """Robots and objects."""
+    arm: ArmKinematics
+    """Kinematics of the scene's robot."""
+    draws: int = 0
+    """Placements drawn so far."""
+    rejections: Counter[str] = field(default_factory=Counter)
+    """Constraint to the number of placements that it refused."""
+    _streams: dict[str, np.random.Generator] = field(default_factory=dict)
+
+    def rng(self, component: str) -> np.random.Generator:
+        """Return a component's own stream; a second draw goes on where the first ended."""
+        if component not in self._streams:
+            self._streams[component] = self.seed.rng(component)
+        return self._streams[component]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoConfig:
+    """A component without configuration."""
+
+
+class ResetComponent(ABC):
+    """One property of a scene. Subclasses register under the name that task YAML uses."""
+
+    name: ClassVar[str] = ""
+    """Registered name, and the name of the random stream."""
+    Config: ClassVar[type] = NoConfig
+    """Frozen dataclass of its configuration; every field has a default."""
+    places: ClassVar[bool] = False
+    """Whether it places objects: then it is drawn again when a constraint refuses the scene."""
+
+    def __init__(self, config: Any) -> None:
+        """Keep the configuration, an instance of `Config`."""
+        self.config = config
+
+    @abstractmethod
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Return the scene with this component's property drawn.
+
+        Raises:
+            RejectedError: When the draw breaks a constraint of the component.
+        """
+
+
+COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")
+
+
+def register(cls: type[ResetComponent]) -> type[ResetComponent]:
+    """Register a component under its ``name``."""
+    return COMPONENTS.register(cls.name)(cls)

@@ -1,0 +1,74 @@
+"""Reset component ``robot``: joint positions, or the end effector in a volume (thesis 4.2.2, figure 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.poses import Pose
+from roboxim_core.specs import SceneSpec
+from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+
+LIMIT_MARGIN_RAD = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotResetConfig:
+    """Where the arm starts."""
+
+    position: VectorChoice = VectorChoice(lower=(0.41, -0.06, 0.26), upper=(0.53, 0.06, 0.38))
+    """Position of the tool centre point in the robot's base [m]."""
+    yaw_rad: Choice = Choice(lower=0.0, upper=0.0)
+    """Rotation of the tool, which points down, about the vertical; 0: it opens along y [rad]."""
+    joints: VectorChoice | None = None
+    """Arm joint positions, instead of a position and yaw [rad]."""
+    gripper_opening: Choice = Choice(values=(1.0,))
+    """1 = open, 0 = closed."""
+
+    def __post_init__(self) -> None:
+        """Check the vectors' length.
+
+        Raises:
+            ConfigError: When positions are not three numbers.
+        """
+        self.position.require_size(3, "position")
+
+
+@register
+class RobotReset(ResetComponent):
+    """Starts the arm at drawn joints, or with the tool pointing down somewhere in a volume."""
+
+    name = "robot"
+    Config = RobotResetConfig
+
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Draw until the arm reaches the pose.
+
+        Raises:
+            RejectedError: When no draw is reachable.
+            ConfigError: When configured joints do not fit the arm.
+        """
+        rng, index, arm = context.rng(self.name), context.seed.index, context.arm
+        opening = self.config.gripper_opening.draw_number(rng, index)
+        if self.config.joints is not None:
+            self.config.joints.require_size(len(arm.lower), "reset.robot.joints")
+            joints = self.config.joints.draw(rng, index)
+            if not arm.within_limits(joints):
+                raise ConfigError(f"reset.robot.joints {joints.tolist()} are beyond the limits of '{arm.model.id}'")
+            return _with_joints(scene, joints.tolist(), opening)
+        for _ in range(context.config.max_draws):
+            position = self.config.position.draw(rng, index)
+            yaw = self.config.yaw_rad.draw_number(rng, index)
+            rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", 180, degrees=True)
+            found = arm.ik_near(Pose.from_arrays(position, rotation), arm.model.home)
+            if found.converged and arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
+                return _with_joints(scene, found.joints.tolist(), opening)
+        raise RejectedError("robot_start_reachable")
+
+
+def _with_joints(scene: SceneSpec, joints: list[float], opening: float) -> SceneSpec:
+    robot = replace(scene.robot, joint_positions=tuple(joints), gripper_opening=opening)
+    return replace(scene, robot=robot)

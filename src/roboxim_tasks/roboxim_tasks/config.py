@@ -1,0 +1,153 @@
+"""Task configuration: which tasks are drawn and how their scenes are reset.
+
+Skills and reset components bring configurations of their own (``parameters``, ``reset``); they are checked here, against
+the class that the named skill or component declares, so that a wrong key is refused with its line before anything runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from roboxim_core.config import from_plain, load_yaml, named_config, parse_yaml
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_tasks.choices import Choice
+from roboxim_tasks.components import COMPONENTS
+from roboxim_tasks.skills import SKILLS
+
+DEFAULT_TASK = "pick_cube"
+MAX_DISTRACTORS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig:
+    """Which objects may fill a role."""
+
+    models: Choice = Choice(values=("cube",))
+    """Ids of object models."""
+    modifiers: dict[str, Choice] = field(default_factory=dict)
+    """Modifier name to its values, e.g. ``color`` or ``scale``; those left out take the model's default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistractorConfig:
+    """Objects that the task is not about; none of them fits the description of an object of the task."""
+
+    minimum: int = 0
+    """Fewest distractors."""
+    maximum: int = 0
+    """Most distractors."""
+    models: Choice = Choice(values=("cube",))
+    """Ids of object models."""
+    modifiers: dict[str, Choice] = field(default_factory=dict)
+    """Modifier name to its values."""
+
+    def __post_init__(self) -> None:
+        """Check the range.
+
+        Raises:
+            ConfigError: When it is empty or too large.
+        """
+        if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:
+            raise ConfigError(
+                f"needs 0 <= minimum <= maximum <= {MAX_DISTRACTORS} distractors, got {self.minimum} and {self.maximum}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """A YAML file of ``config/tasks``."""
+
+    skill: str = "pick_up"
+    """Registered skill."""
+    parameters: Any = None
+    """The skill's own parameters and thresholds."""
+    templates: Choice | None = None
+    """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
+    objects: dict[str, ObjectConfig] = field(default_factory=dict)
+    """Role of the skill to the objects that may fill it."""
+    distractors: DistractorConfig = DistractorConfig()
+    """Further objects."""
+    scene: str = "tabletop"
+    """Name of a scene in ``config/scenes``."""
+    reset: dict[str, Any] = field(default_factory=dict)
+    """Reset component to its configuration; the skill's own components need not be named."""
+    rate_hz: float = 10.0
+    """Control rate [Hz]."""
+    max_steps: int = 0
+    """Actions after which an episode has failed; 0: the skill's."""
+    max_draws: int = 100
+    """Draws of a placement after which the reset is infeasible."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On an unknown skill or role, or a number out of range.
+        """
+        skill = SKILLS[self.skill]
+        for role in self.objects:
+            if role not in skill.roles:
+                raise ConfigError(f"skill '{self.skill}' has no role '{role}'; {one_of(skill.roles, role)}")
+        if self.rate_hz <= 0 or self.max_steps < 0 or self.max_draws < 1:
+            raise ConfigError("needs rate_hz > 0, max_steps >= 0 and max_draws >= 1")
+
+
+def task_config(data: Any, *, source: str = "task configuration") -> TaskConfig:
+    """Build a task configuration from plain data, complete with the defaults of its skill and components.
+
+    Args:
+        data: As `roboxim_core.config.parse_yaml` or `to_plain` gives; none: all defaults.
+        source: What the data is, for messages.
+
+    Raises:
+        ConfigError: Listing every wrong key with its path, line and what is allowed.
+    """
+    if data is None:
+        data = {}
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{source} is not valid: expected a mapping of keys, got {type(data).__name__}")
+    config = from_plain(data, TaskConfig, source=source)
+    skill = SKILLS[config.skill]
+    parameters = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
+    given = _section(data, "reset")
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{source}: reset: expected component: {{...}}, got {given!r}")
+    reset = {}
+    for name in dict.fromkeys((*skill.components, *given)):
+        section = _section(given, name)
+        reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
+    objects = {role: config.objects.get(role, ObjectConfig()) for role in skill.roles}
+    return replace(
+        config,
+        parameters=parameters,
+        reset=reset,
+        objects=objects,
+        templates=config.templates or Choice(values=skill.templates),
+        max_steps=config.max_steps or skill.max_steps,
+    )
+
+
+def _section(data: Mapping[str, Any], key: str) -> Any:
+    value = data.get(key)
+    return {} if value is None else value
+
+
+def load_task_config(name: str = DEFAULT_TASK) -> TaskConfig:
+    """Load ``config/tasks/<name>.yaml``, or a path to a YAML file.
+
+    Raises:
+        ConfigError: When there is no such file or it is wrong.
+    """
+    path = named_config("tasks", name)
+    return task_config(load_yaml(path), source=str(path))
+
+
+def parse_task_config(text: str) -> TaskConfig:
+    """Parse a task configuration given as YAML text (what a service request carries).
+
+    Raises:
+        ConfigError: When it is wrong.
+    """
+    return task_config(parse_yaml(text, source="task configuration"))

@@ -1,0 +1,92 @@
+"""Draws episodes: a task from the generators, a scene from the reset components (thesis 4.2.1, 4.2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from roboxim_core.config import load_config, named_config, to_json
+from roboxim_core.episode import Draw
+from roboxim_core.errors import ErrorCode, TaskError
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
+from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.generators import GenerationContext
+from roboxim_tasks.skills import SKILLS
+
+
+class EpisodeGenerator:
+    """Draws tasks and scenes; same seed path and configuration, same episode. Not thread-safe (kinematics)."""
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Make a generator over a library of models."""
+        self._library = library
+        self._arms: dict[str, ArmKinematics] = {}
+
+    def draw(self, seed: SeedPath, config: TaskConfig) -> Draw:
+        """Draw the episode of a seed path.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
+            ConfigError: When the configuration names what does not exist.
+        """
+        skill = SKILLS[config.skill]
+        task = skill.generate(GenerationContext(seed=seed, config=config, library=self._library))
+        scene = self.reset(seed, config, task)
+        return Draw(task=task, scene=scene, max_steps=config.max_steps, config_json=to_json(config))
+
+    def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec) -> SceneSpec:
+        """Draw the scene of a task.
+
+        Components that place objects are drawn again until every constraint of the skill holds; the others once, so
+        that what they draw does not depend on how often a placement was refused.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
+            ConfigError: When the configuration names what does not exist.
+        """
+        base = load_config(named_config("scenes", config.scene), SceneSpec)
+        context = ResetContext(
+            seed=seed, config=config, task=task, library=self._library, arm=self._arm(base.robot.model)
+        )
+        constraints = SKILLS[config.skill].constraints(context)
+        components = [COMPONENTS[name](section) for name, section in config.reset.items()]
+        scene = replace(base, control_rate_hz=config.rate_hz)
+        try:
+            scene = _apply(scene, [c for c in components if not c.places], context)
+        except RejectedError as error:
+            raise _infeasible(context, error.constraint, config.max_draws) from None
+        while context.draws < config.max_draws:
+            context.draws += 1
+            try:
+                drawn = _apply(scene, [c for c in components if c.places], context)
+                for constraint in constraints:
+                    if not constraint.holds(drawn):
+                        raise RejectedError(constraint.name)
+                return drawn
+            except RejectedError as error:
+                context.rejections[error.constraint] += 1
+        (worst, _), *_ = context.rejections.most_common(1)
+        raise _infeasible(context, worst, context.draws)
+
+    def _arm(self, model: str) -> ArmKinematics:
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        return self._arms[model]
+
+
+def _apply(scene: SceneSpec, components: list[ResetComponent], context: ResetContext) -> SceneSpec:
+    for component in components:
+        scene = component.reset(scene, context)
+    return scene
+
+
+def _infeasible(context: ResetContext, constraint: str, draws: int) -> TaskError:
+    counted = ", ".join(f"{name} {count}" for name, count in context.rejections.most_common())
+    return TaskError(
+        f"no scene for '{context.task.instruction}' in {draws} draws: constraint {constraint} refused most"
+        f"{f' ({counted})' if counted else ''}; widen the area or volume it depends on, or ask for fewer objects",
+        ErrorCode.RESET_INFEASIBLE,
+    )

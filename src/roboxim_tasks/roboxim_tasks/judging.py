@@ -1,0 +1,82 @@
+"""The judge: a pure fold of state records into verdicts, the same code tick by tick and over a bag."""
+
+from __future__ import annotations
+
+from roboxim_core.errors import ErrorCode, TaskError
+from roboxim_core.specs import TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import Verdict
+from roboxim_tasks.skills import SKILLS
+
+
+class Judge:
+    """Judges one episode.
+
+    Non-obvious: ``success`` at a tick means that the task has been solved without a break for the evaluator's
+    ``hold_s``; it is lost again when the object slips. A failure (the target fell off the table) is final.
+    """
+
+    def __init__(self, task: TaskSpec) -> None:
+        """Prepare to judge a task.
+
+        Raises:
+            TaskError: With code ``UNKNOWN_SKILL`` when the task's skill is not registered.
+        """
+        if task.skill not in SKILLS:
+            raise TaskError(f"unknown skill '{task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.UNKNOWN_SKILL)
+        self.task = task
+        self._skill = SKILLS[task.skill]
+        self._verdict = Verdict()
+        self._state: StateRecord | None = None
+        self._solved_since_ns: int | None = None
+
+    def start(self, state: StateRecord) -> Verdict:
+        """Judge tick 0.
+
+        Raises:
+            TaskError: When it is another tick, or the scene lacks an object of the task.
+        """
+        if state.seq != 0:
+            raise TaskError(f"episode {state.episode_id}: judging starts with tick 0, got tick {state.seq}")
+        present = {entity.name for entity in state.entities}
+        missing = sorted(thing.entity for thing in self.task.objects.values() if thing.entity not in present)
+        if missing:
+            raise TaskError(f"episode {state.episode_id}: the scene lacks {missing} of the task; it has {sorted(present)}")
+        self._verdict, self._solved_since_ns = Verdict(), None
+        self._evaluator = self._skill.evaluator(self.task, state)
+        return self._fold(state)
+
+    def step(self, state: StateRecord) -> Verdict:
+        """Judge the next tick.
+
+        Raises:
+            TaskError: When it is not the next tick of the episode that was started.
+        """
+        last = self._state
+        if last is None or state.seq != last.seq + 1 or state.episode_id != last.episode_id:
+            expected = f"tick {last.seq + 1} of {last.episode_id}" if last else "tick 0"
+            raise TaskError(
+                f"judging needs every tick in order: expected {expected}, got tick {state.seq} of {state.episode_id}",
+                ErrorCode.UNKNOWN_EPISODE if last is None else ErrorCode.TASK_FAULT,
+            )
+        return self._fold(state)
+
+    def _fold(self, state: StateRecord) -> Verdict:
+        self._state = state
+        assessment = self._evaluator.assess(state)
+        failed = self._verdict.failed or assessment.failed
+        reason = self._verdict.reason if self._verdict.failed else assessment.reason
+        if not assessment.solved or failed:
+            self._solved_since_ns = None
+        elif self._solved_since_ns is None:
+            self._solved_since_ns = state.stamp_ns
+        held_s = 0.0 if self._solved_since_ns is None else (state.stamp_ns - self._solved_since_ns) / 1e9
+        success = self._solved_since_ns is not None and held_s >= self._evaluator.hold_s - 1e-9
+        self._verdict = Verdict(
+            success=success,
+            success_ever=success or self._verdict.success_ever,
+            failed=failed,
+            reason="" if success else reason or "not_held",
+            predicates=assessment.predicates | {"held_s": held_s},
+        )
+        return self._verdict

@@ -1,0 +1,116 @@
+"""How a skill tells the expert what to do: stages of motion in the scene at hand, and grasps to choose from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.models.description import ObjectModel, RobotModel
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose, distance
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+
+GRIPPER = "gripper"
+TABLE = "table"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One leg of a motion: go somewhere, or stay while the gripper moves. Poses are in the robot's base frame."""
+
+    name: str
+    """Word for messages, e.g. ``descend``."""
+    pose: Pose | None = None
+    """Where the tool centre point goes, in a straight line; none: it stays."""
+    opening: float = 1.0
+    """Commanded opening, 1 = open, 0 = closed."""
+    free: bool = False
+    """Whether the way does not matter: then it leaves the straight line to avoid obstacles, and noise may be injected."""
+    speed: float = 1.0
+    """Fraction of the largest speed of the tool centre point."""
+    duration_s: float = 0.0
+    """How long to stay, when there is no pose [s]."""
+    touching: tuple[tuple[str, str], ...] = ()
+    """Pairs of bodies that may touch: entities, ``table``, ``gripper``."""
+    held: str = ""
+    """Entity in the gripper; empty: none."""
+    held_in_tcp: Pose = Pose()
+    """Pose of the held entity in the tool centre point's frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpertScene:
+    """What an executor knows: it is privileged."""
+
+    task: TaskSpec
+    """The task."""
+    scene: SceneSpec
+    """The scene."""
+    state: StateRecord
+    """Where everything is now."""
+    library: ModelLibrary
+    """Robots and objects."""
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot."""
+        return self.library.robot(self.scene.robot.model)
+
+    @property
+    def pose_tcp(self) -> Pose:
+        """Commanded pose of the tool centre point in the base."""
+        return self.in_base(self.state.robot.pose_tcp_commanded)
+
+    def in_base(self, pose_in_world: Pose) -> Pose:
+        """Return a pose of the world in the robot's base."""
+        return self.scene.robot.pose.inverse() @ pose_in_world
+
+    def pose_of(self, entity: str) -> Pose:
+        """Return the pose of an entity in the base."""
+        return self.in_base(self.state.entity(entity).pose)
+
+    def model_of(self, entity: str) -> ObjectModel:
+        """Return the model of an entity."""
+        return self.library.entity_model(self.scene.entity(entity))
+
+
+def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[Pose]:
+    """Return all poses of the tool centre point that grasp an object, nearest first.
+
+    A grasp repeats with its own symmetry about the object's vertical axis, and when the gripper turns by 180 degrees.
+
+    Args:
+        model: The object.
+        pose_object: Its pose.
+        pose_tcp: The tool centre point now, in the same frame; grasps are ordered by the rotation from it.
+    """
+    found = [pose_object @ pose for pose in _symmetric_grasps(model)]
+    return sorted(found, key=lambda pose: (round(distance(pose_tcp, pose)[1], 3), pose.position))
+
+
+def _symmetric_grasps(model: ObjectModel) -> Iterator[Pose]:
+    for grasp in model.grasps:
+        seen: list[Pose] = []
+        count = round(2 * math.pi / grasp.yaw_symmetry_rad) if grasp.yaw_symmetry_rad else 1
+        for turn in range(count):
+            about_z = Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", turn * 2 * math.pi / count))
+            for flip in (0.0, math.pi):
+                pose = about_z @ grasp.pose @ Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", flip))
+                if all(distance(pose, other)[1] > 1e-3 or distance(pose, other)[0] > 1e-4 for other in seen):
+                    seen.append(pose)
+        yield from seen
+
+
+def shifted(pose: Pose, z_m: float) -> Pose:
+    """Return a pose moved up in its parent frame."""
+    x, y, z = pose.position
+    return Pose(position=(x, y, z + z_m), quat_xyzw=pose.quat_xyzw)
+
+
+def retreated(pose: Pose, distance_m: float) -> Pose:
+    """Return a tool pose moved back along the tool's own axis, away from what it points at."""
+    return pose @ Pose(position=(0.0, 0.0, -distance_m))

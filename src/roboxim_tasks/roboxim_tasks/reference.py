@@ -1,0 +1,135 @@
+"""From stages to a reference: one commanded pose per tick.
+
+A leg runs at constant speed; a moving average over the ticks of adjoining legs then bounds the acceleration, rounds the
+corner between them and leaves no pause. The average of a path that ends at rest ends exactly at its last pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.poses import Array, Pose
+from roboxim_tasks.motion import Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedConfig:
+    """How fast the expert moves."""
+
+    max_tcp_speed_m_s: float = 0.25
+    """Largest speed of the tool centre point [m/s]."""
+    max_tcp_rot_speed_rad_s: float = 0.9
+    """Largest angular speed of the tool [rad/s]."""
+    smoothing_s: float = 0.4
+    """Time in which a leg reaches its speed [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ValueError: When a speed is not positive.
+        """
+        if min(self.max_tcp_speed_m_s, self.max_tcp_rot_speed_rad_s) <= 0 or self.smoothing_s < 0:
+            raise ValueError(f"speeds must be > 0 and smoothing_s >= 0, got {self}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferencePoint:
+    """What to command at one tick."""
+
+    pose: Pose
+    """Pose of the tool centre point in the base."""
+    opening: float
+    """1 = open, 0 = closed."""
+    stage: int
+    """Index of the stage that it belongs to."""
+    phase: str
+    """``free`` where noise may be injected, else ``fine``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """A stage with the way it takes."""
+
+    stage: Stage
+    """The stage."""
+    via: tuple[Pose, ...] = ()
+    """Poses to pass before the stage's own, when the straight line is blocked."""
+
+
+def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> list[ReferencePoint]:
+    """Sample legs as one commanded pose per tick.
+
+    Args:
+        start: Commanded pose now, in the base.
+        legs: The legs, in order.
+        config: Speeds.
+        rate_hz: Control rate [Hz].
+
+    Returns:
+        The poses of tick 1 on; the last one is the last leg's pose.
+    """
+    points: list[ReferencePoint] = []
+    here, first = start, 0
+    while first < len(legs):
+        last = first
+        if legs[first].stage.pose is not None:
+            while last + 1 < len(legs) and legs[last + 1].stage.pose is not None:
+                last += 1
+        poses, stages = _moves(here, legs[first : last + 1], config, rate_hz)
+        for pose, offset in zip(poses, stages, strict=True):
+            stage = legs[first + offset].stage
+            points.append(
+                ReferencePoint(
+                    pose=pose, opening=stage.opening, stage=first + offset, phase="free" if stage.free else "fine"
+                )
+            )
+        here = poses[-1] if poses else here
+        first = last + 1
+    return points
+
+
+def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> tuple[list[Pose], list[int]]:
+    """Sample adjoining legs that all move, or one that stays; return a pose and a leg's index per tick."""
+    if legs[0].stage.pose is None:
+        ticks = round(legs[0].stage.duration_s * rate_hz)
+        return [start] * ticks, [0] * ticks
+    knots, times, owners = [start], [0.0], [0]
+    for index, leg in enumerate(legs):
+        assert leg.stage.pose is not None
+        for pose in (*leg.via, leg.stage.pose):
+            times.append(times[-1] + _duration(knots[-1], pose, config) / leg.stage.speed)
+            knots.append(pose)
+            owners.append(index)
+    coordinates, anchor = _coordinates(knots)
+    count = max(1, int(np.ceil(times[-1] * rate_hz - 1e-6)))
+    ticks = np.minimum(np.arange(1, count + 1) / rate_hz, times[-1])
+    raw = np.stack([np.interp(ticks, times, column) for column in coordinates.T], axis=1)
+    width = max(1, round(config.smoothing_s * rate_hz))
+    padded = np.concatenate([np.repeat(coordinates[:1], width - 1, 0), raw, np.repeat(coordinates[-1:], width - 1, 0)])
+    smooth = np.stack([np.convolve(column, np.full(width, 1.0 / width), "valid") for column in padded.T], axis=1)
+    smooth[-1] = coordinates[-1]
+    owner_of = np.searchsorted(np.array(times), np.append(ticks, [times[-1]] * (width - 1)) - 1e-9)
+    poses = [Pose.from_arrays(row[:3], Rotation.from_rotvec(row[3:]) * anchor) for row in smooth]
+    return poses, [owners[min(int(i), len(owners) - 1)] for i in owner_of]
+
+
+def _duration(begin: Pose, end: Pose, config: SpeedConfig) -> float:
+    translation = float(np.linalg.norm(np.subtract(end.position, begin.position)))
+    angle = float((end.rotation * begin.rotation.inv()).magnitude())
+    return max(translation / config.max_tcp_speed_m_s, angle / config.max_tcp_rot_speed_rad_s, 1e-6)
+
+
+def _coordinates(poses: Sequence[Pose]) -> tuple[Array, Rotation]:
+    """Return positions with rotation vectors relative to the last pose, shape (n, 6), and the last pose's rotation.
+
+    The shortest arc to the last pose is a straight line in these coordinates.
+    """
+    anchor = poses[-1].rotation
+    positions = np.array([pose.position for pose in poses])
+    vectors = np.array([(pose.rotation * anchor.inv()).as_rotvec() for pose in poses])
+    return np.hstack([positions, vectors]), anchor
