@@ -11,11 +11,12 @@ def _profile(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATIL
     )
 
 
-STATE = _profile(10)
-"""State and events of the running graph: clock, joint states, tf, ticks."""
+STATE = _profile(10, DurabilityPolicy.TRANSIENT_LOCAL)
+"""State and events of the running graph: clock, joint states, tf, ticks. Transient local: a publisher that has not yet
+discovered a subscriber still serves it, so a recorder that opens just before tick 0 gets tick 0."""
 SENSOR = _profile(5, DurabilityPolicy.TRANSIENT_LOCAL)
 """Sensor streams. Transient local: who subscribes during tick 0 still gets tick 0."""
-RECORDING = _profile(200)
-"""What a recorder subscribes with: deep enough for a slow disk, volatile so that nothing old comes in."""
+RECORDING = _profile(200, DurabilityPolicy.TRANSIENT_LOCAL)
+"""What a recorder subscribes with: deep enough for a slow disk; it tells old messages by their source's time."""
 LATCHED = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """The newest value for whoever comes late: scene, episode info."""
