@@ -20,9 +20,9 @@ from roboxim_tasks.motion import Stage
 class SpeedConfig:
     """How fast the expert moves."""
 
-    max_tcp_speed_m_s: float = 0.25
+    max_tcp_speed_m_s: float = 0.2
     """Largest speed of the tool centre point [m/s]."""
-    max_tcp_rot_speed_rad_s: float = 0.9
+    max_tcp_rot_speed_rad_s: float = 0.8
     """Largest angular speed of the tool [rad/s]."""
     smoothing_s: float = 0.4
     """Time in which a leg reaches its speed [s]."""

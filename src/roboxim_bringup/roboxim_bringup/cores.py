@@ -1,0 +1,42 @@
+"""The rooms' cores plugged into each other without a node graph, for tests and benchmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Array, Pose
+from roboxim_planner.pipeline import MotionOptions, Planner
+from roboxim_planner.scene import AllowedContact, PlanningScene
+from roboxim_tasks.planning import Surroundings
+
+SAMPLE_PERIOD_S = 0.02
+
+
+class CorePlanner:
+    """The expert's planner port, served by the planner's core. Not thread-safe."""
+
+    def __init__(self, library: ModelLibrary, robot: str = "panda") -> None:
+        """Load a robot."""
+        self._library = library
+        self._planner = Planner(library.robot(robot))
+
+    def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
+        """Return a collision-free joint path to a pose; see `roboxim_tasks.planning.PlannerPort`."""
+        plan = self._planner.plan_to_pose(self._scene(around), joints, [pose_tcp_in_world], MotionOptions(seed=seed))
+        return plan.sample(SAMPLE_PERIOD_S).positions
+
+    def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
+        """Return what is wrong with a joint path, or an empty text."""
+        finding = self._planner.check_trajectory(self._scene(around), path, np.arange(len(path)) * period_s)
+        return "" if finding.valid else str(finding)
+
+    def _scene(self, around: Surroundings) -> PlanningScene:
+        scene = PlanningScene.from_state(around.scene, around.state, self._library)
+        if around.held:
+            pose = next(body.pose for body in scene.bodies if body.name == around.held)
+            scene = scene.attach(around.held, pose @ around.held_in_tcp.inverse())
+        allowed = tuple(AllowedContact(body_a=a, body_b=b) for a, b in around.touching)
+        return replace(scene, gripper_opening=around.opening, allowed=allowed)
