@@ -62,6 +62,8 @@ class World:
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
         self._episode_id = ""
+        self._moving = False
+        self._loads = 0
 
     def __enter__(self) -> World:
         """Return itself."""
@@ -121,6 +123,34 @@ class World:
         """
         return self.library.robot(self.scene.robot.model)
 
+    @property
+    def first_scene(self) -> SceneSpec:
+        """The scene as it was loaded.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        _ = self.scene
+        assert self._tick0_scene is not None
+        return self._tick0_scene
+
+    @property
+    def steps_per_tick(self) -> int:
+        """Physics steps of a control period.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        return round(self.scene.physics_rate_hz / self.scene.control_rate_hz)
+
+    def require_entity(self, name: str) -> None:
+        """Refuse a name that is not in the scene.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``, listing the names.
+        """
+        self._object(name)
+
     def body_poses(self) -> dict[str, Pose]:
         """Return the pose of every moving body in the world, by the keys of `render_world`."""
         return self._poses().body_poses(self._record)
@@ -169,6 +199,8 @@ class World:
             semantics=ActionSemantics(rate_hz=scene.control_rate_hz),
         )
         self._command = self._controller.start(joints, scene.robot.gripper_opening)
+        self._moving = False
+        self._loads += 1
         self._steps_per_tick = round(scene.physics_rate_hz / scene.control_rate_hz)
         self._step_ns = 1e9 / scene.physics_rate_hz
         self._scene = self._tick0_scene = scene
@@ -215,6 +247,8 @@ class World:
             InvalidRequestError: With code ``INVALID_ACTION``. The world has not moved in any of these cases.
         """
         _ = self.scene
+        if self._moving:
+            raise SimError("a trajectory or gripper motion is being executed; cancel it first", ErrorCode.LEASE_HELD)
         if episode_id is not None and episode_id != self._episode_id:
             holder = f"episode '{self._episode_id}' holds" if self._episode_id else "no episode holds"
             raise SimError(f"{holder} the sim, not '{episode_id}'; load a scene for it first", ErrorCode.LEASE_HELD)
@@ -249,7 +283,7 @@ class World:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
             InvalidRequestError: On a number below 1.
         """
-        self._require_free("step")
+        self.require_free("step")
         if steps < 1:
             raise InvalidRequestError(f"steps must be >= 1, got {steps}")
         return self._free_motion(steps)
@@ -275,9 +309,9 @@ class World:
             InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
                 positions beyond the limits, or jumps that no motor can follow.
         """
-        self._require_free("follow a trajectory")
+        self.require_free("follow a trajectory")
         times, points, speeds = self._checked_trajectory(times_s, positions, velocities)
-        return self._follow(times, points, speeds)
+        return self._exclusive(self._follow(times, points, speeds))
 
     def move_gripper(self, opening: float, force_n: float | None = None, timeout_s: float = 3.0) -> Iterator[StateRecord]:
         """Move the gripper until it arrives or stalls; advances time.
@@ -294,10 +328,10 @@ class World:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
             InvalidRequestError: When the opening is not within 0..1.
         """
-        self._require_free("move the gripper")
+        self.require_free("move the gripper")
         if not 0.0 <= opening <= 1.0:
             raise InvalidRequestError(f"the gripper's opening must be from 0 (closed) to 1 (open), got {opening}")
-        return self._move_gripper(opening, force_n, timeout_s)
+        return self._exclusive(self._move_gripper(opening, force_n, timeout_s))
 
     # ---------------------------------------------------------------- interference
 
@@ -450,12 +484,31 @@ class World:
             state_hash=hash_state(joints, self._command, entities, [speeds for _, speeds in read]),
         )
 
-    def _require_free(self, what: str) -> None:
+    def require_free(self, what: str) -> None:
+        """Refuse what only a world that nobody holds allows.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
+        """
         _ = self.scene
         if self._episode_id:
             raise SimError(
                 f"cannot {what}: episode '{self._episode_id}' holds the sim; release it first", ErrorCode.LEASE_HELD
             )
+        if self._moving:
+            raise SimError(f"cannot {what}: another motion is being executed; cancel it first", ErrorCode.LEASE_HELD)
+
+    def _exclusive(self, motion: Iterator[StateRecord]) -> Iterator[StateRecord]:
+        """Pass a motion's states on while nothing else may move; end it when the scene is replaced."""
+        loads, self._moving = self._loads, True
+        try:
+            for record in motion:
+                yield record
+                if self._loads != loads:
+                    raise SimError("the scene was replaced during the motion", ErrorCode.CANCELLED)
+        finally:
+            if self._loads == loads:
+                self._moving = False
 
     def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
         self._disturbed = True

@@ -141,6 +141,12 @@ def robot_parts(robot_id: str, urdf: Path) -> dict[str, tuple[VisualPart, ...]]:
     return parts
 
 
+@lru_cache(maxsize=16)
+def _drawn_links(urdf: Path) -> frozenset[str]:
+    links = ElementTree.parse(urdf).getroot().iter("link")
+    return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)
+
+
 def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
     """Return everything that is drawn in a scene: the room, the table, the robot, the entities.
 
@@ -194,7 +200,8 @@ class ScenePoses:
 
     def body_poses(self, record: StateRecord) -> dict[str, Pose]:
         """Return the pose of every moving body of `render_world` in the world, by key."""
-        poses = {f"robot/{link}": pose for link, pose in self.link_poses(record.robot).items()}
+        drawn = _drawn_links(self._arm.model.urdf)
+        poses = {f"robot/{link}": pose for link, pose in self.link_poses(record.robot).items() if link in drawn}
         for entity in record.entities:
             if entity.name in self._models:
                 joints = dict(zip(entity.joint_names, entity.joint_positions, strict=True))

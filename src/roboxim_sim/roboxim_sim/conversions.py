@@ -1,0 +1,106 @@
+"""The world's values as ROS messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import CameraInfo, JointState
+from simulation_interfaces.msg import EntityState as StandardEntityState
+from tf2_msgs.msg import TFMessage
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.models.description import RobotModel
+from roboxim_core.poses import Pose
+from roboxim_core.specs import CameraSpec, Scalar
+from roboxim_core.state import EntityState, StateRecord
+from roboxim_ros.conversions import fill_pose, fill_stamp
+
+NAN = float("nan")
+
+
+def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
+    """Return the arm's and fingers' joints; NaN stands for what is not measured."""
+    robot = record.robot
+    fingers = len(robot.finger_positions)
+    msg = JointState()
+    fill_stamp(msg.header.stamp, record.stamp_ns)
+    msg.header.frame_id = f"{model.id}_base"
+    msg.name = [*robot.joint_names, *model.gripper.joint_names]
+    msg.position = [*robot.joint_positions, *robot.finger_positions]
+    msg.velocity = [*robot.joint_velocities, *[NAN] * fingers]
+    msg.effort = [NAN] * len(msg.name)
+    return msg
+
+
+def tf_msg(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> TFMessage:
+    """Return transforms from ``world`` to every frame, by frame name."""
+    return TFMessage(transforms=[_transform(stamp_ns, frame, pose) for frame, pose in poses_in_world.items()])
+
+
+def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
+    """Return a camera's intrinsics; pixel centres are at whole numbers."""
+    focal = camera.height / 2 / math.tan(camera.fov_y_rad / 2)
+    cx, cy = camera.width / 2 - 0.5, camera.height / 2 - 0.5
+    msg = CameraInfo(height=camera.height, width=camera.width, distortion_model="plumb_bob", d=[0.0] * 5)
+    fill_stamp(msg.header.stamp, stamp_ns)
+    msg.header.frame_id = optical_frame(camera.name)
+    msg.k = [focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0]
+    msg.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    msg.p = [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return msg
+
+
+def optical_frame(camera: str) -> str:
+    """Return the frame of a camera's images."""
+    return f"{camera}_optical"
+
+
+def entity_state_msg(stamp_ns: int, entity: EntityState) -> StandardEntityState:
+    """Return an entity's state as `simulation_interfaces` has it."""
+    msg = StandardEntityState()
+    fill_stamp(msg.header.stamp, stamp_ns)
+    msg.header.frame_id = "world"
+    fill_pose(msg.pose, entity.pose)
+    twist = msg.twist
+    twist.linear.x, twist.linear.y, twist.linear.z = entity.linear_velocity
+    twist.angular.x, twist.angular.y, twist.angular.z = entity.angular_velocity
+    return msg
+
+
+def model_of_uri(uri: str) -> tuple[str, dict[str, Scalar]]:
+    """Return model and modifiers of a resource: ``cube`` or ``roboxim://cube?color=red&scale=1.2``.
+
+    Raises:
+        InvalidRequestError: When the URI is of another scheme or names no model.
+    """
+    parts = urlsplit(uri if "://" in uri else f"roboxim://{uri}")
+    model = parts.netloc + parts.path
+    if parts.scheme != "roboxim" or not model:
+        raise InvalidRequestError(f"resource '{uri}' names no model; expected e.g. cube or roboxim://cube?color=red")
+    return model, {key: _scalar(value) for key, value in parse_qsl(parts.query)}
+
+
+def vector(msg: Any) -> tuple[float, float, float]:
+    """Return x, y, z of a message."""
+    return msg.x, msg.y, msg.z
+
+
+def _scalar(text: str) -> Scalar:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _transform(stamp_ns: int, frame: str, pose: Pose) -> TransformStamped:
+    msg = TransformStamped(child_frame_id=frame)
+    fill_stamp(msg.header.stamp, stamp_ns)
+    msg.header.frame_id = "world"
+    t, q = msg.transform.translation, msg.transform.rotation
+    t.x, t.y, t.z = pose.position
+    q.x, q.y, q.z, q.w = pose.quat_xyzw
+    return msg

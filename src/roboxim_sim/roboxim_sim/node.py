@@ -1,0 +1,259 @@
+"""The sim node: the world behind services, its state and cameras on topics.
+
+Everything runs in the thread that spins the node: PyBullet and GL contexts belong to one thread. A long motion is a
+coroutine that gives the executor a turn after every control period, so that it can be cancelled.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from rclpy.context import Context
+from rclpy.publisher import Publisher
+from roboxim_interfaces.msg import CameraImage, TickNotice
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, RestoreSnapshot, TakeSnapshot, Tick
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from tf2_msgs.msg import TFMessage
+
+from roboxim_core.config import from_json, load_config, named_config, to_json
+from roboxim_core.errors import ErrorCode, SimError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.rendering import CameraImages, Renderer
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros import qos
+from roboxim_ros.conversions import fill_image, fill_stamp, from_msg, to_msg
+from roboxim_ros.node import RoboximNode
+from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.ros import MotionActions, StandardServices
+from roboxim_sim.world import Snapshot, World
+
+ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimConfig:
+    """Parameters of the sim node."""
+
+    renderer: str = field(default="raster", metadata={"description": "renderer by name: raster, tiny"})
+    """Renderer used unless a request names one."""
+    scene: str = field(
+        default="tabletop", metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"}
+    )
+    """Scene loaded at the start."""
+
+
+class SimNode(RoboximNode):
+    """Serves a `World`. All topics of a tick are published before its service answers, the notice last."""
+
+    def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
+        """Make the node and load its first scene; see `RoboximNode`.
+
+        Raises:
+            ConfigError: When a parameter or the scene is wrong.
+            SimError: RENDERER_UNAVAILABLE when the scene has cameras and the renderer does not work here.
+        """
+        super().__init__("sim", context=context, namespace=namespace, parameters=parameters)
+        self.config = self.declare_config(SimConfig)
+        self.library = ModelLibrary()
+        self.world = World(self.library)
+        self._renderer_name = self.config.renderer
+        self._renderers: dict[tuple[str, str], Renderer] = {}
+        self._re_rendered: tuple[str, SceneSpec] | None = None
+        self._clock_out = self.create_publisher(Clock, "clock", qos.STATE)
+        self._joints_out = self.create_publisher(JointState, "joint_states", qos.STATE)
+        self._tf_out = self.create_publisher(TFMessage, "tf", qos.STATE)
+        self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
+        self._state_out = self.create_publisher(StateRecordMsg, "sim/state", qos.STATE)
+        self._ticks_out = self.create_publisher(TickNotice, "sim/ticks", qos.STATE)
+        self._camera_publishers: dict[str, Publisher] = {}
+
+        self.serve(LoadScene, "sim/load_scene", self._on_load_scene)
+        self.serve(Tick, "sim/tick", self._on_tick)
+        self.serve(ReleaseEpisode, "sim/release_episode", self._on_release)
+        self.serve(TakeSnapshot, "sim/take_snapshot", self._on_take_snapshot)
+        self.serve(RestoreSnapshot, "sim/restore_snapshot", self._on_restore_snapshot)
+        self.serve(RenderState, "sim/render_state", self._on_render_state)
+        self._standard = StandardServices(self)
+        self._motions = MotionActions(self)
+        if self.config.scene:
+            self.load(load_config(named_config("scenes", self.config.scene), SceneSpec))
+
+    def destroy_node(self) -> None:
+        """Free the world and the renderers."""
+        self._motions.destroy()
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+        self.world.close()
+        super().destroy_node()
+
+    # ---------------------------------------------------------------- what the handlers share
+
+    @property
+    def renderer_info(self) -> dict[str, str]:
+        """Name and device of the renderer in use; the device is empty until it draws."""
+        renderer = self._renderers.get((self._renderer_name, "live"))
+        return {
+            "simulator": "RoboXim (PyBullet)",
+            "renderer": self._renderer_name,
+            "device": renderer.device if renderer else "",
+        }
+
+    def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
+        """Load a scene and publish tick 0; whatever fails, no episode is left holding the sim."""
+        if scene.cameras:
+            self._renderer(renderer or self.config.renderer, "live")
+        self._renderer_name = renderer or self.config.renderer
+        record = self.world.load(scene, episode_id)
+        return self._publish_or_release(record)
+
+    def scene_changed(self) -> StateRecordMsg:
+        """Publish after entities came or went."""
+        self._show_world()
+        return self.publish(self.world.record)
+
+    def publish(self, record: StateRecord) -> StateRecordMsg:
+        """Publish everything of a state and return its message."""
+        world, stamp_ns = self.world, record.stamp_ns
+        state = to_msg(record, StateRecordMsg)
+        cameras = world.camera_poses()
+        frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}
+        frames["tcp"] = record.robot.pose_tcp_measured
+        frames |= {entity.name: entity.pose for entity in record.entities}
+        frames |= {optical_frame(name): pose for name, pose in cameras.items()}
+        self._clock_out.publish(Clock(clock=fill_stamp(Clock().clock, stamp_ns)))
+        self._joints_out.publish(joint_state_msg(record, world.robot))
+        self._tf_out.publish(tf_msg(stamp_ns, frames))
+        self._state_out.publish(state)
+        topics = {"joint_states": 0, "tf": 0, "sim/state": 0, **self._publish_cameras(record)}
+        notice = TickNotice(
+            episode_id=record.episode_id,
+            seq=record.seq,
+            topics=list(topics),
+            image_crc32=list(topics.values()),
+            reset=record.seq == 0,
+        )
+        fill_stamp(notice.stamp, stamp_ns)
+        self._ticks_out.publish(notice)
+        return state
+
+    def _publish_or_release(self, record: StateRecord) -> StateRecordMsg:
+        try:
+            self._show_world()
+            return self.publish(record)
+        except Exception:
+            self.world.release()
+            raise
+
+    def _show_world(self) -> None:
+        scene = self.world.scene
+        self._scene_out.publish(to_msg(scene, SceneSpecMsg))
+        if scene.cameras:
+            self._renderer(self._renderer_name, "live").load(render_world(scene, self.library))
+
+    def _renderer(self, name: str, use: str) -> Renderer:
+        """Return a renderer; one for the live world, one for states that are rendered again."""
+        if (name, use) not in self._renderers:
+            self._renderers[name, use] = make_renderer(name)
+        return self._renderers[name, use]
+
+    def _publish_cameras(self, record: StateRecord) -> dict[str, int]:
+        """Render and publish; return topic to CRC-32 of the image's data, 0 for a camera info."""
+        scene = self.world.scene
+        if not scene.cameras:
+            return {}
+        poses = self.world.camera_poses()
+        images = self._renderer(self._renderer_name, "live").render(
+            self.world.body_poses(), [(camera, poses[camera.name]) for camera in scene.cameras]
+        )
+        published: dict[str, int] = {}
+        for camera in scene.cameras:
+            for kind, msg in _image_msgs(record.stamp_ns, camera.name, images[camera.name]).items():
+                topic = f"camera/{camera.name}/{kind}"
+                self._camera_publisher(topic, Image).publish(msg)
+                published[topic] = zlib.crc32(msg.data)
+            topic = f"camera/{camera.name}/camera_info"
+            self._camera_publisher(topic, CameraInfo).publish(camera_info_msg(record.stamp_ns, camera))
+            published[topic] = 0
+        return published
+
+    def _camera_publisher(self, topic: str, kind: Any) -> Publisher:
+        if topic not in self._camera_publishers:
+            self._camera_publishers[topic] = self.create_publisher(kind, topic, qos.SENSOR)
+        return self._camera_publishers[topic]
+
+    # ---------------------------------------------------------------- services
+
+    def _on_load_scene(self, request: LoadScene.Request, response: LoadScene.Response) -> None:
+        self._refuse_foreign(request.episode_id)
+        response.state = self.load(from_msg(request.scene, SceneSpec), request.episode_id, request.renderer)
+        response.renderer = self._renderer_text()
+
+    def _on_tick(self, request: Tick.Request, response: Tick.Response) -> None:
+        record = self.world.tick(request.seq, np.asarray(request.action), episode_id=request.episode_id)
+        response.state = self.publish(record)
+
+    def _on_release(self, request: ReleaseEpisode.Request, response: ReleaseEpisode.Response) -> None:
+        self.world.release(request.episode_id)
+
+    def _on_take_snapshot(self, request: TakeSnapshot.Request, response: TakeSnapshot.Response) -> None:
+        response.snapshot_json = to_json(self.world.snapshot())
+
+    def _on_restore_snapshot(self, request: RestoreSnapshot.Request, response: RestoreSnapshot.Response) -> None:
+        self._refuse_foreign(request.episode_id)
+        snapshot = from_json(request.snapshot_json, Snapshot, source="snapshot_json")
+        if snapshot.scene.cameras:
+            self._renderer(self._renderer_name, "live")
+        record = self.world.restore(snapshot, request.episode_id)
+        response.state = self._publish_or_release(record)
+
+    def _on_render_state(self, request: RenderState.Request, response: RenderState.Response) -> None:
+        scene, state = from_msg(request.scene, SceneSpec), from_msg(request.state, StateRecord)
+        name = request.renderer or self.config.renderer
+        renderer = self._renderer(name, "states")
+        bodies = replace(scene, cameras=())
+        if self._re_rendered != (name, bodies):
+            self._re_rendered = None
+            renderer.load(render_world(scene, self.library))
+            self._re_rendered = (name, bodies)
+        poses = ScenePoses(scene, self.library)
+        cameras = poses.camera_poses(state.robot)
+        images = renderer.render(poses.body_poses(state), [(camera, cameras[camera.name]) for camera in scene.cameras])
+        for camera in scene.cameras:
+            msg = _image_msgs(state.stamp_ns, camera.name, replace(images[camera.name], depth=None, segmentation=None))
+            response.images.append(CameraImage(camera=camera.name, image=msg["image"]))
+        response.renderer = f"{renderer.name} ({renderer.device})"
+
+    def _refuse_foreign(self, episode_id: str) -> None:
+        held = self.world.episode_id
+        if held and held != episode_id:
+            raise SimError(
+                f"episode '{held}' holds the sim; release it first (sim/release_episode, with an empty episode_id if "
+                "its holder has died)",
+                ErrorCode.LEASE_HELD,
+            )
+
+    def _renderer_text(self) -> str:
+        info = self.renderer_info
+        return f"{info['renderer']} ({info['device'] or 'not in use'})"
+
+
+def _image_msgs(stamp_ns: int, camera: str, images: CameraImages) -> dict[str, Image]:
+    found = {"image": images.rgb, "depth": images.depth, "segmentation": images.segmentation}
+    messages = {}
+    for kind, array in found.items():
+        if array is not None:
+            msg = fill_image(Image(), array, ENCODINGS[kind])
+            fill_stamp(msg.header.stamp, stamp_ns)
+            msg.header.frame_id = optical_frame(camera)
+            messages[kind] = msg
+    return messages

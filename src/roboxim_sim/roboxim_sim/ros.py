@@ -1,0 +1,323 @@
+"""What a ROS user expects of any simulator and any arm: `simulation_interfaces`, trajectory and gripper actions."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Generator, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from control_msgs.action import FollowJointTrajectory, GripperCommand
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from simulation_interfaces.action import SimulateSteps
+from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
+from simulation_interfaces.srv import (
+    DeleteEntity,
+    GetEntities,
+    GetEntityState,
+    GetSimulationState,
+    GetSimulatorFeatures,
+    ResetSimulation,
+    SetEntityState,
+    SetSimulationState,
+    SpawnEntity,
+    StepSimulation,
+)
+
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError
+from roboxim_core.specs import EntitySpec
+from roboxim_core.state import StateRecord
+from roboxim_ros.conversions import fill_stamp, pose_from_msg
+from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
+
+if TYPE_CHECKING:
+    from roboxim_sim.node import SimNode
+
+RESULT_OF_CODE = {
+    ErrorCode.UNKNOWN_ENTITY: Result.RESULT_NOT_FOUND,
+    ErrorCode.UNKNOWN_MODEL: Result.RESULT_NOT_FOUND,
+    ErrorCode.NO_SCENE: Result.RESULT_INCORRECT_STATE,
+    ErrorCode.LEASE_HELD: Result.RESULT_INCORRECT_STATE,
+}
+FEATURES = (
+    "SPAWNING DELETING ENTITY_STATE_GETTING ENTITY_STATE_SETTING SIMULATION_RESET SIMULATION_STATE_GETTING "
+    "SIMULATION_STATE_SETTING STEP_SIMULATION_SINGLE STEP_SIMULATION_MULTIPLE STEP_SIMULATION_ACTION"
+).split()
+GOAL_TOLERANCE_RAD = 0.01
+GRIPPER_TOLERANCE_M = 0.003
+
+
+class StandardServices:
+    """The services of `simulation_interfaces` that apply to a lockstep tabletop."""
+
+    def __init__(self, node: SimNode) -> None:
+        """Offer the services on a node."""
+        self._node, self._world = node, node.world
+        for kind, name, handler in (
+            (ResetSimulation, "reset_simulation", self._reset),
+            (StepSimulation, "step_simulation", self._step),
+            (GetEntities, "get_entities", self._get_entities),
+            (GetEntityState, "get_entity_state", self._get_entity_state),
+            (SetEntityState, "set_entity_state", self._set_entity_state),
+            (SpawnEntity, "spawn_entity", self._spawn),
+            (DeleteEntity, "delete_entity", self._delete),
+            (GetSimulationState, "get_simulation_state", self._get_state),
+            (SetSimulationState, "set_simulation_state", self._set_state),
+        ):
+            node.create_service(kind, f"sim/{name}", self._answering(handler))
+        node.create_service(GetSimulatorFeatures, "sim/get_simulator_features", self._features)
+
+    def _answering(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+        def answer(request: Any, response: Any) -> Any:
+            response.result.result = Result.RESULT_OK
+            try:
+                handler(request, response)
+            except RoboximError as error:
+                response.result.result = RESULT_OF_CODE.get(error.code, Result.RESULT_OPERATION_FAILED)
+                response.result.error_message = f"{error.code.name}: {error}"
+            return response
+
+        return answer
+
+    def _features(self, _: Any, response: Any) -> Any:
+        response.features.features = [getattr(SimulatorFeatures, name) for name in FEATURES]
+        response.features.spawn_formats = ["roboxim"]
+        response.features.custom_info = json.dumps(self._node.renderer_info)
+        return response
+
+    def _reset(self, request: Any, response: Any) -> None:
+        if request.scope not in (request.SCOPE_DEFAULT, request.SCOPE_ALL):
+            response.result.result = Result.RESULT_FEATURE_UNSUPPORTED
+            response.result.error_message = "the world is always rebuilt as a whole; use SCOPE_ALL"
+            return
+        self._world.require_free("reset the simulation")
+        self._node.load(self._world.first_scene)
+
+    def _step(self, request: Any, response: Any) -> None:
+        self._node.publish(self._world.step(int(request.steps)))
+
+    def _get_entities(self, request: Any, response: Any) -> None:
+        filters = request.filters
+        if filters.categories or filters.tags.tags or filters.bounds.type:
+            response.result.result = Result.RESULT_FEATURE_UNSUPPORTED
+            response.result.error_message = "only the name filter is supported"
+            return
+        try:
+            pattern = re.compile(filters.filter)
+        except re.error as error:
+            raise InvalidRequestError(f"filter '{filters.filter}' is no regular expression: {error}") from None
+        response.entities = [e.name for e in self._world.record.entities if pattern.search(e.name)]
+
+    def _get_entity_state(self, request: Any, response: Any) -> None:
+        record = self._world.record
+        self._world.require_entity(request.entity)
+        response.state = entity_state_msg(record.stamp_ns, record.entity(request.entity))
+
+    def _set_entity_state(self, request: Any, response: Any) -> None:
+        state = request.state
+        if state.header.frame_id not in ("", "world"):
+            raise InvalidRequestError(f"states are set in frame 'world', got '{state.header.frame_id}'")
+        record = self._world.set_entity_state(
+            request.entity, pose_from_msg(state.pose), vector(state.twist.linear), vector(state.twist.angular)
+        )
+        self._node.publish(record)
+
+    def _spawn(self, request: Any, response: Any) -> None:
+        taken = {entity.name for entity in self._world.scene.entities}
+        try:
+            model, modifiers = model_of_uri(request.entity_resource.uri)
+            name = request.name or model
+            if name in taken and request.allow_renaming:
+                name = next(f"{name}_{n}" for n in range(1, len(taken) + 2) if f"{name}_{n}" not in taken)
+            if name in taken:
+                response.result.result = response.NAME_NOT_UNIQUE
+                response.result.error_message = f"the name '{name}' is taken"
+                return
+            pose = pose_from_msg(request.initial_pose.pose)
+            self._world.spawn_entity(EntitySpec(name=name, model=model, modifiers=modifiers, pose=pose))
+        except (ConfigError, InvalidRequestError) as error:
+            response.result.result = response.NO_RESOURCE
+            response.result.error_message = str(error)
+            return
+        response.entity_name = name
+        self._node.scene_changed()
+
+    def _delete(self, request: Any, response: Any) -> None:
+        self._world.delete_entity(request.entity)
+        self._node.scene_changed()
+
+    def _get_state(self, request: Any, response: Any) -> None:
+        response.state.state = SimulationState.STATE_PAUSED if self._world.loaded else SimulationState.STATE_STOPPED
+
+    def _set_state(self, request: Any, response: Any) -> None:
+        wanted = request.state.state
+        if wanted == SimulationState.STATE_PAUSED and self._world.loaded:
+            response.result.result = response.ALREADY_IN_TARGET_STATE
+        elif wanted == SimulationState.STATE_STOPPED:
+            self._world.require_free("reset the simulation")
+            self._node.load(self._world.first_scene)
+        else:
+            response.result.result = response.INCORRECT_TRANSITION
+            response.result.error_message = "time moves only when asked (step_simulation, tick, actions): always paused"
+
+
+class _Turn:
+    """Awaited, gives the executor one turn."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+class MotionActions:
+    """Trajectory, gripper and stepping actions: they advance time themselves, outside an episode only."""
+
+    def __init__(self, node: SimNode) -> None:
+        """Offer the actions on a node."""
+        self._node, self._world = node, node.world
+        options: dict[str, Any] = {
+            "goal_callback": lambda _: GoalResponse.ACCEPT,
+            "cancel_callback": lambda _: CancelResponse.ACCEPT,
+            "result_timeout": 10,
+        }
+        self._servers = [
+            ActionServer(node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow, **options),
+            ActionServer(node, GripperCommand, "gripper_controller/gripper_cmd", self._grip, **options),
+            ActionServer(node, SimulateSteps, "sim/simulate_steps", self._simulate, **options),
+        ]
+
+    def destroy(self) -> None:
+        """Destroy the servers."""
+        for server in self._servers:
+            server.destroy()
+
+    async def _follow(self, goal: ServerGoalHandle) -> Any:
+        result = FollowJointTrajectory.Result()
+        try:
+            names, motion = self._trajectory(goal.request.trajectory)
+            record = self._world.record
+            async for record in self._run(goal, motion):
+                goal.publish_feedback(_follow_feedback(record))
+            if goal.is_cancel_requested:
+                goal.canceled()
+                result.error_string = "cancelled; the arm stays where it was"
+                return result
+            worst = _goal_error(goal.request, names, record)
+            if worst:
+                goal.abort()
+                result.error_code, result.error_string = result.GOAL_TOLERANCE_VIOLATED, worst
+                return result
+            goal.succeed()
+        except RoboximError as error:
+            goal.abort()
+            result.error_code = result.INVALID_GOAL
+            result.error_string = f"{error.code.name}: {error}"
+        return result
+
+    async def _grip(self, goal: ServerGoalHandle) -> Any:
+        result = GripperCommand.Result()
+        command = goal.request.command
+        try:
+            gripper = self._world.robot.gripper
+            motion = self._world.move_gripper(
+                command.position / gripper.max_opening_m, command.max_effort if command.max_effort > 0 else None
+            )
+            async for record in self._run(goal, motion):
+                goal.publish_feedback(GripperCommand.Feedback(position=_opening_m(record, gripper.max_opening_m)))
+            result.position = _opening_m(self._world.record, gripper.max_opening_m)
+            result.reached_goal = abs(result.position - command.position) <= GRIPPER_TOLERANCE_M
+            result.stalled = not result.reached_goal
+            result.effort = _grip_force(self._world.record, gripper.links)
+            if goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.succeed()
+        except RoboximError as error:
+            self._node.get_logger().warning(f"gripper goal refused: {error.code.name}: {error}")
+            goal.abort()
+        return result
+
+    async def _simulate(self, goal: ServerGoalHandle) -> Any:
+        result = SimulateSteps.Result()
+        result.result.result = Result.RESULT_OK
+        total, done = int(goal.request.steps), 0
+        try:
+            while done < total and not goal.is_cancel_requested:
+                steps = min(self._world.steps_per_tick, total - done)
+                self._node.publish(self._world.step(steps))
+                done += steps
+                goal.publish_feedback(SimulateSteps.Feedback(completed_steps=done, remaining_steps=total - done))
+                await _Turn()
+            if done < total:
+                goal.canceled()
+            else:
+                goal.succeed()
+        except RoboximError as error:
+            goal.abort()
+            result.result.result = RESULT_OF_CODE.get(error.code, Result.RESULT_OPERATION_FAILED)
+            result.result.error_message = f"{error.code.name}: {error}"
+        return result
+
+    async def _run(self, goal: ServerGoalHandle, motion: Iterator[StateRecord]) -> Any:
+        """Publish every state of a motion; end it when the goal is cancelled."""
+        try:
+            for record in motion:
+                self._node.publish(record)
+                yield record
+                await _Turn()
+                if goal.is_cancel_requested:
+                    return
+        finally:
+            motion.close()  # type: ignore[attr-defined]
+
+    def _trajectory(self, trajectory: Any) -> tuple[list[str], Iterator[StateRecord]]:
+        model = self._world.robot
+        names = list(trajectory.joint_names)
+        if sorted(names) != sorted(model.joint_names):
+            raise InvalidRequestError(
+                f"the trajectory must move exactly the joints {list(model.joint_names)}, got {names}",
+                ErrorCode.TRAJECTORY_INVALID,
+            )
+        order = [names.index(name) for name in model.joint_names]
+        points = trajectory.points
+        if any(len(point.positions) != len(names) for point in points):
+            raise InvalidRequestError("every point needs a position per joint", ErrorCode.TRAJECTORY_INVALID)
+        times = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
+        positions = np.array([list(p.positions) for p in points]).reshape(-1, len(names))[:, order]
+        velocities = None
+        if points and all(len(p.velocities) == len(names) for p in points):
+            velocities = np.array([list(p.velocities) for p in points])[:, order]
+        return names, self._world.follow_trajectory(times, positions, velocities)
+
+
+def _follow_feedback(record: StateRecord) -> Any:
+    robot = record.robot
+    msg = FollowJointTrajectory.Feedback(joint_names=list(robot.joint_names))
+    fill_stamp(msg.header.stamp, record.stamp_ns)
+    msg.desired.positions = list(robot.joint_commands)
+    msg.actual.positions = list(robot.joint_positions)
+    msg.actual.velocities = list(robot.joint_velocities)
+    msg.error.positions = [c - p for c, p in zip(robot.joint_commands, robot.joint_positions, strict=True)]
+    return msg
+
+
+def _goal_error(request: Any, names: list[str], record: StateRecord) -> str:
+    """Return which joint misses its goal by more than the tolerance; empty: none."""
+    tolerances = {t.name: t.position for t in request.goal_tolerance if t.position > 0}
+    goal = dict(zip(names, request.trajectory.points[-1].positions, strict=True))
+    reached = dict(zip(record.robot.joint_names, record.robot.joint_positions, strict=True))
+    for name, position in goal.items():
+        if abs(reached[name] - position) > tolerances.get(name, GOAL_TOLERANCE_RAD):
+            return f"joint '{name}' ended at {reached[name]:.4f} rad instead of {position:.4f}; something is in the way"
+    return ""
+
+
+def _opening_m(record: StateRecord, max_opening_m: float) -> float:
+    return record.robot.gripper_opening * max_opening_m
+
+
+def _grip_force(record: StateRecord, links: tuple[str, ...]) -> float:
+    touching = (c for c in record.contacts if "robot" in (c.body_a, c.body_b))
+    return max((c.force_last for c in touching if {c.link_a, c.link_b} & set(links)), default=0.0)
+
