@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import LightSpec, LookSpec
 from roboxim_sim.rendering.geometry import SURROUNDINGS, PackedWorld, linear
 from roboxim_sim.rendering.views import LightView, light_view, visible
@@ -39,6 +39,10 @@ class Frame:
         self.casters = np.array([body.entity not in SURROUNDINGS for body in bodies], dtype=bool)
         self.objects = np.array([body.entity not in DRAWN_LAST for body in bodies], dtype=bool)
         self._shadow_size = shadow_size
+        ambient = np.asarray(look.ambient, dtype=float)
+        self.sky: Vec3 = tuple((1.25 * ambient).tolist())
+        self.ground: Vec3 = tuple((ambient * (0.72, 0.66, 0.6)).tolist())
+        self.backdrop: Vec3 = tuple(np.sqrt(np.clip(ambient, 0.0, 1.0)).tolist())
         main = next((light for light in look.lights if light.shadow), None)
         self.lights: tuple[LightSpec, ...] = look.lights
         if main is not None:
@@ -69,7 +73,9 @@ class Frame:
 
     def light_vectors(self) -> tuple[Array, Array]:
         """Return the lights for the shader: vectors (N, 4) (w: 0 sun, else a lamp's range squared), colours (N, 3)."""
-        vectors, colors = np.zeros((len(self.lights), 4)), np.zeros((len(self.lights), 3))
+        count = max(len(self.lights), 1)  # no light at all: a black one
+        vectors, colors = np.zeros((count, 4)), np.zeros((count, 3))
+        vectors[:, 2] = 1.0
         for i, light in enumerate(self.lights):
             colors[i] = linear(light.color) * light.intensity / np.pi
             if light.kind == "lamp":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
+import fast_simplification
 import numpy as np
 import numpy.typing as npt
 
@@ -30,6 +32,12 @@ VERTEX = np.dtype(
 """A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture layer; ids: body,
 entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
+COARSE_VERTEX = np.dtype([("position", np.float32, 3), ("ids", np.uint16, 2)])
+"""A vertex of what casts shadows."""
+COARSE_FORMAT = "3f 2u2"
+COARSE_NAMES = ("in_position", "in_ids")
+COARSE_FACES = 250
+"""Faces that a finer mesh is simplified to for its shadow."""
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
 
 
@@ -41,10 +49,10 @@ class PackedBody:
     """Key of its pose."""
     entity: str
     """Entity that it belongs to."""
-    first: int
-    """First index."""
-    count: int
-    """Number of indices."""
+    shape: range
+    """Its indices."""
+    shadow: range
+    """Its indices in the coarse arrays."""
     center: npt.NDArray[np.float64]
     """Centre of the bounding sphere in the body's frame, shape (3,) [m]."""
     radius: float
@@ -59,6 +67,10 @@ class PackedWorld:
     """Of dtype `VERTEX`."""
     indices: npt.NDArray[np.uint32]
     """Triangles of all bodies, in order."""
+    coarse_vertices: npt.NDArray[np.void]
+    """Of dtype `COARSE_VERTEX`: simplified meshes that cast shadows."""
+    coarse_indices: npt.NDArray[np.uint32]
+    """Their triangles."""
     bodies: tuple[PackedBody, ...]
     """The bodies with something to draw."""
     textures: tuple[str, ...]
@@ -80,32 +92,53 @@ def pack(world: RenderWorld) -> PackedWorld:
     if len(textures) > 255 or len(keys) > 65535:
         raise InvalidRequestError(f"at most 254 textures and 65535 bodies, got {len(textures) - 1} and {len(keys)}")
     entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
-    vertices, indices, bodies = [np.zeros(0, VERTEX)], [np.zeros(0, np.uint32)], []
-    vertex_count = index_count = 0
+    fine, coarse, bodies = _Arrays(VERTEX), _Arrays(COARSE_VERTEX), []
     for row, body in enumerate(body for body in world.bodies if body.parts):
         ids = (row, entities[body.entity])
-        parts = [_pack_part(part, body.key, textures.index(part.material.texture), ids) for part in body.parts]
-        first = index_count
-        for part_vertices, faces in parts:
-            vertices.append(part_vertices)
-            indices.append(faces.reshape(-1) + np.uint32(vertex_count))
-            vertex_count += len(part_vertices)
-            index_count += faces.size
-        points = np.concatenate([part_vertices["position"] for part_vertices, _ in parts]).astype(float)
+        first, coarse_first = fine.count, coarse.count
+        for part in body.parts:
+            check_mesh(part.mesh, body.key)
+            fine.add(*_shaped(part, textures.index(part.material.texture), ids))
+            if body.entity not in SURROUNDINGS:
+                coarse.add(*_coarse(part.mesh, ids))
+        points = np.concatenate([part.mesh.vertices for part in body.parts]).astype(float)
         center = (points.min(axis=0) + points.max(axis=0)) / 2
-        radius = float(np.linalg.norm(points - center, axis=1).max())
         bodies.append(
             PackedBody(
-                key=body.key, entity=body.entity, first=first, count=index_count - first, center=center, radius=radius
+                key=body.key,
+                entity=body.entity,
+                shape=range(first, fine.count),
+                shadow=range(coarse_first, coarse.count),
+                center=center,
+                radius=float(np.linalg.norm(points - center, axis=1).max()),
             )
         )
     return PackedWorld(
-        vertices=np.concatenate(vertices),
-        indices=np.concatenate(indices),
+        vertices=np.concatenate(fine.vertices),
+        indices=np.concatenate(fine.indices),
+        coarse_vertices=np.concatenate(coarse.vertices),
+        coarse_indices=np.concatenate(coarse.indices),
         bodies=tuple(bodies),
         textures=textures,
         keys=tuple(keys),
     )
+
+
+class _Arrays:
+    """Vertices and indices that grow mesh by mesh."""
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self.vertices = [np.zeros(0, dtype)]
+        self.indices = [np.zeros(0, np.uint32)]
+        self.count = 0
+        """Number of indices."""
+        self._vertex_count = 0
+
+    def add(self, vertices: npt.NDArray[np.void], faces: npt.NDArray[np.uint32]) -> None:
+        self.vertices.append(vertices)
+        self.indices.append(faces.reshape(-1) + np.uint32(self._vertex_count))
+        self.count += faces.size
+        self._vertex_count += len(vertices)
 
 
 def check_mesh(mesh: TriangleMesh, key: str) -> None:
@@ -152,13 +185,10 @@ def textured(mesh: TriangleMesh) -> TriangleMesh:
 def linear(color: RGB) -> npt.NDArray[np.float64]:
     """Convert an sRGB colour to linear."""
     srgb = np.clip(np.asarray(color, dtype=float), 0.0, 1.0)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
 
 
-def _pack_part(
-    part: VisualPart, key: str, layer: int, ids: tuple[int, int]
-) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
-    check_mesh(part.mesh, key)
+def _shaped(part: VisualPart, layer: int, ids: tuple[int, int]) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
     mesh = textured(part.mesh) if layer else part.mesh
     packed = np.zeros(len(mesh.vertices), VERTEX)
     packed["position"] = mesh.vertices
@@ -169,6 +199,33 @@ def _pack_part(
     packed["surface"] = (round(255 * min(max(part.material.roughness, 0.08), 1.0)), layer, 0, 0)
     packed["ids"] = ids
     return packed, np.asarray(mesh.faces, dtype=np.uint32)
+
+
+_SIMPLIFIED: WeakKeyDictionary[TriangleMesh, tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]]
+_SIMPLIFIED = WeakKeyDictionary()
+"""Meshes come from caches and outlive a scene, so simplifying one happens once a process."""
+
+
+def _coarse(mesh: TriangleMesh, ids: tuple[int, int]) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
+    if mesh not in _SIMPLIFIED:
+        _SIMPLIFIED[mesh] = _simplified(mesh)
+    points, faces = _SIMPLIFIED[mesh]
+    packed = np.zeros(len(points), COARSE_VERTEX)
+    packed["position"] = points
+    packed["ids"] = ids
+    return packed, faces
+
+
+def _simplified(mesh: TriangleMesh) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+    if len(mesh.faces) <= COARSE_FACES:
+        return mesh.vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.uint32)
+    # Welded first: vertices that are split for their normals would come apart.
+    points, index = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    reduction = 1.0 - COARSE_FACES / len(mesh.faces)
+    points, faces = fast_simplification.simplify(points.astype(np.float32), faces[whole].astype(np.int32), reduction)
+    return np.asarray(points, dtype=np.float32), np.asarray(faces, dtype=np.uint32)
 
 
 def check_request(keys: Iterable[str], poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> None:

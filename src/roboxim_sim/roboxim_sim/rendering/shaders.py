@@ -14,7 +14,7 @@ vec3 to_world(uint body, vec4 p) {
 """
 
 SHADOW_VERTEX = (
-    """#version 330
+    """
 """
     + _POSES
     + """
@@ -25,12 +25,12 @@ void main() { gl_Position = light_from_world * vec4(to_world(in_ids.x, vec4(in_p
 """
 )
 
-SHADOW_FRAGMENT = """#version 330
+SHADOW_FRAGMENT = """
 void main() {}
 """
 
 SCENE_VERTEX = (
-    """#version 330
+    """
 """
     + _POSES
     + """
@@ -62,14 +62,18 @@ void main() {
 """
 )
 
-SCENE_FRAGMENT = """#version 330
+SCENE_FRAGMENT = """
 uniform vec3 eye;
 uniform vec3 sky;
 uniform vec3 ground;
-uniform int light_count;
-uniform vec4 light_vectors[MAX_LIGHTS];   // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
-uniform vec3 light_colors[MAX_LIGHTS];    // irradiance / pi
-uniform float shadow_texel;               // 0: no shadow
+uniform vec4 main_vector;                 // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
+uniform vec3 main_color;                  // irradiance / pi
+#ifdef MORE_LIGHTS
+uniform int more_lights;
+uniform vec4 more_vectors[MAX_LIGHTS];
+uniform vec3 more_colors[MAX_LIGHTS];
+#endif
+uniform float shadow_size;                // texels of the shadow map
 uniform sampler2DShadow shadow_map;
 uniform sampler2D contact_map;            // share of the sky covered just above, height of the cover
 uniform vec4 contact_box;                 // xy: lower corner, zw: 1 / extent
@@ -85,49 +89,57 @@ layout(location = 0) out vec4 out_color;
 layout(location = 1) out vec2 out_geometry;
 #endif
 
+// Tent filter of 3x3 texels by four bilinear comparisons (Castano, "Shadow mapping summary"): smooth at any scale.
 float sunlit() {
     vec3 p = light_position.xyz / light_position.w;
-    float t = shadow_texel;
-    return 0.25 * (texture(shadow_map, vec3(p.xy + vec2(-0.5, -1.5) * t, p.z))
-                 + texture(shadow_map, vec3(p.xy + vec2(1.5, -0.5) * t, p.z))
-                 + texture(shadow_map, vec3(p.xy + vec2(0.5, 1.5) * t, p.z))
-                 + texture(shadow_map, vec3(p.xy + vec2(-1.5, 0.5) * t, p.z)));
+    vec2 at = p.xy * shadow_size + 0.5;
+    vec2 corner = floor(at);
+    vec2 s = at - corner;
+    vec2 w0 = 3.0 - 2.0 * s, w1 = 1.0 + 2.0 * s;
+    vec2 p0 = (corner - 1.5 + (2.0 - s) / w0) / shadow_size, p1 = (corner + 0.5 + s / w1) / shadow_size;
+    return (w0.x * w0.y * texture(shadow_map, vec3(p0, p.z)) + w1.x * w0.y * texture(shadow_map, vec3(p1.x, p0.y, p.z))
+          + w0.x * w1.y * texture(shadow_map, vec3(p0.x, p1.y, p.z)) + w1.x * w1.y * texture(shadow_map, vec3(p1, p.z)))
+        / 16.0;
+}
+
+struct Surface { vec3 n, v, diffuse, f0; float nv, a, a2; };
+
+vec3 reflected(Surface s, vec4 light, vec3 radiance) {
+    vec3 to_light = light.xyz - position * float(light.w > 0.0);
+    float d2 = dot(to_light, to_light);
+    vec3 l = to_light * inversesqrt(d2);
+    vec3 h = normalize(l + s.v);
+    float nl = clamp(dot(s.n, l), 0.0, 1.0);
+    float nh = clamp(dot(s.n, h), 0.0, 1.0);
+    float f = 1.0 - clamp(dot(l, h), 0.0, 1.0);
+    float f2 = f * f;
+    float d = nh * nh * (s.a2 - 1.0) + 1.0;
+    float gloss = min(s.a2 * 0.5 / (d * d * mix(2.0 * nl * s.nv, nl + s.nv, s.a) + 1e-4), 8.0);
+    vec3 fresnel = s.f0 + (1.0 - s.f0) * (f2 * f2 * f);
+    float strength = light.w > 0.0 ? light.w / max(d2, 0.01) : 1.0;
+    return (nl * strength) * radiance * (s.diffuse + fresnel * gloss);
 }
 
 void main() {
     vec3 n = normalize(normal);
     vec3 v = normalize(eye - position);
-    vec4 texel = texture(textures, vec3(uv, surface.y));
-    vec3 base = color.rgb * texel.rgb;
+    vec3 base = color.rgb * texture(textures, vec3(uv, surface.y)).rgb;
     base *= base;                          // stored as square roots of linear values
     float metallic = color.a;
     float roughness = surface.x;
     vec3 f0 = mix(vec3(0.04), base, metallic);
     vec3 diffuse = base * (1.0 - metallic);
-    float a2 = roughness * roughness;
-    a2 *= a2;
+    float a = roughness * roughness;
     float nv = clamp(dot(n, v), 0.02, 1.0);
-
-    vec3 lit = vec3(0.0);
-    for (int i = 0; i < light_count; i++) {
-        vec3 to_light = light_vectors[i].xyz;
-        float strength = 1.0;
-        if (light_vectors[i].w > 0.0) {
-            to_light -= position;
-            strength = light_vectors[i].w / max(dot(to_light, to_light), 0.01);
-        }
-        vec3 l = normalize(to_light);
-        vec3 h = normalize(l + v);
-        float nl = clamp(dot(n, l), 0.0, 1.0);
-        float nh = clamp(dot(n, h), 0.0, 1.0);
-        float f = 1.0 - clamp(dot(l, h), 0.0, 1.0);
-        float f2 = f * f;
-        float d = nh * nh * (a2 - 1.0) + 1.0;
-        float gloss = min(a2 * 0.5 / (d * d * mix(2.0 * nl * nv, nl + nv, roughness * roughness) + 1e-4), 8.0);
-        vec3 fresnel = f0 + (1.0 - f0) * (f2 * f2 * f);
-        if (i == 0 && shadow_texel > 0.0) strength *= sunlit();
-        lit += (nl * strength) * light_colors[i] * (diffuse + fresnel * gloss);
-    }
+    Surface s = Surface(n, v, diffuse, f0, nv, a, a * a);
+#ifdef SHADOW
+    vec3 lit = reflected(s, main_vector, main_color * sunlit());
+#else
+    vec3 lit = reflected(s, main_vector, main_color);
+#endif
+#ifdef MORE_LIGHTS                         // even a loop without a turn costs a fifth of the frame
+    for (int i = 0; i < more_lights; i++) lit += reflected(s, more_vectors[i], more_colors[i]);
+#endif
 
     vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.zw).xy;
     float gap = covered.y - position.z;    // height of what hangs over this point
@@ -157,12 +169,12 @@ void main() {
 }
 """
 
-SCREEN_VERTEX = """#version 330
+SCREEN_VERTEX = """
 in vec2 in_corner;
 void main() { gl_Position = vec4(in_corner, 1.0, 1.0); }
 """
 
-BACKDROP_FRAGMENT = """#version 330
+BACKDROP_FRAGMENT = """
 uniform vec3 color;
 layout(location = 0) out vec4 out_color;
 #ifdef GEOMETRY
@@ -177,7 +189,7 @@ void main() {
 """
 
 # Fast approximate anti-aliasing on the luma in alpha; fetches stay inside the camera's own rectangle.
-FXAA_FRAGMENT = """#version 330
+FXAA_FRAGMENT = """
 uniform sampler2D image;
 uniform ivec4 rect;     // lower corner, upper corner (inclusive)
 uniform vec2 texel;
@@ -204,7 +216,7 @@ void main() {
 
 # What stands or hangs where, seen from below: ambient light darkens where an object meets the table.
 CONTACT_VERTEX = (
-    """#version 330
+    """
 """
     + _POSES
     + """
@@ -222,13 +234,13 @@ void main() {
 """
 )
 
-CONTACT_FRAGMENT = """#version 330
+CONTACT_FRAGMENT = """
 in float height;
 out vec2 out_cover;
 void main() { out_cover = vec2(1.0, height); }
 """
 
-CONTACT_BLUR_FRAGMENT = """#version 330
+CONTACT_BLUR_FRAGMENT = """
 uniform sampler2D image;
 uniform float texel;
 out vec2 out_cover;

@@ -58,7 +58,7 @@ def _grid() -> tuple[Field, Field]:
 def _periodic(field: Field, rows: npt.NDArray[np.int64]) -> Field:
     """Roll each row of a field by its own number of pixels."""
     columns = (np.arange(SIZE)[None, :] + rows[:, None]) % SIZE
-    return field[np.arange(SIZE)[:, None], columns]
+    return np.asarray(field[np.arange(SIZE)[:, None], columns])
 
 
 @TEXTURES.register("wood")
