@@ -69,7 +69,7 @@ class TaskConfig:
     """Role of the skill to the objects that may fill it."""
     distractors: DistractorConfig = DistractorConfig()
     """Further objects."""
-    scene: str = "tabletop"
+    scene: str = "empty_table"
     """Name of a scene in ``config/scenes``."""
     reset: dict[str, Any] = field(default_factory=dict)
     """Reset component to its configuration; the skill's own components need not be named."""

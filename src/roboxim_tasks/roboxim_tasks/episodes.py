@@ -6,14 +6,15 @@ from dataclasses import replace
 
 from roboxim_core.config import load_config, named_config, to_json
 from roboxim_core.episode import Draw
-from roboxim_core.errors import ErrorCode, TaskError
+from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig
 from roboxim_tasks.generators import GenerationContext
+from roboxim_tasks.roles import description, task_objects
 from roboxim_tasks.skills import SKILLS
 
 
@@ -48,6 +49,7 @@ class EpisodeGenerator:
             ConfigError: When the configuration names what does not exist.
         """
         base = load_config(named_config("scenes", config.scene), SceneSpec)
+        _check_unambiguous(base, config, task, self._library)
         context = ResetContext(
             seed=seed, config=config, task=task, library=self._library, arm=self._arm(base.robot.model)
         )
@@ -75,6 +77,19 @@ class EpisodeGenerator:
         if model not in self._arms:
             self._arms[model] = ArmKinematics(self._library.robot(model))
         return self._arms[model]
+
+
+def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, library: ModelLibrary) -> None:
+    """Refuse a scene that already has an object which an instruction names."""
+    named = {description(thing) for thing in task_objects(task)}
+    for entity in base.entities:
+        noun = library.entity_model(entity).name
+        thing = PhysicalObject(entity=entity.name, model=entity.model, name=noun, modifiers=entity.modifiers)
+        if description(thing) in named:
+            raise ConfigError(
+                f"scene '{config.scene}' already has a {description(thing)} ('{entity.name}'), so '{task.instruction}' "
+                "would not name one solution; take it out of the scene or restrict the task's objects"
+            )
 
 
 def _apply(scene: SceneSpec, components: list[ResetComponent], context: ResetContext) -> SceneSpec:
