@@ -1,6 +1,7 @@
 import json
 
 import pytest
+
 from roboxim_bringup.run_folder import RESULTS_FILE, RunFolder
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from roboxim_core.errors import RequestTimeoutError, UnavailableError, raise_for_code
 
 
-def _wait_for(ready: Callable[[], bool], timeout_s: float) -> bool:
+def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
     """Ask until it is so. rclpy's own wait asks only four times a second, which every first call would pay."""
     deadline = time.monotonic() + timeout_s
     while not ready():
@@ -65,10 +65,23 @@ class Clients:
             key = (srv_type, name)
             if key not in self._clients:
                 self._clients[key] = self.node.create_client(srv_type, name)
-                self._executor.wake()
+                self.wake()
             return self._clients[key]
 
-    def call(self, srv_type: Any, name: str, request: Any, *, timeout_s: float = 30.0, wait_s: float = 10.0) -> Any:
+    def wake(self) -> None:
+        """Have the thread notice what was just made on ``node``: a subscription, an action client."""
+        self._executor.wake()
+
+    def call(
+        self,
+        srv_type: Any,
+        name: str,
+        request: Any,
+        *,
+        timeout_s: float = 30.0,
+        wait_s: float = 10.0,
+        check: bool = True,
+    ) -> Any:
         """Call a service and return its response.
 
         Args:
@@ -77,6 +90,7 @@ class Clients:
             request: The request.
             timeout_s: Longest wait for the answer [s].
             wait_s: Longest wait for the service to appear [s].
+            check: Raise what the response's ``error_code`` says; false: return the response whatever it says.
 
         Raises:
             UnavailableError: When no such service appears in time, or it goes away before it has answered.
@@ -84,7 +98,7 @@ class Clients:
             RoboximError: What the response's ``error_code`` and ``error_msg`` say, when it has them.
         """
         client = self.client(srv_type, name)
-        if not _wait_for(client.service_is_ready, wait_s):
+        if not wait_until(client.service_is_ready, wait_s):
             raise UnavailableError(
                 f"service '{client.service_name}' is not there after {wait_s:g} s; is its node running?"
             )
@@ -102,7 +116,8 @@ class Clients:
                 client.remove_pending_request(future)
                 raise UnavailableError(f"service '{client.service_name}' went away during the call; its node has died")
         response = future.result()
-        raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
+        if check:
+            raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
 
     def close(self) -> None:

@@ -5,7 +5,6 @@ Used by the runner, by every separately started node, and by tests (`roboxim_ros
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections.abc import Callable, Sequence
@@ -123,11 +122,12 @@ def _executor(node: Node, context: Context) -> Executor:
     return MultiThreadedExecutor(threads, context=context)
 
 
-def wait_for_stop(should_stop: Callable[[], bool] = lambda: False) -> int:
-    """Block until SIGINT, SIGTERM, the parent's death or ``should_stop``.
+def wait_for_stop(should_stop: Callable[[], bool] = lambda: False, *, period_s: float = 0.2) -> int:
+    """Block until SIGINT, SIGTERM or ``should_stop``.
 
     Args:
-        should_stop: Asked five times a second.
+        should_stop: Asked every period.
+        period_s: The period [s].
 
     Returns:
         The signal's number, or 0.
@@ -140,9 +140,8 @@ def wait_for_stop(should_stop: Callable[[], bool] = lambda: False) -> int:
         stop.set()
 
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    parent = os.getppid()
     try:
-        while not stop.wait(0.2) and not should_stop() and os.getppid() == parent:
+        while not stop.wait(period_s) and not should_stop():
             pass
     finally:
         for number, old in before.items():

@@ -1,0 +1,187 @@
+"""A short-lived participant in a running graph, for one command."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import click
+
+from roboxim_core.errors import ConfigError, UnavailableError, one_of
+
+T = TypeVar("T")
+LOOK_S = 3.0
+"""How long to look for something before saying that it is not there [s]."""
+QUIET_S = 0.25
+"""The graph counts as known when nothing new has been heard for so long: one announcement period [s]."""
+
+
+def attach_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--run`` and ``--domain`` to a command; pass both to `attached`."""
+    command = click.option("--domain", type=click.IntRange(0, 232), help="ROS domain, instead of a run's.")(command)
+    return click.option("--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.")(
+        command
+    )
+
+
+def join_run(run_id: str | None, domain: int | None) -> None:
+    """Set the environment so that contexts of this process are in a run or a domain.
+
+    Raises:
+        ConfigError: When there is no such run, or both are given.
+    """
+    from roboxim_ros.runs import activate_transport, find_run
+
+    if domain is None:
+        find_run(run_id).join()
+        return
+    if run_id is not None:
+        raise ConfigError("--run and --domain exclude each other")
+    activate_transport()
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+
+
+class Peer:
+    """A node in a graph that somebody else runs."""
+
+    def __init__(self) -> None:
+        """Join the domain that the environment names."""
+        from roboxim_ros.clients import Clients
+        from roboxim_ros.host import NodeHost
+
+        self.host = NodeHost()
+        self.clients = Clients(f"_roboxim_cli_{os.getpid()}", context=self.host.context)
+        self.node = self.clients.node
+
+    def close(self) -> None:
+        """Leave in order: a peer that just vanishes delays what the next command hears."""
+        self.clients.close()
+        self.host.close()
+
+    def wake(self) -> None:
+        """Have the peer's thread notice what was just made on its node."""
+        self.clients.wake()
+
+    def look_for(self, find: Callable[[], T | None], missing: Callable[[], str], *, timeout_s: float = LOOK_S) -> T:
+        """Wait until something is found in the graph.
+
+        Args:
+            find: Returns what it found, or none.
+            missing: Makes the error's message.
+            timeout_s: Longest wait [s].
+
+        Raises:
+            UnavailableError: With that message.
+        """
+        deadline = time.monotonic() + timeout_s
+        while (found := find()) is None:
+            if time.monotonic() > deadline:
+                raise UnavailableError(missing())
+            time.sleep(0.01)
+        return found
+
+    def settle(self) -> None:
+        """Wait until nothing new is heard of the graph."""
+        deadline = time.monotonic() + LOOK_S
+        seen: Any = None
+        since = time.monotonic()
+        while time.monotonic() < deadline:
+            now = (self.nodes(hidden=True), self.topics(hidden=True), self.services(hidden=True))
+            if now != seen:
+                seen, since = now, time.monotonic()
+            elif len(now[0]) > 1 and time.monotonic() - since > QUIET_S:
+                return
+            time.sleep(0.01)
+
+    def nodes(self, *, hidden: bool = False) -> list[str]:
+        """Return the full names of the nodes."""
+        pairs = self.node.get_node_names_and_namespaces()
+        names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in pairs}
+        return sorted(name for name in names if hidden or not _is_hidden(name))
+
+    def topics(self, *, hidden: bool = False) -> dict[str, list[str]]:
+        """Return the topics and their types."""
+        return _named(self.node.get_topic_names_and_types(), hidden)
+
+    def services(self, *, hidden: bool = False) -> dict[str, list[str]]:
+        """Return the services and their types; those that actions are made of are hidden."""
+        return _named(self.node.get_service_names_and_types(), hidden)
+
+    def actions(self) -> dict[str, list[str]]:
+        """Return the actions and their types."""
+        from rclpy.action import get_action_names_and_types
+
+        return _named(get_action_names_and_types(self.node), hidden=False)
+
+    def type_of(self, what: str, name: str, listing: Callable[..., dict[str, list[str]]]) -> str:
+        """Return the type of a service, topic or action.
+
+        Args:
+            what: Which of them, for messages.
+            name: Its name.
+            listing: One of `services`, `topics`, `actions`.
+
+        Raises:
+            UnavailableError: When the graph has none of that name; lists those it has.
+            ConfigError: When it has several types.
+        """
+        name = absolute(name)
+        types = self.look_for(
+            lambda: listing(**({} if what == "action" else {"hidden": True})).get(name),
+            lambda: f"no {what} '{name}' in the graph; {one_of(listing(), name)}",
+        )
+        if len(types) > 1:
+            raise ConfigError(f"{what} '{name}' has several types ({', '.join(types)}); give one of them")
+        return types[0]
+
+
+def parameter_names(peer: Peer, node: str) -> list[str]:
+    """Return the names of a node's parameters, sorted.
+
+    Raises:
+        UnavailableError: When the graph has no such node.
+    """
+    from rcl_interfaces.srv import ListParameters
+
+    return sorted(call_node(peer, node, ListParameters, "list_parameters").result.names)
+
+
+def call_node(peer: Peer, node: str, srv_type: Any, service: str, **fields: Any) -> Any:
+    """Call one of a node's parameter services.
+
+    Raises:
+        UnavailableError: When the graph has no such node.
+    """
+    name = absolute(node)
+    peer.look_for(
+        lambda: peer.services().get(f"{name}/{service}"),
+        lambda: f"no node '{name}' with parameters in the graph; {one_of(peer.nodes(), name)}",
+    )
+    return peer.clients.call(srv_type, f"{name}/{service}", srv_type.Request(**fields), timeout_s=10)
+
+
+def absolute(name: str) -> str:
+    """Return a name with its leading slash."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def _is_hidden(name: str) -> bool:
+    return any(part.startswith("_") for part in name.split("/"))
+
+
+def _named(pairs: Any, hidden: bool) -> dict[str, list[str]]:
+    return {name: sorted(types) for name, types in sorted(pairs) if hidden or not _is_hidden(name)}
+
+
+@contextmanager
+def attached(run_id: str | None, domain: int | None) -> Iterator[Peer]:
+    """Join a run for as long as the block runs; see `attach_options`."""
+    join_run(run_id, domain)
+    peer = Peer()
+    try:
+        yield peer
+    finally:
+        peer.close()

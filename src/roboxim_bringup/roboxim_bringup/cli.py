@@ -1,0 +1,98 @@
+"""The ``roboxim`` command: finds its subcommands by file name and imports only the one that runs."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import sys
+from pathlib import Path
+
+import click
+
+COMMANDS = Path(__file__).parent / "commands"
+SECTIONS = {
+    "The main job": ("demo", "generate", "export", "train", "evaluate"),
+    "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
+    "Recordings": ("bag", "replay"),
+    "Looking into a running graph, spelled as ros2 spells it": (
+        "node", "service", "topic", "action", "param", "interface",
+    ),
+}  # fmt: skip
+
+
+class LazyGroup(click.Group):
+    """Subcommands are the files of ``commands/``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the files."""
+        return sorted(path.stem for path in COMMANDS.glob("[a-z]*.py"))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a subcommand."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        module = importlib.import_module(f"roboxim_bringup.commands.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Answer an unknown name with a suggestion."""
+        name = args[0]
+        if not name.startswith("-") and name not in self.list_commands(ctx):
+            from roboxim_core.errors import one_of
+
+            ctx.fail(f"no command '{name}'; {one_of(self.list_commands(ctx), name)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the subcommands by section, without importing them."""
+        names = self.list_commands(ctx)
+        listed = {name for section in SECTIONS.values() for name in section}
+        sections = {**SECTIONS, "Other": tuple(name for name in names if name not in listed)}
+        for title, members in sections.items():
+            rows = [(name, short_help(name)) for name in members if name in names]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+def short_help(name: str) -> str:
+    """Return the first line of a subcommand's docstring, read from its file."""
+    with open(COMMANDS / f"{name}.py") as file:
+        found = re.match(r'"""(.*?)\.?(""")?$', file.readline().rstrip())
+    return found.group(1) if found else ""
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="roboxim", message="%(prog)s %(version)s")
+def group() -> None:
+    """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
+
+
+def main() -> None:
+    """Run the command line. Exit codes: 0, 1 for an error, 2 for a wrong usage or configuration, 130 for Ctrl-C."""
+    parent = os.environ.pop("ROBOXIM_PARENT", None)
+    if parent is not None:
+        from roboxim_bringup.process import die_with_parent
+
+        die_with_parent(int(parent))
+    from roboxim_core.errors import ConfigError, RoboximError
+
+    try:
+        group.main(prog_name="roboxim", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        sys.exit(130)
+    except RoboximError as error:
+        wrong_usage = isinstance(error, ConfigError)
+        click.echo(f"error: {error}" if wrong_usage else f"error: {error} [{error.code.name}]", err=True)
+        sys.exit(2 if wrong_usage else 1)
+    except BrokenPipeError:  # e.g. piped into head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

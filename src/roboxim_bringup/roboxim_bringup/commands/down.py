@@ -1,0 +1,32 @@
+"""End a run."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import click
+
+GRACE_S = 15.0
+
+
+@click.command()
+@click.option("--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.")
+@click.option("--all", "every", is_flag=True, help="End all runs of this user.")
+def command(run_id: str | None, every: bool) -> None:
+    """End a run: its first process is asked to end, and ends the others."""
+    from roboxim_ros.runs import find_run, live_runs
+
+    for run in live_runs() if every else [find_run(run_id)]:
+        pids = run.live_pids
+        os.kill(pids[0], signal.SIGTERM)
+        deadline = time.monotonic() + GRACE_S
+        while run.live_pids and time.monotonic() < deadline:
+            if pids[0] not in run.live_pids:
+                for pid in run.live_pids:
+                    os.kill(pid, signal.SIGTERM)
+            time.sleep(0.1)
+        for pid in run.live_pids:
+            os.kill(pid, signal.SIGKILL)
+        click.echo(f"ended run {run.id}")

@@ -1,0 +1,190 @@
+"""Start one node, or look at those that run."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import click
+
+from roboxim_bringup.attach import absolute, attach_options, attached
+
+
+class _NodeGroup(click.Group):
+    """``roboxim node sim`` starts a node; ``roboxim node list`` looks at the running ones."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        from roboxim_bringup.graph import NODES
+
+        return [*super().list_commands(ctx), *NODES]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        from roboxim_bringup.graph import NODES
+
+        return _starter(cmd_name) if cmd_name in NODES else super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=_NodeGroup)
+def command() -> None:
+    """Start one node of the graph, or look at those that run."""
+
+
+def _starter(name: str) -> click.Command:
+    def start(**options: Any) -> None:
+        run_node(name, **options)
+
+    start.__doc__ = f"""Start the {name} node.
+
+    It joins the only run that is alive (or --run), and makes a run of its own when there is none.
+    """
+    for option in reversed(node_options):
+        start = option(start)
+    return click.command(name)(attach_options(start))
+
+
+node_options = (
+    click.option("--namespace", default="", help="Namespace of the node, e.g. /w0."),
+    click.option(
+        "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
+        help="ROS 2 parameter file; may be repeated.",
+    ),
+    click.option(
+        "-p", "--param", "assignments", multiple=True, metavar="NAME:=VALUE", help="A parameter; may be repeated."
+    ),
+    click.option(
+        "--open-network", is_flag=True,
+        help="Let other hosts reach the node; without it only this machine does. Only for a new run.",
+    ),
+)  # fmt: skip
+
+
+def run_node(
+    name: str,
+    *,
+    namespace: str,
+    params_files: tuple[str, ...],
+    assignments: tuple[str, ...],
+    open_network: bool,
+    run_id: str | None,
+    domain: int | None,
+    policies: tuple[Any, ...] = (),
+) -> None:
+    """Run one node until Ctrl-C, SIGTERM or its death.
+
+    Args:
+        name: One of ``graph.NODES``; empty: none, just the policies.
+        namespace: Namespace of the graph.
+        params_files: ROS 2 parameter files.
+        assignments: ``name:=value`` words.
+        open_network: Whether other hosts may reach it.
+        run_id: Run to join.
+        domain: Domain to use, without a run.
+        policies: Policies to run.
+
+    Raises:
+        ConfigError: When a parameter, the run or the policy is wrong.
+        RoboximError: When the node died.
+    """
+    from roboxim_bringup.graph import start_graph
+    from roboxim_bringup.parameters import merge, parse_assignments, read_params_files
+    from roboxim_core.errors import RoboximError
+    from roboxim_ros.host import NodeHost, wait_for_stop
+
+    label = name or policies[0].namespace
+    namespace = namespace and absolute(namespace)
+    from_files = read_params_files(params_files, namespace=namespace)
+    mine = {node: values for node, values in from_files.items() if node == label}
+    common = from_files.get("", {})
+    parameters = merge({label: dict(common)}, mine, parse_assignments(assignments, node=label))
+    with _membership(label, run_id, domain, open_network, namespace) as run, NodeHost() as host:
+        graph = start_graph(
+            host, namespace=namespace, parameters=parameters, nodes=(name,) if name else (), policies=policies
+        )
+        node = next(iter(graph.nodes.values()))
+        click.echo(f"{node.get_fully_qualified_name()} serves in {run}; Ctrl-C ends it")
+        wait_for_stop(lambda: not host.alive())
+        if not host.alive():
+            raise RoboximError(f"node '{label}' has died; see the traceback above")
+
+
+@contextlib.contextmanager
+def _membership(label: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str) -> Any:
+    """Join a run, or make one when none is alive; yields its description."""
+    import os
+
+    from roboxim_bringup.attach import join_run
+    from roboxim_ros.runs import (
+        activate_transport,
+        add_pids,
+        find_run,
+        free_domain,
+        live_runs,
+        register_run,
+        remove_pid,
+    )
+
+    if domain is not None:
+        join_run(run_id, domain)
+        if open_network:
+            activate_transport(open_network=True)
+        yield f"domain {domain}"
+    elif run_id or os.environ.get("ROBOXIM_RUN") or live_runs():
+        if open_network:
+            raise click.UsageError("--open-network is for a new run; this one's network is decided already")
+        run = find_run(run_id)
+        run.join()
+        add_pids(run.id, [os.getpid()])
+        try:
+            yield f"run {run.id}"
+        finally:
+            remove_pid(run.id, os.getpid())
+    else:
+        activate_transport(open_network=open_network)
+        with free_domain() as own, register_run("node", domain=own, namespaces=[namespace]) as run:
+            run.join()
+            yield f"run {run.id}"
+
+
+@command.command("list")
+@click.option("-a", "--all", "hidden", is_flag=True, help="Also hidden ones.")
+@attach_options
+def list_nodes(hidden: bool, run_id: str | None, domain: int | None) -> None:
+    """List the nodes."""
+    with attached(run_id, domain) as peer:
+        peer.settle()
+        for name in peer.nodes(hidden=hidden):
+            click.echo(name)
+
+
+@command.command("info")
+@click.argument("name")
+@attach_options
+def info(name: str, run_id: str | None, domain: int | None) -> None:
+    """Print what a node publishes, subscribes to, serves and calls."""
+    from roboxim_core.errors import one_of
+
+    name = absolute(name)
+    namespace, _, base = name.rpartition("/")
+    with attached(run_id, domain) as peer:
+        peer.look_for(
+            lambda: True if name in peer.nodes(hidden=True) else None,
+            lambda: f"no node '{name}' in the graph; {one_of(peer.nodes(), name)}",
+        )
+        peer.settle()
+        from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
+
+        node, where = peer.node, (base, namespace or "/")
+        sections = {
+            "Subscribers": node.get_subscriber_names_and_types_by_node(*where),
+            "Publishers": node.get_publisher_names_and_types_by_node(*where),
+            "Service Servers": node.get_service_names_and_types_by_node(*where),
+            "Service Clients": node.get_client_names_and_types_by_node(*where),
+            "Action Servers": get_action_server_names_and_types_by_node(node, *where),
+            "Action Clients": get_action_client_names_and_types_by_node(node, *where),
+        }
+    click.echo(name)
+    for title, entries in sections.items():
+        click.echo(f"  {title}:")
+        for entry, types in sorted(entries):
+            if "/_action/" not in entry:
+                click.echo(f"    {entry}: {', '.join(types)}")

@@ -1,0 +1,232 @@
+"""The episode loop's ports made of the rooms' cores: the same episodes, images and bags without a node graph.
+
+For tests (an episode through the nodes must be this one, bit for bit) and for the benchmark of what the graph costs.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
+from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.msg import TickNotice
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
+
+from roboxim_bringup.cores import CorePlanner
+from roboxim_core.actions import ActionArray, check_chunk
+from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import render_world
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, Policy, PolicyDescription
+from roboxim_core.rendering import CameraImages
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import Verdict
+from roboxim_eval.conversions import proprio_of
+from roboxim_recorder.recording import EpisodeRecording
+from roboxim_ros.conversions import fill_image, fill_stamp, to_msg
+from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.world import World
+from roboxim_tasks.config import load_task_config, parse_task_config
+from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.expert import Expert
+from roboxim_tasks.judging import Judge
+
+
+class CoreTasks:
+    """Draws and judges."""
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Use a library of models."""
+        self._generator = EpisodeGenerator(library)
+        self._judge: Judge | None = None
+
+    def draw(self, seed: SeedPath, task_config: str) -> Draw:
+        """Draw the episode of a seed path."""
+        return self._generator.draw(seed, parse_task_config(task_config) if task_config else load_task_config())
+
+    def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
+        """Start a fold."""
+        self._judge = Judge(task)
+        return self._judge.start(state)
+
+    def judge(self, state: StateRecord) -> Verdict:
+        """Fold the next tick."""
+        assert self._judge is not None
+        return self._judge.step(state)
+
+
+class CoreActor:
+    """A policy, called directly."""
+
+    def __init__(self, policy: Policy) -> None:
+        """Wrap a policy."""
+        self.policy = policy
+
+    def describe(self) -> PolicyDescription:
+        """Say what it is."""
+        return self.policy.describe()
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode."""
+        self.policy.reset(start)
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the next actions."""
+        answer = self.policy.act(window)
+        return answer if isinstance(answer, ActionChunk) else ActionChunk(actions=check_chunk(answer))
+
+
+class CoreSim:
+    """World and renderer; makes the very messages that the sim node publishes while a recording is open."""
+
+    def __init__(self, library: ModelLibrary, renderer: str = "raster") -> None:
+        """Make the world and the renderer in this thread."""
+        self.library = library
+        self.world = World(library)
+        self._renderer = make_renderer(renderer)
+        self.messages: dict[str, Any] = {}
+        self.images: dict[str, CameraImages] = {}
+
+    @property
+    def renderer(self) -> str:
+        """Renderer and device."""
+        return f"{self._renderer.name} ({self._renderer.device})"
+
+    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+        """Rebuild the world: tick 0."""
+        record = self.world.load(scene, episode_id)
+        if scene.cameras:
+            self._renderer.load(render_world(scene, self.library))
+        self._publish(record)
+        return record
+
+    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
+        """Execute an action."""
+        record = self.world.tick(seq, action, episode_id=episode_id)
+        self._publish(record)
+        return record
+
+    def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
+        """Return the tick's observation."""
+        images = {name: self.images[name].rgb for name in cameras}
+        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state))
+
+    def release(self, episode_id: str) -> None:
+        """Give the lease back."""
+        self.world.release(episode_id)
+
+    def close(self) -> None:
+        """Free everything."""
+        self._renderer.close()
+        self.world.close()
+
+    def _publish(self, record: StateRecord) -> None:
+        world, stamp_ns = self.world, record.stamp_ns
+        cameras = world.camera_poses()
+        frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}
+        frames["tcp"] = record.robot.pose_tcp_measured
+        frames |= {entity.name: entity.pose for entity in record.entities}
+        frames |= {optical_frame(name): pose for name, pose in cameras.items()}
+        messages: dict[str, Any] = {
+            "clock": Clock(clock=fill_stamp(Clock().clock, stamp_ns)),
+            "joint_states": joint_state_msg(record, world.robot),
+            "tf": tf_msg(stamp_ns, frames),
+            "sim/state": to_msg(record, StateRecordMsg),
+        }
+        checksums = {"joint_states": 0, "tf": 0, "sim/state": 0}
+        if world.scene.cameras:
+            self.images = self._renderer.render(
+                world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]
+            )
+        for camera in world.scene.cameras:
+            image = fill_image(Image(), self.images[camera.name].rgb, "rgb8")
+            fill_stamp(image.header.stamp, stamp_ns)
+            image.header.frame_id = optical_frame(camera.name)
+            messages[f"camera/{camera.name}/image"] = image
+            messages[f"camera/{camera.name}/camera_info"] = camera_info_msg(stamp_ns, camera)
+            checksums[f"camera/{camera.name}/image"] = zlib.crc32(image.data)
+            checksums[f"camera/{camera.name}/camera_info"] = 0
+        notice = TickNotice(
+            episode_id=record.episode_id, seq=record.seq, topics=list(checksums), reset=record.seq == 0,
+            image_crc32=list(checksums.values()),
+        )  # fmt: skip
+        fill_stamp(notice.stamp, stamp_ns)
+        self.messages = {**messages, "sim/ticks": notice}
+
+
+class CoreRecorder:
+    """Writes bags."""
+
+    def __init__(self, sim: CoreSim, output_dir: Path) -> None:
+        """Record a sim into a folder."""
+        self._sim = sim
+        self._output_dir = output_dir
+        self._recording: EpisodeRecording | None = None
+
+    def open(self, info: EpisodeInfo) -> None:
+        """Open the episode's bag."""
+        self._recording = EpisodeRecording(self._output_dir, info, serialize_message(to_msg(info, EpisodeInfoMsg)))
+
+    def step(self, step: EpisodeStep) -> None:
+        """Write a tick."""
+        assert self._recording is not None
+        for topic, message in self._sim.messages.items():
+            self._recording.message(f"/{topic}", serialize_message(message))
+        self._recording.message("/evaluator/step", serialize_message(to_msg(step, EpisodeStepMsg)))
+
+    def close(self, result: EpisodeResult, keep: str) -> str:
+        """Close the bag."""
+        assert self._recording is not None
+        path = self._recording.close(result, serialize_message(to_msg(result, EpisodeResultMsg)), keep)
+        self._recording = None
+        return path
+
+    def abort(self) -> None:
+        """Drop an open bag."""
+        if self._recording is not None:
+            self._recording.drop()
+            self._recording = None
+
+
+class CoreGraph:
+    """All rooms without nodes. A context manager; belongs to the thread that made it."""
+
+    def __init__(self, output_dir: Path, *, renderer: str = "raster", policy: Policy | None = None) -> None:
+        """Make every core.
+
+        Args:
+            output_dir: Folder for bags.
+            renderer: Renderer by name.
+            policy: The actor; none: the expert.
+        """
+        library = ModelLibrary()
+        self.sim = CoreSim(library, renderer)
+        self._tasks = CoreTasks(library)
+        self._actor: ActorPort = CoreActor(policy or Expert(library, CorePlanner(library)))
+        self._recorder = CoreRecorder(self.sim, output_dir)
+
+    @property
+    def ports(self) -> Ports:
+        """The ports."""
+        return Ports(
+            scenes=self._tasks, sim=self.sim, actor=self._actor, judge=self._tasks, recorder=self._recorder,
+            clock=time.monotonic,
+        )  # fmt: skip
+
+    def __enter__(self) -> CoreGraph:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Free everything."""
+        self.sim.close()

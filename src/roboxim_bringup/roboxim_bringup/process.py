@@ -1,0 +1,72 @@
+"""Child processes that cannot outlive this one."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from typing import IO, Any
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """Have the kernel kill this process when the thread that started it ends.
+
+    Args:
+        parent: Process id of the parent; if it has gone already, this process ends here.
+    """
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def spawn(module: str, arguments: Sequence[str], *, output: IO[Any] | None = None) -> subprocess.Popen[bytes]:
+    """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
+
+    The child has a process group of its own: Ctrl-C reaches the parent alone, which ends its children in order.
+
+    Args:
+        module: A module that calls `die_with_parent` with ``$ROBOXIM_PARENT`` when it starts.
+        arguments: Its arguments.
+        output: Where its stdout and stderr go; none: where this process's go.
+    """
+    # One thread per library: the parallelism is in the processes.
+    defaults = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name not in os.environ}
+    return subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        env={**os.environ, **defaults, "ROBOXIM_PARENT": str(os.getpid()), "PYTHONUNBUFFERED": "1"},
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=output,
+        process_group=0,
+    )
+
+
+def stop(processes: Iterable[subprocess.Popen[bytes]], *, grace_s: float = 8.0) -> None:
+    """End processes: SIGTERM to all, SIGKILL to those that are still there after the grace.
+
+    Args:
+        processes: The processes.
+        grace_s: How long they may take [s].
+    """
+    alive = [process for process in processes if process.poll() is None]
+    for process in alive:
+        process.terminate()
+    for process in alive:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(grace_s)
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def describe_exit(returncode: int) -> str:
+    """Say how a process ended, e.g. ``killed by SIGKILL`` or ``exit code 1``."""
+    if returncode < 0:
+        return f"killed by {signal.Signals(-returncode).name}"
+    return f"exit code {returncode}"

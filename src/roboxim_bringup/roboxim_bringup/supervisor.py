@@ -1,0 +1,159 @@
+"""One process per node: starts them, starts a dead one again, ends them all."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+from roboxim_bringup.graph import GraphConfig, PolicyLaunch, check_declared, split_parameters
+from roboxim_bringup.process import describe_exit, spawn, stop
+from roboxim_core.errors import RoboximError, UnavailableError
+
+READY_S = 120.0
+QUICK_DEATH_S = 10.0
+"""A process that dies sooner than this after its start counts as unable to start [s]."""
+MAX_QUICK_DEATHS = 3
+
+
+@dataclass
+class Child:
+    """A node's process."""
+
+    name: str
+    """Node, or the policy's namespace."""
+    config: GraphConfig
+    """What it runs."""
+    process: subprocess.Popen[bytes]
+    """The process."""
+    started: float
+    """When, on the monotonic clock [s]."""
+    quick_deaths: int = 0
+    """Deaths in a row soon after the start."""
+
+
+class Supervisor:
+    """A graph of one process per node in the run that the environment names. A context manager.
+
+    The processes die with the thread that makes the supervisor.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[str],
+        policies: Sequence[PolicyLaunch] = (),
+        *,
+        namespace: str = "",
+        parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        """Start the processes.
+
+        Args:
+            nodes: Which of `graph.NODES`.
+            policies: Policies, each in a process of its own too.
+            namespace: Namespace of the graph.
+            parameters: Parameters by node; the empty name: every node that declares them.
+
+        Raises:
+            ConfigError: When parameters are given for a node that is not started.
+        """
+        self._common, given = split_parameters(parameters, nodes, policies)
+        self.namespace = namespace
+        self.children: list[Child] = []
+        for launch in policies:
+            self._add(launch.namespace, (), (launch,), given)
+        for name in nodes:
+            self._add(name, (name,), (), given)
+
+    def _add(
+        self,
+        name: str,
+        nodes: tuple[str, ...],
+        policies: tuple[PolicyLaunch, ...],
+        given: dict[str, dict[str, Any]],
+    ) -> None:
+        config = GraphConfig(
+            namespace=self.namespace,
+            nodes=nodes,
+            policies=policies,
+            parameters={"": self._common, name: given.get(name, {})},
+            check_common=False,
+        )
+        self.children.append(Child(name, config, _start(config), time.monotonic()))
+
+    def wait_until_ready(self) -> None:
+        """Wait until every node is in the graph.
+
+        Raises:
+            RoboximError: When a process ends before, or it takes too long.
+            ConfigError: When no node declares a parameter that is given for all.
+        """
+        from roboxim_bringup.attach import Peer, parameter_names
+
+        expected = {f"{child.config.namespace}/{_node_name(child)}": child for child in self.children}
+        deadline = time.monotonic() + READY_S
+        peer = Peer()
+        try:
+            while missing := set(expected) - set(peer.nodes(hidden=True)):
+                for child in self.children:
+                    code = child.process.poll()
+                    if code is not None:
+                        raise RoboximError(f"node '{child.name}' could not start: {describe_exit(code)}; see above")
+                if time.monotonic() > deadline:
+                    raise UnavailableError(f"not in the graph after {READY_S:g} s: {', '.join(sorted(missing))}")
+                time.sleep(0.05)
+            if self._common:
+                check_declared(self._common, {name: set(parameter_names(peer, name)) for name in expected})
+        finally:
+            peer.close()
+
+    def supervise(self) -> bool:
+        """Start dead processes again, saying so.
+
+        Raises:
+            RoboximError: When one keeps dying as soon as it is started.
+        """
+        for child in self.children:
+            code = child.process.poll()
+            if code is None:
+                continue
+            quick = time.monotonic() - child.started < QUICK_DEATH_S
+            child.quick_deaths = child.quick_deaths + 1 if quick else 0
+            click.echo(f"node '{child.name}' has died ({describe_exit(code)}); starting it again", err=True)
+            if child.quick_deaths >= MAX_QUICK_DEATHS:
+                raise RoboximError(f"node '{child.name}' died {child.quick_deaths} times right after its start")
+            child.process, child.started = _start(child.config), time.monotonic()
+            _register([child])
+        return False
+
+    def __enter__(self) -> Supervisor:
+        """Return itself."""
+        _register(self.children)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        stop(child.process for child in self.children)
+
+
+def _node_name(child: Child) -> str:
+    return child.name if child.config.nodes else f"{child.name}/policy"
+
+
+def _start(config: GraphConfig) -> subprocess.Popen[bytes]:
+    from roboxim_core.config import to_json
+
+    return spawn("roboxim_bringup.worker", [to_json(config)])
+
+
+def _register(children: Sequence[Child]) -> None:
+    from roboxim_ros.runs import add_pids
+
+    run_id = os.environ.get("ROBOXIM_RUN")
+    if run_id:
+        add_pids(run_id, [child.process.pid for child in children])

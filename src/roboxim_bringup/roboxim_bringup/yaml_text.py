@@ -1,0 +1,54 @@
+"""YAML in and out of the command line, as plain Python values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import parse_yaml
+
+
+def parse(text: str, *, source: str) -> Any:
+    """Parse YAML 1.2 into dicts, lists and scalars.
+
+    Args:
+        text: The YAML.
+        source: What it is, for messages.
+
+    Raises:
+        ConfigError: When it is not YAML, with the line.
+    """
+    return plain(parse_yaml(text, source=source))
+
+
+def plain(value: Any) -> Any:
+    """Strip the parser's own types, which remember lines and spellings."""
+    if isinstance(value, dict):
+        return {plain(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+class _Dumper(yaml.CSafeDumper):
+    """Keeps texts of several lines readable."""
+
+
+def _text(dumper: yaml.CSafeDumper, value: str) -> yaml.Node:
+    style = "|" if "\n" in value else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
+_Dumper.add_representer(str, _text)
+
+
+def dump(value: Any) -> str:
+    """Write plain values as YAML: leaves on one line, everything else indented."""
+    text: str = yaml.dump(
+        value, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
+    )
+    return text.removesuffix("...\n")
