@@ -1,0 +1,167 @@
+"""What a user's policy derives from, and how a policy is found by name.
+
+A policy is one class with one ``act`` method::
+
+    class MyPolicy(BasePolicy):
+        cameras = ("workspace", "wrist")
+
+        def act(self, window):
+            image = window.newest.images["wrist"]
+            return [0.0, 0.0, -0.01, 0.0, 0.0, 0.0, 1.0]
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import os
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy.typing as npt
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ConfigError, UnavailableError, one_of
+from roboxim_core.policies import (
+    ActionChunk,
+    CameraRequirement,
+    EpisodeStart,
+    ObservationWindow,
+    Policy,
+    PolicyDescription,
+)
+from roboxim_core.registry import Registry
+
+POLICIES: Registry[Callable[..., Policy]] = Registry("policy")
+"""Policies by name: classes or factories. Entry point group of plug-ins: ``roboxim.policy``."""
+
+
+class BasePolicy(ABC):
+    """A policy of which only `act` must be written.
+
+    What it needs is said by class attributes; one whose needs depend on its arguments sets them in its constructor.
+    """
+
+    name: str = ""
+    """Name for reports; empty: the class's name."""
+    cameras: Sequence[str | CameraRequirement] = ()
+    """Cameras that it looks through: names, or `CameraRequirement` with a size in pixels."""
+    window: int = 1
+    """Number of observations it wants, newest last."""
+    horizon: int = 1
+    """Largest number of actions that `act` returns."""
+    semantics: ActionSemantics = ActionSemantics()
+    """Meaning of its actions; a run with another meaning is refused before its first step."""
+    privileged: bool = False
+    """Whether it reads the task, the scene and the state record. A policy under test must not."""
+    version: str = ""
+    """Version or checkpoint, for the record."""
+
+    def describe(self) -> PolicyDescription:
+        """Say what the policy needs and what its actions mean, from the attributes.
+
+        Raises:
+            InvalidRequestError: On a window or horizon below 1.
+        """
+        cameras = (self.cameras,) if isinstance(self.cameras, str) else self.cameras
+        return PolicyDescription(
+            name=self.name or type(self).__name__,
+            semantics=self.semantics,
+            cameras=tuple(CameraRequirement(name=c) if isinstance(c, str) else c for c in cameras),
+            window=self.window,
+            horizon=self.horizon,
+            privileged=self.privileged,
+            version=self.version,
+        )
+
+    def reset(self, start: EpisodeStart) -> None:  # noqa: B027 - most policies have nothing to forget
+        """Forget the last episode.
+
+        Args:
+            start: Episode id, instruction and a seed for the policy's own randomness.
+        """
+
+    @abstractmethod
+    def act(self, window: ObservationWindow) -> npt.ArrayLike | ActionChunk:
+        """Return the next actions.
+
+        Args:
+            window: Instruction and the last observations: RGB images by camera (uint8, (height, width, 3), read-only)
+                and ``proprio`` (TCP position in the base frame [m], quaternion xyzw, gripper opening).
+
+        Returns:
+            Array-like of shape (horizon, 7) or (7,): translation [m], rotation [rad], gripper (1 = open); see
+            `ActionSemantics`. Fewer rows than ``horizon`` are allowed.
+        """
+
+
+def load_policy(spec: str, **kwargs: Any) -> Policy:
+    """Make a policy.
+
+    Args:
+        spec: A registered name (``random``), ``module:Class``, or ``path/to/file.py:Class``; the working directory is
+            importable.
+        **kwargs: Passed to the class.
+
+    Raises:
+        ConfigError: When there is no such policy, or it does not take these arguments; the message says which there
+            are.
+    """
+    # The shipped policies register themselves on import.
+    importlib.import_module("roboxim_policies.builtin")
+    make = _load_class(spec) if ":" in spec else POLICIES[spec]
+    try:
+        inspect.signature(make).bind(**kwargs)
+    except TypeError as error:
+        raise ConfigError(
+            f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
+        ) from None
+    policy = make(**kwargs)
+    missing = [name for name in ("describe", "reset", "act") if not callable(getattr(policy, name, None))]
+    if missing:
+        raise ConfigError(
+            f"policy '{spec}' has no method {', '.join(missing)}; derive it from roboxim_policies.BasePolicy"
+        )
+    return policy
+
+
+def _load_class(spec: str) -> Callable[..., Policy]:
+    where, _, name = spec.rpartition(":")
+    module = _import_file(Path(where)) if where.endswith(".py") else _import_module(where)
+    found = getattr(module, name, None)
+    if not callable(found):
+        classes = [key for key, value in vars(module).items() if isinstance(value, type) and hasattr(value, "act")]
+        raise ConfigError(f"no policy class '{name}' in '{where}'; {one_of(classes, name)}")
+    if isinstance(found, type) and inspect.isabstract(found):
+        raise ConfigError(f"policy '{spec}' is abstract: write its act method")
+    return found
+
+
+def _import_module(name: str) -> ModuleType:
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise UnavailableError(f"policy module '{name}' needs '{error.name}', which is not installed") from error
+        raise ConfigError(
+            f"no module '{name}'; give a module on the path or in {os.getcwd()}, or a path/to/file.py:Class"
+        ) from None
+
+
+def _import_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError(f"no such file: {path}")
+    module_spec = importlib.util.spec_from_file_location(path.stem, path)
+    if module_spec is None or module_spec.loader is None:
+        raise ConfigError(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules.setdefault(path.stem, module)
+    module_spec.loader.exec_module(module)
+    return module

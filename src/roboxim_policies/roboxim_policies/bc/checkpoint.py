@@ -1,0 +1,181 @@
+"""Checkpoints: one file, written whole or not at all, without pickles.
+
+A ``.npz`` of the arrays and a JSON text that says all the policy needs: configuration, cameras and their sizes,
+vocabulary, normalisation, action semantics.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import zipfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import digest, from_plain, to_plain
+from roboxim_core.errors import ConfigError
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.bc.data import Demonstrations
+
+FORMAT = 1
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Statistics:
+    """How inputs and outputs are normalised; measured on the training data."""
+
+    proprio_mean: Floats
+    """Mean of the proprioception."""
+    proprio_scale: Floats
+    """Its standard deviation."""
+    motion_scale: Floats
+    """Root mean square of each component of the motion; 0 for one that never moves."""
+    target_scale: Floats
+    """Standard deviation of the auxiliary targets."""
+
+    def normalize_proprio(self, proprio: Floats) -> Floats:
+        """Normalise proprioception of shape (..., n)."""
+        return np.asarray((proprio - self.proprio_mean) / self.proprio_scale, np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Checkpoint:
+    """A checkpoint as read."""
+
+    step: int
+    """Steps done."""
+    config: BCConfig
+    """Configuration."""
+    stats: Statistics
+    """Normalisation."""
+    vocabulary: tuple[str, ...]
+    """Words."""
+    word_count: int
+    """Longest instruction [words]."""
+    camera_sizes: dict[str, tuple[int, int]]
+    """Camera name to (width, height) as recorded [px]."""
+    input_sizes: dict[str, int]
+    """Camera name to the side of the network's input [px]."""
+    semantics: ActionSemantics
+    """Meaning of the actions."""
+    identity: str
+    """Hash of configuration and data."""
+    digest: str
+    """Hash of the averaged weights, 16 hexadecimal digits."""
+    arrays: list[npt.NDArray[Any]]
+    """Arrays of (network, optimiser state, averaged network)."""
+
+    @staticmethod
+    def identity_of(config: BCConfig, data: Demonstrations) -> str:
+        """Hash what a training is a function of: its configuration and its data."""
+        content = hashlib.blake2b(digest_size=8)
+        for name, images in sorted(data.images.items()):
+            content.update(f"{name}{images.shape}".encode())
+            content.update(np.ascontiguousarray(images[:: max(1, len(images) // 64)]).tobytes())
+        content.update(data.actions.tobytes())
+        content.update(data.proprio.tobytes())
+        content.update(" ".join(data.vocabulary).encode())
+        return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
+
+    def restore(self, state: Any) -> Any:
+        """Return a tree of the given structure with the checkpoint's arrays.
+
+        Raises:
+            ConfigError: When the shapes differ.
+        """
+        leaves, structure = jax.tree.flatten(state)
+        if [np.shape(leaf) for leaf in leaves] != [array.shape for array in self.arrays]:
+            raise ConfigError("the checkpoint's arrays do not fit its configuration; it is of another version")
+        return jax.tree.unflatten(structure, [jax.numpy.asarray(array) for array in self.arrays])
+
+
+def save_checkpoint(
+    path: Path, state: Any, *, step: int, config: BCConfig, data: Demonstrations, stats: Statistics
+) -> None:
+    """Write a checkpoint: to a file beside it, then renamed, so that ``path`` is always whole.
+
+    Args:
+        path: Where to.
+        state: Tree of (network, optimiser state, averaged network).
+        step: Steps done.
+        config: Configuration.
+        data: The training data.
+        stats: Its normalisation.
+
+    Raises:
+        OSError: When the disk is full.
+    """
+    arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(state)]
+    average = hashlib.blake2b(digest_size=8)
+    for leaf in jax.tree.leaves(state[2]):
+        average.update(np.asarray(leaf).tobytes())
+    said = {
+        "format": FORMAT,
+        "step": step,
+        "config": to_plain(config),
+        "stats": {name: value.tolist() for name, value in asdict(stats).items()},
+        "vocabulary": list(data.vocabulary),
+        "word_count": int(data.words.shape[1]),
+        "camera_sizes": {name: list(size) for name, size in data.camera_sizes.items()},
+        "input_sizes": {name: int(images.shape[1]) for name, images in data.images.items()},
+        "semantics": to_plain(data.semantics),
+        "identity": Checkpoint.identity_of(config, data),
+        "digest": average.hexdigest(),
+        "episodes": data.episodes,
+    }
+    buffer = io.BytesIO()
+    named = {f"array_{index:04d}": array for index, array in enumerate(arrays)}
+    np.savez(buffer, said=np.array(json.dumps(said)), **named)
+    scratch = path.with_name(f".{path.name}.tmp")
+    with scratch.open("wb") as file:
+        file.write(buffer.getbuffer())
+        file.flush()
+        os.fsync(file.fileno())
+    scratch.replace(path)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a checkpoint.
+
+    Args:
+        path: The file, or the folder of a training.
+
+    Raises:
+        ConfigError: When it is missing, damaged or of another version.
+    """
+    file = path / "checkpoint.npz" if path.is_dir() else path
+    if not file.is_file():
+        raise ConfigError(f"no checkpoint at {file}; train one with 'roboxim train bc'")
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            said = json.loads(str(archive["said"]))
+            arrays = [archive[name] for name in sorted(archive.files) if name.startswith("array_")]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+    if said.get("format") != FORMAT:
+        raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")
+    return Checkpoint(
+        step=said["step"],
+        config=from_plain(said["config"], BCConfig, source=str(file)),
+        stats=Statistics(**{name: np.array(value, np.float32) for name, value in said["stats"].items()}),
+        vocabulary=tuple(said["vocabulary"]),
+        word_count=said["word_count"],
+        camera_sizes={name: (int(w), int(h)) for name, (w, h) in said["camera_sizes"].items()},
+        input_sizes=said["input_sizes"],
+        semantics=from_plain(said["semantics"], ActionSemantics, source=str(file)),
+        identity=said["identity"],
+        digest=said["digest"],
+        arrays=arrays,
+    )
+
+
+__all__ = ["Checkpoint", "Statistics", "load_checkpoint", "save_checkpoint"]

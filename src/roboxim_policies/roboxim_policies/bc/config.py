@@ -1,0 +1,74 @@
+"""What can be chosen about behaviour cloning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from roboxim_core.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class BCConfig:
+    """Network and training of a behaviour-cloning policy. Time is counted in steps, never in seconds."""
+
+    steps: int = 2000
+    """Optimiser steps."""
+    batch: int = 64
+    """Samples per step."""
+    learning_rate: float = 1e-3
+    """Peak of the learning rate; linear warm-up, then cosine decay to 2 % of it."""
+    warmup_steps: int = 100
+    """Steps of warm-up."""
+    weight_decay: float = 1e-4
+    """Decoupled weight decay of AdamW."""
+    ema_decay: float = 0.995
+    """Decay of the weights' moving average, which is what the policy runs."""
+    seed: int = 0
+    """Seed of initial weights, data order and augmentation."""
+    image_sizes: dict[str, int] | None = None
+    """Camera name to the side [px] of the square that the network sees, a multiple of 8; none: 96 for every camera of
+    the data set, 64 for one whose name has ``wrist`` in it. Cameras left out are not used."""
+    chunk: int = 8
+    """Actions predicted per observation."""
+    execute: int = 2
+    """Actions executed before the policy looks again, 1..``chunk``."""
+    channels: int = 32
+    """Channels of the convolutions."""
+    keypoints: int = 32
+    """Points that each camera's features are reduced to."""
+    hidden: int = 256
+    """Width of the fully connected layers."""
+    word_size: int = 16
+    """Length of a word's learned embedding."""
+    target_weight: float = 1.0
+    """Weight of the auxiliary task: where the gripper is at its next opening or closing, from the demonstrations' own
+    proprioception."""
+    gripper_weight: float = 0.2
+    """Weight of the gripper's cross entropy."""
+    proprio_noise_m: float = 0.0
+    """Standard deviation of noise on the position input [m]."""
+    brightness: float = 0.15
+    """Largest relative change of an image's brightness in training."""
+    shift_px: int = 0
+    """Largest random shift of an image in training [px of the network's input]."""
+    checkpoint_every: int = 250
+    """Steps between checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On a value that cannot be trained with.
+        """
+        for name in "steps batch chunk execute channels keypoints hidden word_size checkpoint_every".split():
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be >= 1, got {getattr(self, name)}")
+        if self.execute > self.chunk:
+            raise ConfigError(f"execute must be 1..chunk ({self.chunk}), got {self.execute}")
+        if not self.learning_rate > 0:
+            raise ConfigError(f"learning_rate must be > 0, got {self.learning_rate}")
+        if not 0 <= self.ema_decay < 1:
+            raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
+        for camera, side in (self.image_sizes or {}).items():
+            if side % 8 or not 16 <= side <= 512:
+                raise ConfigError(f"image_sizes: '{camera}' must be a multiple of 8 in 16..512 px, got {side}")

@@ -1,0 +1,246 @@
+"""Demonstrations in memory: images at the network's size, proprioception, actions, and what is learned from them.
+
+The images stay uint8; everything else is small. All arrays run over the steps of all episodes, one after another.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.rlds import RldsEpisode, RldsReader
+from roboxim_policies.recorded_actions import rlds_semantics
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+Images = npt.NDArray[np.uint8]
+
+IMAGE_KEYS = {"image": "workspace", "wrist_image": "wrist"}
+"""Image key of an export to camera name, where the export does not say itself."""
+PROPRIO_SIZE = 6
+"""What the network gets of the proprioception, see `proprio_features`."""
+TARGET_SIZE = 5
+"""What the auxiliary task predicts, see `_targets`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Demonstration:
+    """One demonstrated episode of T steps."""
+
+    images: Mapping[str, Images]
+    """Camera name to uint8 images at the network's size, shape (T, side, side, 3)."""
+    proprio: Floats
+    """Shape (T, 8): TCP position in the base frame [m], quaternion xyzw, gripper opening."""
+    actions: Floats
+    """Shape (T, 7)."""
+    instruction: str
+    """Natural language instruction."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Demonstrations:
+    """All steps of a data set, N in all."""
+
+    images: dict[str, Images]
+    """Camera name to uint8 images, shape (N, side, side, 3)."""
+    proprio: Floats
+    """Network input, shape (N, `PROPRIO_SIZE`)."""
+    actions: Floats
+    """Shape (N, 7)."""
+    ends: Ints
+    """For each step the index of its episode's last step."""
+    words: Ints
+    """For each step the indices of its instruction's words, padded with 0, shape (N, longest)."""
+    targets: Floats
+    """For each step what the auxiliary task predicts, shape (N, `TARGET_SIZE`)."""
+    target_known: Floats
+    """1 where the target is known, else 0."""
+    vocabulary: tuple[str, ...]
+    """Words of the instructions; word i has index i + 1, index 0 is padding and unknown words."""
+    camera_sizes: dict[str, tuple[int, int]]
+    """Camera name to (width, height) of the images before they were resized [px]."""
+    semantics: ActionSemantics
+    """Meaning of the actions."""
+    episodes: int
+    """Number of episodes."""
+
+    def __len__(self) -> int:
+        """Count the steps."""
+        return len(self.actions)
+
+
+def split_words(instruction: str) -> list[str]:
+    """Split an instruction into lower-case words."""
+    return "".join(c if c.isalnum() else " " for c in instruction.lower()).split()
+
+
+def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> Ints:
+    """Return the indices of an instruction's known words, padded with 0 to a length."""
+    index = {word: i + 1 for i, word in enumerate(vocabulary)}
+    known = [index[word] for word in split_words(instruction) if word in index][:length]
+    return np.array(known + [0] * (length - len(known)), np.int32)
+
+
+def resize(image: Images, side: int) -> Images:
+    """Resize an RGB image to a square, averaging over the pixels that fall together.
+
+    Training and policy both come through here, so that the network meets the same pixels in both.
+    """
+    if image.shape[:2] == (side, side):
+        return image
+    return np.asarray(Image.fromarray(image).resize((side, side), Image.Resampling.BOX))
+
+
+def proprio_features(proprio: Floats) -> Floats:
+    """Reduce proprioception of shape (..., 8) to what the network sees: position, gripper opening, twice the yaw.
+
+    A parallel gripper is the same after half a turn, hence sine and cosine of twice the angle.
+    """
+    matrix = Rotation.from_quat(proprio[..., 3:7]).as_matrix()
+    yaw = np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
+    parts = [proprio[..., :3], proprio[..., 7:8], np.sin(2 * yaw)[..., None], np.cos(2 * yaw)[..., None]]
+    return np.concatenate(parts, axis=-1).astype(np.float32)
+
+
+def default_sizes(cameras: Iterable[str]) -> dict[str, int]:
+    """Return the side of the network's input by camera when nothing is configured."""
+    return {name: 64 if "wrist" in name else 96 for name in cameras}
+
+
+def assemble(
+    episodes: Iterable[Demonstration],
+    *,
+    camera_sizes: Mapping[str, tuple[int, int]],
+    semantics: ActionSemantics,
+) -> Demonstrations:
+    """Put demonstrations together.
+
+    Args:
+        episodes: At least one, all with the same cameras.
+        camera_sizes: Camera name to (width, height) before resizing [px].
+        semantics: Meaning of the actions.
+
+    Raises:
+        ConfigError: When there is none.
+    """
+    kept = [episode for episode in episodes if len(episode.actions)]
+    if not kept:
+        raise ConfigError("no demonstrations to train on")
+    lengths = [len(episode.actions) for episode in kept]
+    vocabulary = tuple(sorted({word for episode in kept for word in split_words(episode.instruction)}))
+    longest = max(len(split_words(episode.instruction)) for episode in kept)
+    words = [word_indices(episode.instruction, vocabulary, max(longest, 1)) for episode in kept]
+    features = [proprio_features(episode.proprio) for episode in kept]
+    targets = [_targets(f, e.actions) for f, e in zip(features, kept, strict=True)]
+    return Demonstrations(
+        images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
+        proprio=np.concatenate(features),
+        actions=np.concatenate([episode.actions for episode in kept]),
+        ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
+        words=np.repeat(np.stack(words), lengths, axis=0),
+        targets=np.concatenate([target for target, _ in targets]),
+        target_known=np.concatenate([known for _, known in targets]),
+        vocabulary=vocabulary,
+        camera_sizes=dict(camera_sizes),
+        semantics=semantics,
+        episodes=len(kept),
+    )
+
+
+def _targets(features: Floats, actions: Floats) -> tuple[Floats, Floats]:
+    """Return, per step, where the gripper is at its next opening or closing, relative to where it is now.
+
+    A demonstration shows at its gripper's events what it was about: where the object is, where it goes. Predicting
+    that from every earlier image teaches the network to look there.
+
+    Returns:
+        Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5); and 1 for the steps
+        that have an event ahead.
+    """
+    closed = actions[:, 6] < 0.5
+    events = np.flatnonzero(closed[1:] != closed[:-1]) + 1
+    targets = np.zeros((len(actions), TARGET_SIZE), np.float32)
+    known = np.zeros(len(actions), np.float32)
+    first = 0
+    for event in events:
+        steps = slice(first, event + 1)
+        targets[steps, :3] = features[event, :3] - features[steps, :3]
+        targets[steps, 3:] = features[event, 4:6]
+        known[steps] = 1.0
+        first = event + 1
+    return targets, known
+
+
+def load_rlds(
+    path: Path,
+    *,
+    image_sizes: Mapping[str, int] | None = None,
+    split: str = "train",
+    limit: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Demonstrations:
+    """Read an RLDS export.
+
+    Args:
+        path: Folder of the export.
+        image_sizes: Camera name to the side of the network's input [px]; none: `default_sizes`.
+        split: ``train`` or ``val``.
+        limit: Read at most so many episodes; 0: all.
+        progress: Called with (episodes read, episodes in all).
+
+    Raises:
+        ConfigError: When a camera is not in the export, or episodes differ in their actions' meaning.
+        RecorderError: When the export is missing or damaged.
+    """
+    reader = RldsReader(path)
+    total = min(reader.count(split), limit or reader.count(split))
+    episodes: list[Demonstration] = []
+    semantics: ActionSemantics | None = None
+    for index, episode in enumerate(reader.episodes(split)):
+        if index == total:
+            break
+        cameras = _cameras(episode)
+        sizes = dict(image_sizes or default_sizes(cameras))
+        for camera in sizes:
+            if camera not in cameras:
+                raise ConfigError(f"{path}: no camera '{camera}'; {one_of(cameras, camera)}")
+        said = rlds_semantics(episode)
+        if semantics is not None:
+            said.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
+        semantics = said
+        episodes.append(
+            Demonstration(
+                images={camera: _frames(episode, cameras[camera], side) for camera, side in sizes.items()},
+                proprio=episode.state,
+                actions=episode.action,
+                instruction=episode.instruction,
+            )
+        )
+        progress(index + 1, total)
+    if semantics is None:
+        raise ConfigError(f"{path}: split '{split}' has no episodes")
+    camera_sizes = {
+        camera: (reader.features.images[cameras[camera]][1], reader.features.images[cameras[camera]][0])
+        for camera in sizes
+    }
+    return assemble(episodes, camera_sizes=camera_sizes, semantics=semantics)
+
+
+def _cameras(episode: RldsEpisode) -> dict[str, str]:
+    """Return camera name to image key: as the export says, or by the usual names."""
+    said = episode.metadata.get("cameras")
+    names = dict(json.loads(said)) if isinstance(said, str) else {}
+    return {str(names.get(key, IMAGE_KEYS.get(key, key))): key for key in episode.images}
+
+
+def _frames(episode: RldsEpisode, key: str, side: int) -> Images:
+    return np.stack([resize(episode.frame(key, step), side) for step in range(len(episode))])

@@ -1,0 +1,165 @@
+"""The network of behaviour cloning: small enough for minutes of training on two CPU cores.
+
+Each camera's image goes through a strided convolution and two 3x3 ones, whose channels the instruction scales and
+shifts (FiLM), and is reduced to the image coordinates of a few learned points (spatial softmax): where things are, not
+what all looks like. A first head predicts where the gripper will be at its next event, an auxiliary task that makes the
+points follow the object that the instruction names; a second head gets that prediction too and outputs a chunk of actions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.bc.data import PROPRIO_SIZE, TARGET_SIZE
+
+STRIDE = 4
+
+
+def _he(key: Array, shape: tuple[int, ...]) -> Array:
+    fan_in = 1
+    for size in shape[:-1]:
+        fan_in *= size
+    return jax.random.normal(key, shape) * jnp.sqrt(2.0 / fan_in)
+
+
+def _convolve(x: Array, kernel: Array, stride: int) -> Array:
+    return jax.lax.conv_general_dilated(
+        x, kernel, (stride, stride), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+
+
+class Dense(eqx.Module):
+    """Affine layer over the last axis."""
+
+    weight: Array
+    bias: Array
+
+    def __init__(self, inputs: int, outputs: int, *, key: Array, scale: float = 1.0) -> None:
+        """Draw the weights."""
+        self.weight = scale * _he(key, (inputs, outputs))
+        self.bias = jnp.zeros(outputs)
+
+    def __call__(self, x: Array) -> Array:
+        """Apply to shape (..., inputs)."""
+        return x @ self.weight + self.bias
+
+
+class Encoder(eqx.Module):
+    """An image to points: shape (B, side, side, 3) uint8 to (B, 3 * keypoints)."""
+
+    kernels: list[Array]
+    biases: list[Array]
+    film: Dense
+    points: Dense
+    temperature: Array
+
+    def __init__(self, config: BCConfig, *, key: Array) -> None:
+        """Draw the weights."""
+        c = config.channels
+        keys = jax.random.split(key, 5)
+        shapes = [(2 * STRIDE, 2 * STRIDE, 3, c), (3, 3, c, c), (3, 3, c, c)]
+        self.kernels = [_he(k, shape) for k, shape in zip(keys, shapes, strict=False)]
+        self.biases = [jnp.zeros(c) for _ in shapes]
+        self.film = Dense(config.word_size, 2 * 2 * c, key=keys[3], scale=0.1)
+        self.points = Dense(c, config.keypoints, key=keys[4])
+        self.temperature = jnp.ones(config.keypoints)
+
+    def __call__(self, image: Array, instruction: Array) -> Array:
+        """Return the points' coordinates (-1..1) and how strongly each was found.
+
+        Args:
+            image: Values -0.5..0.5, shape (B, side, side, 3).
+            instruction: Embedding, shape (B, word_size).
+        """
+        scale, shift = jnp.split(self.film(instruction)[:, None, None, :], 2, axis=-1)
+        scales, shifts = jnp.split(scale, 2, axis=-1), jnp.split(shift, 2, axis=-1)
+        x = jax.nn.relu(_convolve(image, self.kernels[0], STRIDE) + self.biases[0])
+        x = _convolve(x, self.kernels[1], 1) + self.biases[1]
+        x = jax.nn.relu(x * (1 + scales[0]) + shifts[0])
+        x = _convolve(x, self.kernels[2], 1) + self.biases[2]
+        x = jax.nn.relu(x * (1 + scales[1]) + shifts[1])
+        score = self.points(x)
+        batch, height, width, count = score.shape
+        score = score.reshape(batch, height * width, count) * self.temperature
+        weight = jax.nn.softmax(score, axis=1)
+        rows, columns = jnp.meshgrid(jnp.linspace(-1, 1, height), jnp.linspace(-1, 1, width), indexing="ij")
+        grid = jnp.stack([columns.ravel(), rows.ravel()], axis=-1)
+        where = jnp.einsum("bnk,nd->bkd", weight, grid).reshape(batch, -1)
+        strength = jnp.tanh(jnp.sum(weight * score, axis=1) / 8.0)
+        return jnp.concatenate([where, strength], axis=-1)
+
+
+class Prediction(eqx.Module):
+    """What the network says, all normalised: see `train.Statistics`."""
+
+    motion: Array
+    """Translations and rotations, shape (B, chunk, 6)."""
+    gripper: Array
+    """Logit of "open", shape (B, chunk)."""
+    target: Array
+    """Where the gripper is at its next event, shape (B, `TARGET_SIZE`)."""
+
+
+class Network(eqx.Module):
+    """Images, proprioception and an instruction's words to a chunk of actions."""
+
+    words: Array
+    encoders: dict[str, Encoder]
+    trunk: list[Dense]
+    target_head: Dense
+    action_trunk: list[Dense]
+    action_head: Dense
+    chunk: int = eqx.field(static=True)
+
+    def __init__(self, config: BCConfig, cameras: tuple[str, ...], vocabulary: int, *, key: Array) -> None:
+        """Draw the weights.
+
+        Args:
+            config: Sizes.
+            cameras: Names of the cameras.
+            vocabulary: Number of words.
+            key: Random key.
+        """
+        keys = iter(jax.random.split(key, 8 + len(cameras)))
+        self.words = jax.random.normal(next(keys), (vocabulary + 1, config.word_size)).at[0].set(0.0)
+        self.encoders = {name: Encoder(config, key=next(keys)) for name in sorted(cameras)}
+        features = 3 * config.keypoints * len(cameras) + PROPRIO_SIZE + config.word_size
+        hidden = config.hidden
+        self.trunk = [Dense(features, hidden, key=next(keys)), Dense(hidden, hidden, key=next(keys))]
+        self.target_head = Dense(hidden, TARGET_SIZE, key=next(keys), scale=0.1)
+        inputs = hidden + TARGET_SIZE + PROPRIO_SIZE
+        self.action_trunk = [Dense(inputs, hidden, key=next(keys))]
+        self.action_head = Dense(hidden, config.chunk * 7, key=next(keys), scale=0.1)
+        self.chunk = config.chunk
+
+    def __call__(self, images: dict[str, Array], proprio: Array, words: Array) -> Prediction:
+        """Predict.
+
+        Args:
+            images: Camera name to values -0.5..0.5, shape (B, side, side, 3).
+            proprio: Normalised, shape (B, `PROPRIO_SIZE`).
+            words: Word indices padded with 0, shape (B, L).
+        """
+        present = (words > 0)[..., None]
+        instruction = jnp.sum(self.words[words] * present, axis=1) / jnp.sqrt(jnp.maximum(present.sum(1), 1))
+        points = [encoder(images[name], instruction) for name, encoder in sorted(self.encoders.items())]
+        x = jnp.concatenate([*points, proprio, instruction], axis=-1)
+        for layer in self.trunk:
+            x = jax.nn.relu(layer(x))
+        target = self.target_head(x)
+        x = jnp.concatenate([x, target, proprio], axis=-1)
+        for layer in self.action_trunk:
+            x = jax.nn.relu(layer(x))
+        actions = self.action_head(x).reshape(-1, self.chunk, 7)
+        return Prediction(motion=actions[..., :6], gripper=actions[..., 6], target=target)
+
+
+def parameters(network: Network) -> Any:
+    """Return the network's arrays as a tree."""
+    return eqx.filter(network, eqx.is_array)

@@ -1,0 +1,85 @@
+"""Runs a trained checkpoint behind the policy interface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from roboxim_core.actions import ActionArray
+from roboxim_core.errors import ConfigError
+from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
+from roboxim_policies.base import BasePolicy
+from roboxim_policies.bc.checkpoint import load_checkpoint
+from roboxim_policies.bc.data import proprio_features, resize, word_indices
+from roboxim_policies.bc.network import Network, Prediction
+
+
+class BCPolicy(BasePolicy):
+    """A behaviour-cloning policy from a checkpoint.
+
+    Non-obvious: it asks for the image sizes of its training data and reduces them itself, the way its training did; an
+    image rendered smaller has other pixels. The network is compiled when it is loaded, so that the first action is not late.
+    Words that the training data never had are ignored.
+    """
+
+    name = "bc"
+
+    def __init__(self, checkpoint: str | Path, *, execute: int = 0) -> None:
+        """Load a checkpoint and compile.
+
+        Args:
+            checkpoint: Checkpoint file, or the folder of a training.
+            execute: Actions executed per request; 0: as it was configured.
+
+        Raises:
+            ConfigError: When the checkpoint cannot be used.
+        """
+        self._said = said = load_checkpoint(Path(checkpoint))
+        self.horizon = execute or said.config.execute
+        if not 1 <= self.horizon <= said.config.chunk:
+            raise ConfigError(f"execute must be 1..{said.config.chunk}, the checkpoint's chunk, got {execute}")
+        self.cameras = tuple(
+            CameraRequirement(name=name, width=width, height=height)
+            for name, (width, height) in sorted(said.camera_sizes.items())
+        )
+        self.semantics = said.semantics
+        self.version = f"step {said.step}, {said.digest}"
+        shape = eqx.filter_eval_shape(
+            Network, said.config, tuple(said.camera_sizes), len(said.vocabulary), key=jax.random.key(0)
+        )
+        count = len(jax.tree.leaves(shape))
+        network = jax.tree.unflatten(jax.tree.structure(shape), [jnp.asarray(a) for a in said.arrays[-count:]])
+        self._predict = eqx.filter_jit(lambda *inputs: network(*inputs))
+        self._words = self._encode("")
+        self._infer({n: np.zeros((s, s, 3), np.uint8) for n, s in said.input_sizes.items()}, np.zeros(8, np.float32))
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Read the instruction."""
+        self._words = self._encode(start.instruction)
+
+    def act(self, window: ObservationWindow) -> ActionArray:
+        """Return the next ``execute`` actions."""
+        newest = window.newest
+        said = self._infer(dict(newest.images), newest.proprio)
+        actions = np.zeros((self.horizon, 7), np.float32)
+        actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
+        actions[:, 6] = np.asarray(said.gripper[0, : self.horizon]) > 0
+        return actions
+
+    def _encode(self, instruction: str) -> jax.Array:
+        return jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
+
+    def _infer(self, images: dict[str, np.ndarray], proprio: np.ndarray) -> Prediction:  # type: ignore[type-arg]
+        if not np.any(proprio[3:7]):
+            proprio = np.array([*proprio[:3], 0, 0, 0, 1, proprio[7]], np.float32)
+        pixels = {
+            name: jnp.asarray(resize(images[name], side), jnp.float32)[None] / 255.0 - 0.5
+            for name, side in self._said.input_sizes.items()
+        }
+        inputs = self._said.stats.normalize_proprio(proprio_features(proprio[None]))
+        prediction: Prediction = self._predict(pixels, jnp.asarray(inputs), self._words)
+        return prediction

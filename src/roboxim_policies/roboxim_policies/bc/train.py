@@ -1,0 +1,248 @@
+"""Training of the behaviour-cloning network: deterministic for a seed, interruptible at any step, resumed exactly.
+
+Everything random is a function of (seed, step): the order of the samples and the augmentation. So a checkpoint needs
+the weights, the optimiser's state and the step, and a resumed training ends in the same bits as one that never stopped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from roboxim_core.errors import ConfigError
+from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.bc.data import Demonstrations
+from roboxim_policies.bc.network import Network, Prediction
+
+DEAD_DELTA = 1e-5
+CHECKPOINT = "checkpoint.npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainProgress:
+    """How training stands, for a progress bar."""
+
+    step: int
+    """Steps done."""
+    steps: int
+    """Steps in all."""
+    loss: float
+    """Loss, averaged over the last steps."""
+    parts: dict[str, float]
+    """The loss's parts."""
+    steps_per_s: float
+    """Speed since this start, without compiling [1/s]."""
+    eta_s: float
+    """Expected time to the end [s]."""
+
+
+def statistics(data: Demonstrations) -> Statistics:
+    """Measure how to normalise inputs and outputs.
+
+    A component of the actions that never moves gets scale 0, so that the policy outputs exactly 0 instead of noise.
+    """
+    motion = data.actions[:, :6].astype(np.float64)
+    scale = np.sqrt(np.mean(motion**2, axis=0))
+    known = data.target_known > 0
+    targets = data.targets[known] if known.any() else np.zeros((1, data.targets.shape[1]))
+    return Statistics(
+        proprio_mean=data.proprio.mean(axis=0).astype(np.float32),
+        proprio_scale=np.maximum(data.proprio.std(axis=0), 1e-2).astype(np.float32),
+        motion_scale=np.where(np.abs(motion).max(axis=0) < DEAD_DELTA, 0.0, scale).astype(np.float32),
+        target_scale=np.maximum(targets.std(axis=0), 1e-2).astype(np.float32),
+    )
+
+
+class Trainer:
+    """Trains on demonstrations in memory; `run` may be interrupted and called again."""
+
+    def __init__(self, data: Demonstrations, config: BCConfig, out: Path, *, resume: bool = True) -> None:
+        """Prepare, or go on from the folder's checkpoint.
+
+        Args:
+            data: The demonstrations.
+            config: Network and training.
+            out: Folder for the checkpoint.
+            resume: Whether to go on from a checkpoint that is there.
+
+        Raises:
+            ConfigError: When a checkpoint is there and not to be resumed, or belongs to another configuration or data set.
+        """
+        self.data, self.config, self.out = data, config, out
+        self.path = out / CHECKPOINT
+        self.cameras = tuple(sorted(data.images))
+        self.stats = statistics(data)
+        self._optimizer = _optimizer(config)
+        network = Network(config, self.cameras, len(data.vocabulary), key=jax.random.key(config.seed))
+        self._state: Any = (network, self._optimizer.init(eqx.filter(network, eqx.is_array)), network)
+        self.step = 0
+        if self.path.exists():
+            self._resume(resume)
+        self._device = {name: jnp.asarray(images) for name, images in data.images.items()}
+        self._update = eqx.filter_jit(self._make_update(), donate="none")
+
+    def _resume(self, resume: bool) -> None:
+        if not resume:
+            raise ConfigError(f"{self.path} exists; resume it or choose another folder")
+        found = load_checkpoint(self.path)
+        if found.identity != self._identity():
+            raise ConfigError(
+                f"{self.path} belongs to another configuration or data set; choose another folder or the same settings"
+            )
+        self._state = found.restore(self._state)
+        self.step = found.step
+
+    def _identity(self) -> str:
+        return Checkpoint.identity_of(self.config, self.data)
+
+    def run(self, progress: Callable[[TrainProgress], None] = lambda report: None, *, until: int = 0) -> Path:
+        """Train to the end; on any exception (Ctrl-C included) save a checkpoint first.
+
+        Args:
+            progress: Called about once a second of work.
+            until: Stop after this step; 0: at the configured end.
+
+        Returns:
+            The checkpoint's path.
+        """
+        last = min(until or self.config.steps, self.config.steps)
+        begun = first = self.step
+        started = time.monotonic()
+        recent: list[dict[str, Array]] = []
+        try:
+            while self.step < last:
+                parts = self._one_step()
+                if self.step == begun + 1:  # the first one compiles
+                    jax.block_until_ready(parts)
+                    started, first = time.monotonic(), self.step
+                recent.append(parts)
+                if self.step % 10 == 0 or self.step == last:
+                    progress(self._report(recent, time.monotonic() - started, self.step - first))
+                    recent.clear()
+                if self.step % self.config.checkpoint_every == 0:
+                    self.save()
+        finally:
+            self.save()
+        return self.path
+
+    def _one_step(self) -> dict[str, Array]:
+        batch = jnp.asarray(self._batch_indices(self.step))
+        state, parts = self._update(self._state, self._device, batch, jnp.asarray(self.step))
+        self._state, self.step = state, self.step + 1
+        return parts
+
+    def _batch_indices(self, step: int) -> np.ndarray[Any, Any]:
+        """Return the samples of a step: consecutive pieces of a shuffle per epoch."""
+        batch = min(self.config.batch, len(self.data))
+        per_epoch = len(self.data) // batch
+        epoch, piece = divmod(step, per_epoch)
+        rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(epoch,)))
+        return rng.permutation(len(self.data))[piece * batch : (piece + 1) * batch]
+
+    def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
+        parts = {name: float(np.mean([float(p[name]) for p in recent])) for name in recent[0]}
+        speed = steps / seconds if steps and seconds > 0 else 0.0
+        return TrainProgress(
+            step=self.step, steps=self.config.steps, loss=parts.pop("loss"), parts=parts, steps_per_s=speed,
+            eta_s=(self.config.steps - self.step) / speed if speed else 0.0,
+        )  # fmt: skip
+
+    def save(self) -> None:
+        """Write the checkpoint."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        save_checkpoint(
+            self.path, self._state, step=self.step, config=self.config, data=self.data, stats=self.stats
+        )
+
+    def _make_update(self) -> Callable[..., Any]:
+        config, optimizer = self.config, self._optimizer
+        sample = _sampler(self.data, self.stats, config)
+
+        def update(state: Any, images: dict[str, Array], batch: Array, step: Array) -> Any:
+            network, optimizer_state, average = state
+            key = jax.random.fold_in(jax.random.key(config.seed), step)
+            inputs, wanted = sample(images, batch, key)
+            grad = eqx.filter_value_and_grad(_loss, has_aux=True)
+            (_, parts), gradient = grad(network, inputs, wanted, config)
+            changes, optimizer_state = optimizer.update(gradient, optimizer_state, eqx.filter(network, eqx.is_array))
+            network = eqx.apply_updates(network, changes)
+            decay = jnp.minimum(config.ema_decay, (1.0 + step) / (10.0 + step))
+            average = jax.tree.map(
+                lambda a, n: decay * a + (1 - decay) * n if eqx.is_array(a) else a, average, network
+            )
+            return (network, optimizer_state, average), parts
+
+        return update
+
+
+def _optimizer(config: BCConfig) -> optax.GradientTransformation:
+    warmup = min(config.warmup_steps, config.steps // 4)
+    peak = config.learning_rate
+    schedule = optax.warmup_cosine_decay_schedule(0.0, peak, warmup, max(config.steps, 2), 0.02 * peak)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
+
+
+def _sampler(data: Demonstrations, stats: Statistics, config: BCConfig) -> Callable[..., Any]:
+    """Return the function that gathers, normalises and augments a batch inside the compiled step."""
+    proprio = jnp.asarray(stats.normalize_proprio(data.proprio))
+    safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
+    motion = jnp.asarray((data.actions[:, :6] / safe).astype(np.float32))
+    gripper = jnp.asarray((data.actions[:, 6] > 0.5).astype(np.float32))
+    targets = jnp.asarray(data.targets / stats.target_scale)
+    known, ends, words = jnp.asarray(data.target_known), jnp.asarray(data.ends), jnp.asarray(data.words)
+    noise = np.zeros(proprio.shape[1], np.float32)
+    noise[:3] = config.proprio_noise_m / stats.proprio_scale[:3]
+
+    def sample(images: dict[str, Array], batch: Array, key: Array) -> Any:
+        keys = jax.random.split(key, len(images) + 1)
+        seen = {}
+        for camera, image_key in zip(sorted(images), keys[1:], strict=True):
+            pixels = images[camera][batch].astype(jnp.float32) / 255.0 - 0.5
+            seen[camera] = _augment(pixels, image_key, config)
+        steps = batch[:, None] + jnp.arange(config.chunk)
+        last = ends[batch][:, None]
+        inside = (steps <= last).astype(jnp.float32)
+        steps = jnp.minimum(steps, last)
+        where = proprio[batch] + noise * jax.random.normal(keys[0], (len(batch), len(noise)))
+        inputs = (seen, where, words[batch])
+        wanted = (motion[steps] * inside[..., None], gripper[steps], targets[batch], known[batch])
+        return inputs, wanted
+
+    return sample
+
+
+def _augment(pixels: Array, key: Array, config: BCConfig) -> Array:
+    shift_key, light_key, tint_key = jax.random.split(key, 3)
+    count, side = pixels.shape[:2]
+    if config.brightness > 0:
+        gain = 1 + config.brightness * jax.random.uniform(light_key, (count, 1, 1, 1), minval=-1, maxval=1)
+        tint = 1 + 0.2 * config.brightness * jax.random.uniform(tint_key, (count, 1, 1, 3), minval=-1, maxval=1)
+        pixels = jnp.clip((pixels + 0.5) * gain * tint, 0, 1) - 0.5
+    if config.shift_px > 0:
+        r = config.shift_px
+        padded = jnp.pad(pixels, ((0, 0), (r, r), (r, r), (0, 0)), mode="edge")
+        offsets = jax.random.randint(shift_key, (count, 2), 0, 2 * r + 1)
+        cut = jax.vmap(lambda image, o: jax.lax.dynamic_slice(image, (o[0], o[1], 0), (side, side, 3)))
+        pixels = cut(padded, offsets)
+    return pixels
+
+
+def _loss(network: Network, inputs: Any, wanted: Any, config: BCConfig) -> tuple[Array, dict[str, Array]]:
+    said: Prediction = network(*inputs)
+    motion, gripper, target, known = wanted
+    move = jnp.mean(optax.huber_loss(said.motion, motion))
+    grip = jnp.mean(optax.sigmoid_binary_cross_entropy(said.gripper, gripper))
+    aim = jnp.sum(known[:, None] * optax.huber_loss(said.target, target)) / jnp.maximum(known.sum(), 1) / target.shape[1]
+    loss = move + config.gripper_weight * grip + config.target_weight * aim
+    return loss, {"loss": loss, "move": move, "grip": grip, "aim": aim}

@@ -1,0 +1,145 @@
+"""The policies that ship without a network: ``zero``, ``random``, ``replay``; and ``bc`` by name.
+
+``zero`` and ``random`` are the floor that every evaluation is compared with; ``replay`` repeats recorded actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.actions import ACTION_SIZE, ActionArray, ActionSemantics, check_chunk, hold_action
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
+from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy
+from roboxim_policies.base import POLICIES, BasePolicy
+from roboxim_policies.recorded_actions import load_actions
+
+DISTRIBUTIONS = ("gaussian", "uniform")
+
+
+@POLICIES.register("zero")
+class ZeroPolicy(BasePolicy):
+    """Holds still with an open gripper."""
+
+    name = "zero"
+
+    def act(self, window: ObservationWindow) -> ActionArray:
+        """Return the action that stays."""
+        return hold_action(1.0)
+
+
+@POLICIES.register("random")
+class RandomPolicy(BasePolicy):
+    """Draws every action at random within the action limits, from the episode's seed.
+
+    The gripper is a persistent coin: it flips with probability 0.1 a tick, so that it can close around something.
+    """
+
+    name = "random"
+
+    def __init__(self, *, distribution: str = "gaussian", scale: float = 0.5) -> None:
+        """Choose the distribution.
+
+        Args:
+            distribution: ``gaussian`` (standard deviation ``scale`` times the limit, per axis) or ``uniform`` (within
+                ``scale`` times the limit, per axis); longer than the limit is shortened to it.
+            scale: Part of the limit, 0..1.
+
+        Raises:
+            ConfigError: On an unknown distribution or a scale outside 0..1.
+        """
+        if distribution not in DISTRIBUTIONS:
+            raise ConfigError(f"unknown distribution '{distribution}'; {one_of(DISTRIBUTIONS, distribution)}")
+        if not 0.0 <= scale <= 1.0:
+            raise ConfigError(f"scale is the part of the action limits to use, 0..1, got {scale}")
+        self._distribution, self._scale = distribution, scale
+        self._rng = np.random.default_rng(0)
+        self._gripper = 1.0
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start the episode's own stream."""
+        self._rng = np.random.default_rng(start.seed)
+        self._gripper = 1.0
+
+    def act(self, window: ObservationWindow) -> ActionArray:
+        """Draw an action."""
+        if self._rng.random() < 0.1:
+            self._gripper = 1.0 - self._gripper
+        translation = self._draw(self.semantics.max_translation_m)
+        rotation = self._draw(self.semantics.max_rotation_rad)
+        return np.array([*translation, *rotation, self._gripper], np.float32)
+
+    def _draw(self, limit: float) -> npt.NDArray[np.float64]:
+        draw = self._rng.normal(size=3) if self._distribution == "gaussian" else self._rng.uniform(-1, 1, 3)
+        draw *= self._scale * limit
+        return np.asarray(draw * min(1.0, 0.999 * limit / max(float(np.linalg.norm(draw)), 1e-12)))
+
+
+@POLICIES.register("replay")
+class ReplayPolicy(BasePolicy):
+    """Repeats recorded actions, then holds.
+
+    From its restored scene an episode recorded under the same control rate repeats itself exactly.
+    """
+
+    name = "replay"
+
+    def __init__(
+        self,
+        source: str | Path | None = None,
+        *,
+        actions: Sequence[Sequence[float]] | npt.NDArray[np.float32] | None = None,
+        episode: int = 0,
+    ) -> None:
+        """Load the actions.
+
+        Args:
+            source: A ``.npz`` or ``.json`` file of actions, a recorded bag (``.mcap`` or its folder: the executed
+                actions), or the folder of an RLDS export (the labels of one episode).
+            actions: The actions themselves, shape (T, 7), instead of a source.
+            episode: Which episode of an RLDS export.
+
+        Raises:
+            ConfigError: When neither or both are given, or the source holds no actions.
+        """
+        if (source is None) == (actions is None):
+            raise ConfigError("replay needs either a source (.npz, .json, .mcap, RLDS export) or actions")
+        if source is not None:
+            self._actions, self.semantics = load_actions(Path(source), episode=episode)
+            self.version = f"{Path(source).name}#{episode}"
+        else:
+            self._actions, self.semantics = _checked(actions), ActionSemantics()
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the action of the window's tick; after the last one hold and say so."""
+        if window.seq >= len(self._actions):
+            return ActionChunk(actions=hold_action(float(self._actions[-1, -1]))[None], done=True)
+        return ActionChunk(
+            actions=self._actions[window.seq : window.seq + 1], done=window.seq + 1 == len(self._actions)
+        )
+
+
+def _checked(actions: npt.ArrayLike | None) -> ActionArray:
+    try:
+        return check_chunk(np.empty((0, ACTION_SIZE)) if actions is None else actions)
+    except InvalidRequestError as error:
+        raise ConfigError(f"recorded {error}", ErrorCode.INVALID_CONFIG) from None
+
+
+@POLICIES.register("bc")
+def bc_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
+    """Load a trained behaviour-cloning policy; imports JAX.
+
+    Args:
+        checkpoint: Checkpoint file or the training's folder.
+        execute: Actions executed per request; 0: as the checkpoint says.
+
+    Raises:
+        ConfigError: When the checkpoint is missing, damaged or of another version.
+    """
+    from roboxim_policies.bc.policy import BCPolicy
+
+    return BCPolicy(checkpoint, execute=execute)

@@ -1,0 +1,134 @@
+"""Actions out of files: ``.npz``, ``.json``, a recorded bag, an RLDS export. Serves the ``replay`` policy."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
+from roboxim_core.config import from_json
+from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
+from roboxim_core.rlds import RldsEpisode, RldsReader
+
+STEP_TOPIC = "evaluator/step"
+
+
+def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, ActionSemantics]:
+    """Load an episode's actions and their meaning.
+
+    Args:
+        source: ``.npz`` (array ``actions`` or the only one), ``.json`` (a list, or an object with ``actions``), a bag
+            (``.mcap`` file or a folder that holds one), or the folder of an RLDS export.
+        episode: Index of the episode in an RLDS export.
+
+    Returns:
+        Actions of shape (T, 7), and their semantics (the default where the file says nothing).
+
+    Raises:
+        ConfigError: When the source is missing, of no known kind, or holds no valid actions.
+    """
+    if not source.exists():
+        raise ConfigError(f"no such file or folder: {source}")
+    semantics = ActionSemantics()
+    if source.is_dir():
+        bags = sorted(source.glob("*.mcap"))
+        if bags:
+            actions, semantics = _from_bag(bags[0])
+        else:
+            actions, semantics = _from_rlds(source, episode)
+    elif source.suffix == ".mcap":
+        actions, semantics = _from_bag(source)
+    elif source.suffix == ".npz":
+        actions = _from_npz(source)
+    elif source.suffix == ".json":
+        actions = _from_json(source)
+    else:
+        raise ConfigError(f"{source}: cannot read actions from this; give .npz, .json, .mcap or an RLDS export")
+    try:
+        return check_chunk(actions), semantics
+    except InvalidRequestError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+def _from_npz(source: Path) -> npt.ArrayLike:
+    try:
+        with np.load(source) as arrays:
+            names = list(arrays)
+            if "actions" not in names and len(names) != 1:
+                raise ConfigError(f"{source}: needs an array 'actions', has {', '.join(names) or 'none'}")
+            return np.asarray(arrays["actions" if "actions" in names else names[0]])
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"{source} is not a readable .npz: {error}") from None
+
+
+def _from_json(source: Path) -> npt.ArrayLike:
+    try:
+        data: Any = json.loads(source.read_text())
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{source} is not valid JSON: {error}") from None
+    actions: npt.ArrayLike = data.get("actions", []) if isinstance(data, dict) else data
+    return actions
+
+
+def _from_bag(source: Path) -> tuple[npt.ArrayLike, ActionSemantics]:
+    """Read the executed actions, without ROS: a bag carries its own message definitions."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.highlevel.anyreader import AnyReaderError
+
+    try:
+        with AnyReader([source]) as reader:
+            by_topic = {c.topic.removeprefix("/"): c for c in reader.connections}
+            if STEP_TOPIC not in by_topic:
+                raise ConfigError(f"{source}: no topic '{STEP_TOPIC}'; is it a bag recorded by RoboXim?")
+            steps = {}
+            for connection, _, raw in reader.messages(connections=[by_topic[STEP_TOPIC]]):
+                step: Any = reader.deserialize(raw, connection.msgtype)
+                if step.phase == "act":
+                    steps[int(step.seq)] = np.asarray(step.action_executed, np.float32)
+            semantics = _semantics(reader, by_topic.get("episode/info"))
+    except (AnyReaderError, OSError) as error:
+        raise ConfigError(f"{source} is not a readable bag: {error}") from None
+    if sorted(steps) != list(range(1, len(steps) + 1)):
+        raise ConfigError(f"{source}: the bag has gaps (actions of ticks {sorted(steps)}); it cannot be replayed")
+    return [steps[seq] for seq in sorted(steps)], semantics
+
+
+def _semantics(reader: Any, connection: Any) -> ActionSemantics:
+    for _, _, raw in reader.messages(connections=[connection]) if connection else ():
+        said = reader.deserialize(raw, connection.msgtype).semantics
+        return ActionSemantics(**{name: getattr(said, name) for name in ActionSemantics.__dataclass_fields__})
+    return ActionSemantics()
+
+
+def _from_rlds(source: Path, episode: int) -> tuple[npt.ArrayLike, ActionSemantics]:
+    try:
+        reader = RldsReader(source)
+    except RecorderError as error:
+        raise ConfigError(f"{source} holds neither a bag (.mcap) nor an RLDS export: {error}") from None
+    split = "train" if episode < reader.count("train") else "val"
+    index = episode - (reader.count("train") if split == "val" else 0)
+    if episode < 0 or index >= reader.count(split):
+        raise ConfigError(
+            f"{source}: no episode {episode}; there are {reader.count('train') + reader.count('val')}, "
+            "first those of 'train', then those of 'val'"
+        )
+    found = next(itertools.islice(reader.episodes(split), index, None))
+    return found.action, rlds_semantics(found)
+
+
+def rlds_semantics(episode: RldsEpisode) -> ActionSemantics:
+    """Return what an exported episode's actions mean.
+
+    Raises:
+        ConfigError: When the export does not say, or says it in another format.
+    """
+    said = episode.metadata.get("action_semantics")
+    if not isinstance(said, str):
+        raise ConfigError("the export does not say what its actions mean (episode_metadata/action_semantics)")
+    return from_json(said, ActionSemantics, source="episode_metadata/action_semantics")
