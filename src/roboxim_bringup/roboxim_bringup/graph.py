@@ -80,6 +80,12 @@ class Graph:
         """Return a node."""
         return self.nodes[name]
 
+    def clients(self) -> Any:
+        """Return blocking clients in the graph's namespace; a context manager (`roboxim_ros.clients.Clients`)."""
+        from roboxim_ros.clients import Clients
+
+        return Clients("graph_clients", context=self.host.context, namespace=self.namespace)
+
     def start(self, name: str, parameters: Mapping[str, Any]) -> Any:
         """Start one of `NODES`."""
         cls = node_class(name)
@@ -176,4 +182,4 @@ def check_declared(parameters: Iterable[str], declared: Mapping[str, set[str]]) 
 
 
 def _declared(node: Any) -> set[str]:
-    return set(node.list_parameters([], 0).result.names)
+    return set(node.list_parameters([], 0).names)
