@@ -1,8 +1,8 @@
 """Straight-line motions of the tcp: position linear, rotation along the shortest arc, one speed law for both.
 
-The joint path follows by continuing the inverse kinematics densely along the line; a smooth spline through it, driven by
-a one-degree-of-freedom Ruckig profile that is stretched in time until every joint limit holds, is the motion. Stretching
-is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
+The joint path follows by continuing the inverse kinematics densely along the line. The motion is a smooth spline
+through it, driven by a one-degree-of-freedom Ruckig profile that is stretched in time until every joint limit holds.
+Stretching is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from roboxim_core.poses import Pose, distance
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.poses import Pose, distance
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.timing import Motion, MotionLimits, line_profile, still
 
@@ -69,9 +69,7 @@ def line_poses(begin: Pose, end: Pose, count: int) -> list[Pose]:
     turn = (end.rotation * begin.rotation.inv()).as_rotvec()
     a, b = np.array(begin.position), np.array(end.position)
     places = np.linspace(0.0, 1.0, count)
-    return [
-        Pose.from_arrays(a + s * (b - a), Rotation.from_rotvec(s * turn) * begin.rotation) for s in places
-    ]
+    return [Pose.from_arrays(a + s * (b - a), Rotation.from_rotvec(s * turn) * begin.rotation) for s in places]
 
 
 def _follow(robot: PlannerRobot, start: Array, target: Pose, posture: Array | None) -> LinePath:
@@ -98,14 +96,10 @@ def _follow(robot: PlannerRobot, start: Array, target: Pose, posture: Array | No
     )
 
 
-def _why(
-    robot: PlannerRobot, joints: Array, jump: float, error: float, fraction: float, length: float
-) -> str:
+def _why(robot: PlannerRobot, joints: Array, jump: float, error: float, fraction: float, length: float) -> str:
     at = f"at {100.0 * fraction:.0f} % of the line ({1000.0 * fraction * length:.1f} of {1000.0 * length:.1f} mm)"
     names = robot.description.joint_names
-    stopped = [
-        n for n, q, lo, hi in zip(names, joints, robot.lower, robot.upper, strict=True) if not lo < q < hi
-    ]
+    stopped = [n for n, q, lo, hi in zip(names, joints, robot.lower, robot.upper, strict=True) if not lo < q < hi]
     if stopped:
         return f"{' and '.join(stopped)} at a limit {at}"
     if jump > _JUMP_RAD:
@@ -150,9 +144,7 @@ class LineMotion:
 
     def _excess(self, limits: MotionLimits) -> float:
         """Return by what factor time must be stretched for every limit to hold (<= 1: they hold)."""
-        times = np.unique(
-            np.concatenate([np.linspace(0.0, self.duration, 400), self._law[0].x, self._law[0].x - 1e-9])
-        )
+        times = np.unique(np.concatenate([np.linspace(0.0, self.duration, 400), self._law[0].x, self._law[0].x - 1e-9]))
         _, v, a, j = self.evaluate(times)
         return max(
             float((np.abs(v) / limits.velocity).max()),

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import Vec3
-
 from roboxim_planner.geometry import make_shape
 from roboxim_planner.robot import PlannerRobot, se3
-from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Attached, Body, PlanningScene
+from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, PlanningScene
 
 Array = npt.NDArray[np.float64]
 _WORLD_JOINT = 0
@@ -59,9 +59,7 @@ class CollisionWorld:
         self.scene = scene
         self.padding = padding
         self._base = se3(scene.robot_pose)
-        self._names = {
-            item.name: robot.model.frames[item.parentFrame].name for item in robot.geometry.geometryObjects
-        }
+        self._names = {item.name: robot.model.frames[item.parentFrame].name for item in robot.geometry.geometryObjects}
         self._model = robot.geometry.copy()
         to_base = self._base.inverse()
         for body in scene.bodies:
@@ -72,9 +70,7 @@ class CollisionWorld:
         self._add_pairs(scene)
         self._data = self._model.createData()
         self._scratch = robot.model.createData()
-        self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            robot.model, self._model, self._data
-        )
+        self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(robot.model, self._model, self._data)
 
     def _add(self, body: Body, joint: int, placement: pin.SE3, padding: float) -> None:
         for i, shape in enumerate(body.shapes):
@@ -178,9 +174,7 @@ class CollisionWorld:
 class _Allowed:
     """Answers whether two named bodies may touch."""
 
-    def __init__(
-        self, pairs: Iterable[AllowedContact], links: set[str], gripper: set[str], bodies: set[str]
-    ) -> None:
+    def __init__(self, pairs: Iterable[AllowedContact], links: set[str], gripper: set[str], bodies: set[str]) -> None:
         groups: dict[str, set[str]] = {ROBOT: links, GRIPPER: gripper, "": links | bodies}
 
         def expand(name: str) -> set[str]:

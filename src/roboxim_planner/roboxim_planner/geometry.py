@@ -7,10 +7,10 @@ from functools import lru_cache
 import coal
 import numpy as np
 import numpy.typing as npt
-from roboxim_core.errors import InvalidRequestError
-from roboxim_core.models.description import Shape
 from scipy.spatial import ConvexHull, QhullError
 
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.models.description import Shape
 from roboxim_planner.scene import PointHull
 
 
@@ -51,9 +51,7 @@ def convex_hull(points: npt.ArrayLike) -> coal.ConvexBase:
         corners = array[ConvexHull(array).vertices]
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise InvalidRequestError(
-            f"{len(array)} points span no convex hull with a volume: {reason}"
-        ) from None
+        raise InvalidRequestError(f"{len(array)} points span no convex hull with a volume: {reason}") from None
     vertices = coal.StdVec_Vec3s()
     for corner in corners:
         vertices.append(corner)

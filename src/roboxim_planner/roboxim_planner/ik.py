@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.poses import Pose
-
 from roboxim_planner.robot import PlannerRobot
 
 Array = npt.NDArray[np.float64]
@@ -59,9 +59,7 @@ class IkSolver:
         pin.computeJointJacobians(model, data, self.robot.full(np.zeros(self.robot.dof)))
         tcp = model.frames[self.robot.tcp_frame]
         chain = [i for i in model.supports[tcp.parentJoint] if i != 0]
-        self._offsets = [
-            (model.jointPlacements[i].rotation, model.jointPlacements[i].translation) for i in chain
-        ]
+        self._offsets = [(model.jointPlacements[i].rotation, model.jointPlacements[i].translation) for i in chain]
         self._tip = (tcp.placement.rotation, tcp.placement.translation)
         self._axes, self._skews, self._prismatic, self._columns = [], [], [], []
         arm = [model.getJointId(name) for name in self.robot.description.joint_names]
@@ -110,10 +108,10 @@ class IkSolver:
             if len(found) and rounds is None:
                 break
         if not len(found):
+            position, quat = (np.round(part, 4).tolist() for part in (target.position, target.quat_xyzw))
             raise PlannerError(
                 f"goal unreachable: the tcp came within {1000.0 * best[0]:.1f} mm and {best[1]:.3f} rad of position "
-                f"{tuple(round(v, 4) for v in target.position)}, quaternion {tuple(round(v, 4) for v in target.quat_xyzw)} "
-                f"in the robot's base; move or turn the goal",
+                f"{position}, quaternion {quat} in the robot's base; move or turn the goal",
                 ErrorCode.GOAL_UNREACHABLE,
             )
         return self._distinct(found, reference)
@@ -144,9 +142,7 @@ class IkSolver:
         best = (np.inf, np.inf)
         for _ in range(config.iterations):
             rotation, position, jacobian = self._forward(q)
-            error = np.concatenate(
-                [goal_position - position, _rotation_error(goal_rotation, rotation)], axis=1
-            )
+            error = np.concatenate([goal_position - position, _rotation_error(goal_rotation, rotation)], axis=1)
             off, turned = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
             closest = int(np.argmin(off + 0.1 * turned))
             best = min(best, (float(off[closest]), float(turned[closest])))
@@ -170,7 +166,7 @@ class IkSolver:
         normal[:, range(6), range(6)] += damping[:, None]
         step = np.einsum("nij,ni->nj", active, np.linalg.solve(normal, error[..., None])[..., 0])
         largest = np.abs(step).max(axis=1, keepdims=True)
-        return np.clip(q + step * np.minimum(1.0, 0.6 / np.maximum(largest, 1e-12)), low, high)
+        return np.asarray(np.clip(q + step * np.minimum(1.0, 0.6 / np.maximum(largest, 1e-12)), low, high))
 
     def _forward(self, q: Array) -> tuple[Array, Array, Array]:
         """Return rotation (N, 3, 3), position (N, 3) and Jacobian (N, 6, dof) of the tcp, in the base's axes."""

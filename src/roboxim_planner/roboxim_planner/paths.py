@@ -172,9 +172,7 @@ def _cut(world: CollisionWorld, path: Array, rng: np.random.Generator, step: flo
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     first, second = np.sort(rng.uniform(0.0, ends[-1], 2))
-    i, j = (
-        int(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(lengths) - 1)) for x in (first, second)
-    )
+    i, j = (int(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(lengths) - 1)) for x in (first, second))
     if i == j:
         return None
     a = path[i] + (first - ends[i]) / lengths[i] * (path[i + 1] - path[i])

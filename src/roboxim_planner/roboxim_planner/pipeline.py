@@ -7,13 +7,14 @@ seed; a deadline can only end a request (see `Watch`), never change its answer.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-
 from roboxim_planner.cartesian import follow_line, time_line
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.ik import IkConfig, IkSolver
@@ -100,7 +101,7 @@ class Plan:
     @property
     def end(self) -> Array:
         """Arm configuration at the end, shape (dof,) [rad]."""
-        return self.motion.evaluate(np.array([self.duration]))[0][0]
+        return np.asarray(self.motion.evaluate(np.array([self.duration]))[0][0])
 
     def sample(self, period_s: float) -> Trajectory:
         """Sample the motion at a period, its end included."""
@@ -152,6 +153,7 @@ class Planner:
         self.robot = PlannerRobot(robot)
         self.config = config or PlannerConfig()
         self.ik = IkSolver(self.robot, self.config.ik)
+        self._kept: list[_Worlds] = []
 
     def plan_to_pose(
         self,
@@ -281,7 +283,7 @@ class Planner:
     def check_state(self, scene: PlanningScene, joints: npt.ArrayLike) -> Finding:
         """Check an arm configuration of shape (dof,) [rad] for limits and collisions (without padding)."""
         q = self.robot.check_joints(joints, what="state")
-        world = CollisionWorld(self.robot, scene)
+        world = self._worlds(scene, MotionOptions()).exact
         return Finding(contacts=world.contacts(q), violations=self.robot.limit_violations(q))
 
     def check_trajectory(
@@ -311,16 +313,15 @@ class Planner:
             )
         clock = None if times is None else np.asarray(times, dtype=float)
         if clock is not None and (clock.shape != path.shape[:1] or not (np.diff(clock) > 0).all()):
-            raise InvalidRequestError(
-                "times of a trajectory must be finite, one per point, and strictly increasing"
-            )
+            raise InvalidRequestError("times of a trajectory must be finite, one per point, and strictly increasing")
         rates = []
         for name, values in (("velocities", velocities), ("accelerations", accelerations)):
             array = None if values is None else np.asarray(values, dtype=float)
             if array is not None and (array.shape != path.shape or not np.isfinite(array).all()):
                 raise InvalidRequestError(f"{name} must be finite and of the positions' shape {path.shape}")
             rates.append(array)
-        world = CollisionWorld(self.robot, scene, padding=options.padding_m or 0.0)
+        worlds = self._worlds(scene, options)
+        world = worlds.exact if options.padding_m is None else worlds.padded
         return verify_samples(world, self.limits(options), path, clock, rates[0], rates[1])
 
     def inverse_kinematics(
@@ -352,7 +353,7 @@ class Planner:
         near = self.robot.check_joints(reference, what="seed_state")
         base = scene.robot_pose if scene is not None else (robot_pose or Pose())
         goal = base.inverse() @ target
-        world = None if scene is None else CollisionWorld(self.robot, scene)
+        world = None if scene is None else self._worlds(scene, MotionOptions()).exact
         if count == 1:
             first = self.ik.nearest(goal, near)
             if first is not None and (world is None or world.is_free(first)):
@@ -376,8 +377,14 @@ class Planner:
         )
 
     def _worlds(self, scene: PlanningScene, options: MotionOptions) -> _Worlds:
+        """Return the geometry of a scene; the last ones are kept, since requests come in runs on one scene."""
         padding = self.config.padding_m if options.padding_m is None else options.padding_m
-        return _Worlds(self.robot, scene, padding)
+        for kept in self._kept:
+            if kept.padding == padding and kept.scene == scene:
+                return kept
+        worlds = _Worlds(self.robot, scene, padding)
+        self._kept = [worlds, *self._kept[:3]]
+        return worlds
 
     def _check_start(self, worlds: _Worlds, start: npt.ArrayLike, *, collisions: bool = True) -> Array:
         begin = self.robot.check_joints(start, what="start")
@@ -434,9 +441,7 @@ class Planner:
     ) -> Plan | None:
         """Return the plan of the straight joint line, or none when it is not valid."""
         if float(np.abs(goal - begin).max()) < 1e-9:
-            return Plan(
-                motion=still(begin), route="still", goal_index=owner, waypoints=np.stack([begin, goal])
-            )
+            return Plan(motion=still(begin), route="still", goal_index=owner, waypoints=np.stack([begin, goal]))
         watch("direct", 0)
         path = np.stack([begin, goal])
         world = worlds.for_ends(begin, goal)
@@ -476,9 +481,7 @@ class Planner:
             if motion is not None:
                 return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
         if finding is not None:
-            raise PlannerError(
-                f"no path passed verification, the last because {finding}", ErrorCode.TRAJECTORY_INVALID
-            )
+            raise PlannerError(f"no path passed verification, the last because {finding}", ErrorCode.TRAJECTORY_INVALID)
         raise PlannerError(
             f"no path found to {len(goals)} goal configuration(s) in {self.config.attempts} searches of "
             f"{self.config.search.iterations} iterations; obstacles may close the way"
@@ -498,7 +501,7 @@ class Planner:
             finding = verify_motion(exact, self.robot, motion, limits, path[-1])
             if finding.valid:
                 return motion, finding
-            if not len(corners):
+            if not corners.any():
                 break
         return None, finding
 
@@ -533,9 +536,7 @@ class Planner:
         """
         states = {"home": self.robot.description.home, **self.robot.description.named_states}
         if name not in states:
-            raise InvalidRequestError(
-                f"robot '{self.robot.description.id}': unknown state; {one_of(states, name)}"
-            )
+            raise InvalidRequestError(f"robot '{self.robot.description.id}': unknown state; {one_of(states, name)}")
         return np.array(states[name])
 
 
@@ -543,15 +544,19 @@ class _Worlds:
     """The scene with and without padding; built when first needed, since most requests need few of them."""
 
     def __init__(self, robot: PlannerRobot, scene: PlanningScene, padding: float) -> None:
-        self.exact = CollisionWorld(robot, scene)
-        self._make = lambda: CollisionWorld(robot, scene, padding=padding) if padding > 0 else self.exact
-        self._padded: CollisionWorld | None = None
+        self.scene = scene
+        self.padding = padding
+        self._robot = robot
 
-    @property
+    @cached_property
+    def exact(self) -> CollisionWorld:
+        return CollisionWorld(self._robot, self.scene)
+
+    @cached_property
     def padded(self) -> CollisionWorld:
-        if self._padded is None:
-            self._padded = self._make()
-        return self._padded
+        if self.padding == 0.0:
+            return self.exact
+        return CollisionWorld(self._robot, self.scene, padding=self.padding)
 
     def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
         """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""

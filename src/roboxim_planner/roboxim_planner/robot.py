@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
@@ -59,9 +60,7 @@ class PlannerRobot:
 
     def _load_geometry(self, robot: RobotModel) -> pin.GeometryModel:
         folders = [str(folder) for folder in robot.urdf.resolve().parents]
-        geometry = pin.buildGeomFromUrdf(
-            self.model, str(robot.urdf), pin.GeometryType.COLLISION, package_dirs=folders
-        )
+        geometry = pin.buildGeomFromUrdf(self.model, str(robot.urdf), pin.GeometryType.COLLISION, package_dirs=folders)
         for item in geometry.geometryObjects:
             if isinstance(item.geometry, coal.BVHModelBase):
                 item.geometry.buildConvexHull(True, "Qt")
@@ -146,8 +145,6 @@ class PlannerRobot:
         """Say which joint limits a configuration breaks by more than a tolerance [rad], as sentences."""
         return tuple(
             f"{name} at {value:.4f} rad is outside [{low:.4f}, {high:.4f}]"
-            for name, value, low, high in zip(
-                self.description.joint_names, joints, self.lower, self.upper, strict=True
-            )
+            for name, value, low, high in zip(self.description.joint_names, joints, self.lower, self.upper, strict=True)
             if not low - tolerance <= value <= high + tolerance
         )

@@ -10,13 +10,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.models.description import JointModel, ObjectModel, Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import EntityState, StateRecord
-from scipy.spatial.transform import Rotation
 
 TABLE = "table"
 ROBOT = "robot"
@@ -52,9 +53,7 @@ class Body:
             InvalidRequestError: Naming the body and what is wrong.
         """
         if not self.name or self.name in (ROBOT, GRIPPER, "world"):
-            raise InvalidRequestError(
-                f"a body needs a name other than robot, gripper and world, got '{self.name}'"
-            )
+            raise InvalidRequestError(f"a body needs a name other than robot, gripper and world, got '{self.name}'")
         if not self.shapes:
             raise InvalidRequestError(f"body '{self.name}' has no shape")
         for shape in self.shapes:
@@ -117,9 +116,7 @@ class PlanningScene:
         names = [body.name for body in self.bodies] + [held.body.name for held in self.attached]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise InvalidRequestError(
-                f"names of bodies must be unique, got {', '.join(twice)} more than once"
-            )
+            raise InvalidRequestError(f"names of bodies must be unique, got {', '.join(twice)} more than once")
         if not 0.0 <= self.gripper_opening <= 1.0:
             raise InvalidRequestError(f"gripper_opening must be 0..1, got {self.gripper_opening}")
 
@@ -159,6 +156,18 @@ class PlanningScene:
         held = replace(body, pose=pose_tcp.inverse() @ body.pose)
         return replace(rest, attached=(*self.attached, Attached(body=held, touch_links=tuple(touch_links))))
 
+    def holding(self, held: Attached) -> PlanningScene:
+        """Return the scene with one more body in the gripper."""
+        return replace(self, attached=(*self.attached, held))
+
+    def with_contacts(self, allowed: Iterable[AllowedContact]) -> PlanningScene:
+        """Return the scene with more pairs that may touch."""
+        return replace(self, allowed=(*self.allowed, *allowed))
+
+    def with_opening(self, gripper_opening: float) -> PlanningScene:
+        """Return the scene with another opening of the gripper, 1 = open."""
+        return replace(self, gripper_opening=gripper_opening)
+
     @staticmethod
     def from_state(spec: SceneSpec, state: StateRecord, library: ModelLibrary) -> PlanningScene:
         """Build the snapshot of a simulated scene at one tick.
@@ -191,9 +200,7 @@ def table_body(spec: SceneSpec) -> Body:
     """Return the table of a scene, its top at ``center``."""
     x, y, z = spec.table.center
     size = spec.table.size
-    return Body(
-        name=TABLE, shapes=(Shape(kind="box", size=size),), pose=Pose(position=(x, y, z - size[2] / 2.0))
-    )
+    return Body(name=TABLE, shapes=(Shape(kind="box", size=size),), pose=Pose(position=(x, y, z - size[2] / 2.0)))
 
 
 def box(name: str, size: Vec3, pose: Pose = IDENTITY) -> Body:
@@ -219,13 +226,9 @@ def _link_poses(model: ObjectModel, positions: dict[str, float]) -> dict[str, Po
     while waiting:
         ready = [joint for joint in waiting if joint.parent in poses]
         if not ready:
-            raise InvalidRequestError(
-                f"object '{model.id}': joints {[j.name for j in waiting]} hang on no link"
-            )
+            raise InvalidRequestError(f"object '{model.id}': joints {[j.name for j in waiting]} hang on no link")
         for joint in ready:
-            poses[joint.child] = (
-                poses[joint.parent] @ joint.pose @ _joint_motion(joint, positions.get(joint.name, 0.0))
-            )
+            poses[joint.child] = poses[joint.parent] @ joint.pose @ _joint_motion(joint, positions.get(joint.name, 0.0))
             waiting.remove(joint)
     return poses
 

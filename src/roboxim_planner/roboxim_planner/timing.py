@@ -13,9 +13,10 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from roboxim_core.errors import PlannerError
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 from scipy.interpolate import PPoly
+
+from roboxim_core.errors import PlannerError
 
 Array = npt.NDArray[np.float64]
 _SAME = 1e-9
@@ -128,9 +129,7 @@ def line_profile(
     request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]
     outcome = ruckig.calculate(request, result)
     if outcome not in (Result.Working, Result.Finished):
-        raise PlannerError(
-            f"no time law for a line of {length:.4g} from {speed_in:.4g} to {speed_out:.4g}: {outcome}"
-        )
+        raise PlannerError(f"no time law for a line of {length:.4g} from {speed_in:.4g} to {speed_out:.4g}: {outcome}")
     profile = result.profiles[0][0]
     durations = np.array(profile.t)
     kept = durations > 1e-12
@@ -166,7 +165,7 @@ class TcpRates:
         limit = np.inf
         for point, direction in zip(points, directions, strict=True):
             rate = self._jacobian(point) @ direction
-            linear, angular = np.linalg.norm(rate[:3]), np.linalg.norm(rate[3:])
+            linear, angular = float(np.linalg.norm(rate[:3])), float(np.linalg.norm(rate[3:]))
             limit = min(
                 limit,
                 self._limits.tcp_speed / max(linear, 1e-12),
@@ -178,9 +177,7 @@ class TcpRates:
 BLEND_SAMPLES = np.linspace(0.0, 1.0, 9)
 
 
-def blend_points(
-    before: Array, corner: Array, after: Array, distance: float, samples: Array = BLEND_SAMPLES
-) -> Array:
+def blend_points(before: Array, corner: Array, after: Array, distance: float, samples: Array = BLEND_SAMPLES) -> Array:
     """Return points on a corner's blend, shape (N, dof).
 
     Args:
@@ -203,7 +200,7 @@ def time_path(
 
     Args:
         path: Waypoints, shape (N, dof), N >= 2, neighbours distinct.
-        corners: Distance of each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop there.
+        corners: Distance of each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop.
         limits: Limits.
         jacobian: The tcp's Jacobian at an arm configuration, for tcp speed limits.
     """
@@ -217,9 +214,7 @@ def time_path(
     speeds = np.zeros(len(path))
     for i, distance in enumerate(corners, start=1):
         if distance > _SAME:
-            turn = _corner_speed(
-                path[i - 1 : i + 2], distance, directions[i - 1], directions[i], limits, rates
-            )
+            turn = _corner_speed(path[i - 1 : i + 2], distance, directions[i - 1], directions[i], limits, rates)
             speeds[i] = min(turn, caps[i - 1][0], caps[i][0])
     _make_reachable(speeds, rest, caps)
     durations, pieces = [], []
@@ -233,9 +228,7 @@ def time_path(
             piece[4] += start
             pieces.append(piece)
         if i < len(corners) and corners[i] > _SAME:
-            time, piece = _blend_piece(
-                path[i + 1], corners[i], speeds[i + 1], directions[i], directions[i + 1]
-            )
+            time, piece = _blend_piece(path[i + 1], corners[i], speeds[i + 1], directions[i], directions[i + 1])
             durations.append(np.array([time]))
             pieces.append(piece)
     breaks = np.concatenate([[0.0], np.cumsum(np.concatenate(durations))])
@@ -278,9 +271,7 @@ def _corner_speed(
     )
 
 
-def _blend_piece(
-    corner: Array, distance: float, speed: float, before: Array, after: Array
-) -> tuple[float, Array]:
+def _blend_piece(corner: Array, distance: float, speed: float, before: Array, after: Array) -> tuple[float, Array]:
     time = 2.0 * distance / speed
     turn = speed * (after - before)
     piece = np.zeros((5, 1, len(corner)))

@@ -1,7 +1,7 @@
 """The last word on a motion: the timed trajectory is sampled densely and every promise is checked on the samples.
 
-Nothing here trusts how the motion was made: collisions are checked by coal on the exact convex geometry without padding,
-limits at a millisecond's spacing, the goal by forward kinematics.
+Nothing here trusts how the motion was made: collisions are checked by coal on the exact convex geometry without
+padding, limits at a millisecond's spacing, the end against the goal.
 """
 
 from __future__ import annotations
@@ -75,9 +75,7 @@ def verify_motion(
     hit = world.first_collision(q[chosen])
     if hit < 0:
         return Finding(violations=violations)
-    return Finding(
-        contacts=world.contacts(q[chosen[hit]]), violations=violations, time_s=float(times[chosen[hit]])
-    )
+    return Finding(contacts=world.contacts(q[chosen[hit]]), violations=violations, time_s=float(times[chosen[hit]]))
 
 
 def verify_samples(
@@ -148,9 +146,7 @@ def _limit_violations(
         low, high = float(positions[:, i].min()), float(positions[:, i].max())
         if low < robot.lower[i] - 1e-6 or high > robot.upper[i] + 1e-6:
             worst = low if robot.lower[i] - low > high - robot.upper[i] else high
-            found.append(
-                f"{name} reaches {worst:.4f} rad, outside [{robot.lower[i]:.4f}, {robot.upper[i]:.4f}]"
-            )
+            found.append(f"{name} reaches {worst:.4f} rad, outside [{robot.lower[i]:.4f}, {robot.upper[i]:.4f}]")
     for what, unit, values, limit in (
         ("velocity", "rad/s", velocities, limits.velocity),
         ("acceleration", "rad/s^2", accelerations, limits.acceleration),
@@ -161,23 +157,16 @@ def _limit_violations(
             worst = int(np.argmax(ratio))
             if ratio[worst] > _SLACK:
                 peak = np.abs(values[:, worst]).max()
-                found.append(
-                    f"{what} of {names[worst]} reaches {peak:.4g} {unit}, its limit is {limit[worst]:.4g}"
-                )
+                found.append(f"{what} of {names[worst]} reaches {peak:.4g} {unit}, its limit is {limit[worst]:.4g}")
     if limits.limits_tcp and velocities is not None:
         found.extend(_tcp_violations(robot, positions, velocities, limits))
     return tuple(found)
 
 
-def _tcp_violations(
-    robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits
-) -> list[str]:
+def _tcp_violations(robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits) -> list[str]:
     every = max(1, len(positions) // 200)
     rates = np.array(
-        [
-            robot.kinematics.jacobian(q) @ v
-            for q, v in zip(positions[::every], velocities[::every], strict=True)
-        ]
+        [robot.kinematics.jacobian(q) @ v for q, v in zip(positions[::every], velocities[::every], strict=True)]
     )
     found = []
     for what, unit, speeds, limit in (

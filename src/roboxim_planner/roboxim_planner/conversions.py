@@ -1,0 +1,244 @@
+"""Messages to the planner's values and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Pose as PoseMsg
+from roboxim_interfaces.msg import ContactPair as ContactPairMsg
+from roboxim_interfaces.msg import MotionPlan as MotionPlanMsg
+from sensor_msgs.msg import JointState
+from shape_msgs.msg import SolidPrimitive
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
+from roboxim_core.models.description import RobotModel, Shape
+from roboxim_core.poses import IDENTITY, Pose
+from roboxim_planner.collision import ContactPair
+from roboxim_planner.pipeline import MotionOptions, Plan
+from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.scene import AllowedContact, Attached, Body, PlanningScene, PointHull
+from roboxim_ros.conversions import fill_pose, pose_from_msg
+
+Array = npt.NDArray[np.float64]
+WORLD = "world"
+TCP = "tcp"
+
+
+def optional_pose(msg: PoseMsg) -> Pose:
+    """Convert a pose; one whose numbers are all zero is the identity."""
+    p, q = msg.position, msg.orientation
+    return pose_from_msg(msg) if any((p.x, p.y, p.z, q.x, q.y, q.z, q.w)) else IDENTITY
+
+
+def joints_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> Array:
+    """Return arm joints in the model's order from a joint state in any order.
+
+    Raises:
+        InvalidRequestError: On a wrong number of joints or a name that is unknown, missing or given twice.
+    """
+    positions = list(msg.position)
+    names = list(msg.name)
+    if not names:
+        if len(positions) != len(robot.joint_names):
+            raise InvalidRequestError(
+                f"{what}: robot '{robot.id}' has {len(robot.joint_names)} arm joints, got {len(positions)} positions"
+            )
+        return np.array(positions, dtype=float)
+    if len(names) != len(positions) or len(set(names)) != len(names):
+        raise InvalidRequestError(f"{what}: needs one position per name, each name once; got {len(names)} names "
+                                  f"and {len(positions)} positions")  # fmt: skip
+    known = (*robot.joint_names, *robot.gripper.joint_names)
+    for name in names:
+        if name not in known:
+            raise InvalidRequestError(f"{what}: robot '{robot.id}' has no joint '{name}'; {one_of(known, name)}")
+    missing = [name for name in robot.joint_names if name not in names]
+    if missing:
+        raise InvalidRequestError(f"{what}: no position for joint {', '.join(missing)}")
+    return np.array([positions[names.index(name)] for name in robot.joint_names], dtype=float)
+
+
+def joints_to_msg(joints: Array, robot: RobotModel) -> JointState:
+    """Return a joint state of the arm."""
+    msg = JointState()
+    msg.name = list(robot.joint_names)
+    msg.position = joints.tolist()
+    return msg
+
+
+def pose_in_world(msg: Any, frame: str, robot: PlannerRobot, robot_pose: Pose, start: Array | None = None) -> Pose:
+    """Convert a target pose to the world.
+
+    Args:
+        msg: ``geometry_msgs/Pose``.
+        frame: ``world`` or empty, ``<robot>_base`` or the robot's base link, or ``tcp`` (at the start).
+        robot: The robot.
+        robot_pose: Its base in the world.
+        start: Arm configuration at the start, for the frame ``tcp``; none: that frame is unknown here.
+
+    Raises:
+        PlannerError: ``UNKNOWN_FRAME``.
+    """
+    base = f"{robot.description.id}_base"
+    pose = pose_from_msg(msg)
+    if frame in ("", WORLD):
+        return pose
+    if frame in (base, robot.description.base_link):
+        return robot_pose @ pose
+    if frame == TCP and start is not None:
+        return robot_pose @ robot.fk(start) @ pose
+    known = (WORLD, base) if start is None else (WORLD, base, TCP)
+    raise PlannerError(f"unknown frame '{frame}'; {one_of(known, frame)}", ErrorCode.UNKNOWN_FRAME)
+
+
+def scene_from_msg(msg: Any, named: PlanningScene | None) -> PlanningScene:
+    """Build a request's scene.
+
+    Args:
+        msg: ``PlanningScene`` message.
+        named: The simulated revision that it names; none: it names none.
+    """
+    scene = named or PlanningScene(robot_pose=optional_pose(msg.robot_pose_in_world))
+    scene = scene.without(msg.ignored_objects)
+    scene = scene.with_bodies(_body_from_msg(item) for item in msg.objects)
+    for item in msg.attached:
+        links = tuple(item.touch_links)
+        if not item.entity:
+            scene = scene.holding(Attached(body=_body_from_msg(item.object), touch_links=links))
+        elif scene.pose_tcp is None:
+            raise InvalidRequestError(
+                f"attached entity '{item.entity}' needs a scene named by episode_id; give its geometry in 'object'"
+            )
+        else:
+            scene = scene.attach(item.entity, scene.pose_tcp, links)
+    allowed = tuple(AllowedContact(body_a=item.body_a, body_b=item.body_b) for item in msg.allowed_contacts)
+    if len(msg.gripper_opening) > 1:
+        raise InvalidRequestError(f"gripper_opening holds one number or none, got {len(msg.gripper_opening)}")
+    opening = float(msg.gripper_opening[0]) if len(msg.gripper_opening) else scene.gripper_opening
+    return scene.with_contacts(allowed).with_opening(opening)
+
+
+def _body_from_msg(msg: Any) -> Body:
+    poses = [pose_from_msg(pose) for pose in msg.primitive_poses] or [IDENTITY] * len(msg.primitives)
+    hull_poses = [pose_from_msg(pose) for pose in msg.hull_poses] or [IDENTITY] * len(msg.hulls)
+    if len(poses) != len(msg.primitives) or len(hull_poses) != len(msg.hulls):
+        raise InvalidRequestError(f"object '{msg.name}': give one pose per shape, or none at all")
+    shapes: list[Shape | PointHull] = []
+    for primitive, pose in zip(msg.primitives, poses, strict=True):
+        shapes.append(Shape(kind=_KINDS.get(primitive.type, "unknown"), size=_size(msg.name, primitive), pose=pose))
+    for mesh, pose in zip(msg.hulls, hull_poses, strict=True):
+        shapes.append(PointHull(points=tuple((p.x, p.y, p.z) for p in mesh.vertices), pose=pose))
+    return Body(name=msg.name, shapes=tuple(shapes), pose=optional_pose(msg.pose))
+
+
+_KINDS = {SolidPrimitive.BOX: "box", SolidPrimitive.SPHERE: "sphere", SolidPrimitive.CYLINDER: "cylinder"}
+
+
+def _size(name: str, primitive: SolidPrimitive) -> tuple[float, ...]:
+    size = tuple(float(value) for value in primitive.dimensions)
+    if primitive.type not in _KINDS:
+        raise InvalidRequestError(
+            f"object '{name}': primitive type must be BOX (1), SPHERE (2) or CYLINDER (3), got {primitive.type}; "
+            "give other shapes as hulls"
+        )
+    if primitive.type == SolidPrimitive.CYLINDER and len(size) == 2:
+        return size[1], size[0]  # the message has the height first
+    return size
+
+
+def options_from_msg(msg: Any) -> MotionOptions:
+    """Convert a ``MotionRequest``'s limits; zero means the default."""
+    numbers = {
+        "velocity_scaling": (msg.max_velocity_scaling_factor, 1.0),
+        "acceleration_scaling": (msg.max_acceleration_scaling_factor, 1.0),
+        "max_tcp_speed_m_s": (msg.max_tcp_speed, math.inf),
+        "max_tcp_rot_speed_rad_s": (msg.max_tcp_rot_speed, math.inf),
+    }
+    values = {name: default if value == 0.0 else float(value) for name, (value, default) in numbers.items()}
+    padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
+    return MotionOptions(**values, padding_m=padding, seed=int(msg.seed))
+
+
+def sample_period(msg: Any) -> float:
+    """Return a ``MotionRequest``'s sampling period [s].
+
+    Raises:
+        InvalidRequestError: When it is out of range.
+    """
+    period = float(msg.sample_period) or 0.01
+    if not 0.001 <= period <= 0.1:
+        raise InvalidRequestError(f"sample_period must be 0.001..0.1 s, got {period}")
+    return period
+
+
+def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s: float, tcp_poses: bool) -> Any:
+    """Return a ``MotionPlan`` message."""
+    samples = plan.sample(period_s)
+    msg = MotionPlanMsg(fraction=plan.fraction, route=plan.route)
+    trajectory: JointTrajectory = msg.trajectory
+    trajectory.header.frame_id = f"{robot.description.id}_base"
+    trajectory.joint_names = list(robot.description.joint_names)
+    trajectory.points = [
+        JointTrajectoryPoint(positions=q, velocities=v, accelerations=a, time_from_start=_duration(t))
+        for t, q, v, a in zip(
+            samples.times.tolist(),
+            samples.positions.tolist(),
+            samples.velocities.tolist(),
+            samples.accelerations.tolist(),
+            strict=True,
+        )
+    ]
+    if tcp_poses:
+        poses = robot.tcp_poses(samples.positions)
+        msg.tcp_poses = [fill_pose(PoseMsg(), scene.robot_pose @ pose) for pose in poses]
+    return msg
+
+
+def _duration(seconds: float) -> Duration:
+    nanoseconds = round(seconds * 1e9)
+    return Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def trajectory_from_msg(msg: JointTrajectory, robot: RobotModel) -> dict[str, Array | None]:
+    """Return positions, times, velocities, accelerations of a trajectory; none where it has no such numbers.
+
+    Raises:
+        InvalidRequestError: When points differ in what they give, or the joints do not fit the robot.
+    """
+    if not msg.points:
+        raise InvalidRequestError("the trajectory has no point")
+    names = list(msg.joint_names) or list(robot.joint_names)
+    if sorted(names) != sorted(robot.joint_names):
+        raise InvalidRequestError(
+            f"the trajectory must name the joints of robot '{robot.id}', {', '.join(robot.joint_names)}; "
+            f"got {', '.join(names)}"
+        )
+    order = [names.index(name) for name in robot.joint_names]
+    times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+    return {
+        "positions": _matrix([p.positions for p in msg.points], order, "positions", required=True),
+        "times": times if times.any() else None,
+        "velocities": _matrix([p.velocities for p in msg.points], order, "velocities"),
+        "accelerations": _matrix([p.accelerations for p in msg.points], order, "accelerations"),
+    }
+
+
+def _matrix(rows: Sequence[Any], order: list[int], what: str, *, required: bool = False) -> Array | None:
+    if not required and not any(len(row) for row in rows):
+        return None
+    for i, row in enumerate(rows):
+        if len(row) != len(order):
+            raise InvalidRequestError(f"point {i} of the trajectory has {len(row)} {what}, expected {len(order)}")
+    return np.array(rows, dtype=float)[:, order]
+
+
+def contact_to_msg(contact: ContactPair) -> ContactPairMsg:
+    """Return a ``ContactPair`` message."""
+    msg = ContactPairMsg(body_a=contact.body_a, body_b=contact.body_b, depth=contact.depth)
+    msg.position.x, msg.position.y, msg.position.z = contact.position
+    return msg

@@ -1,0 +1,98 @@
+"""Keeps the newest revision of the simulated scene, and answers for exactly the one that a request names."""
+
+from __future__ import annotations
+
+import threading
+
+from roboxim_core.errors import ErrorCode, PlannerError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_planner.scene import PlanningScene
+
+LATEST = "latest"
+"""Episode id by which a request means whatever revision is newest; for use by hand, not reproducible."""
+
+
+class SceneTracker:
+    """Pairs scenes with states. Safe to use from several threads.
+
+    Non-obvious: a scene carries no episode id and may arrive after the first state that belongs to it, so after a
+    change of episode only a scene that was sent after the last state of the old episode counts.
+    """
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Start with nothing.
+
+        Args:
+            library: Where the geometry of entities comes from.
+        """
+        self._library = library
+        self._changed = threading.Condition()
+        self._scene: tuple[SceneSpec, int] | None = None
+        self._state: StateRecord | None = None
+        self._state_ns = 0
+        self._needs_scene_after_ns = -1
+        self._built: tuple[StateRecord, PlanningScene] | None = None
+
+    def scene_arrived(self, scene: SceneSpec, sent_ns: int) -> None:
+        """Take a scene.
+
+        Args:
+            scene: The scene.
+            sent_ns: When it was sent, by the sender's clock [ns].
+        """
+        with self._changed:
+            if self._scene is None or sent_ns >= self._scene[1]:
+                self._scene = (scene, sent_ns)
+                self._built = None
+                self._changed.notify_all()
+
+    def state_arrived(self, state: StateRecord, sent_ns: int) -> None:
+        """Take a state; arguments as `scene_arrived`."""
+        with self._changed:
+            if sent_ns < self._state_ns:
+                return
+            if self._state is not None and (state.episode_id != self._state.episode_id or state.seq == 0):
+                self._needs_scene_after_ns = self._state_ns
+            self._state, self._state_ns = state, sent_ns
+            self._changed.notify_all()
+
+    def revision(self, episode_id: str, seq: int, wait_s: float = 0.0) -> PlanningScene:
+        """Return the planning scene of a revision.
+
+        Args:
+            episode_id: The episode, or ``latest``.
+            seq: The tick; not used with ``latest``.
+            wait_s: Longest wait for a revision that has not arrived yet [s].
+
+        Raises:
+            PlannerError: ``STALE_SCENE`` when that is not the newest revision.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._has(episode_id, seq) or self._is_past(episode_id, seq), wait_s)
+            if not self._has(episode_id, seq):
+                raise PlannerError(
+                    f"scene of episode '{episode_id}', tick {seq} is not there: the planner has {self._newest()}; "
+                    "name the newest tick",
+                    ErrorCode.STALE_SCENE,
+                )
+            assert self._scene is not None
+            assert self._state is not None
+            if self._built is None or self._built[0] is not self._state:
+                built = PlanningScene.from_state(self._scene[0], self._state, self._library)
+                self._built = (self._state, built)
+            return self._built[1]
+
+    def _has(self, episode_id: str, seq: int) -> bool:
+        if self._state is None or self._scene is None or self._scene[1] <= self._needs_scene_after_ns:
+            return False
+        return episode_id == LATEST or (self._state.episode_id, self._state.seq) == (episode_id, seq)
+
+    def _is_past(self, episode_id: str, seq: int) -> bool:
+        return self._state is not None and self._state.episode_id == episode_id and self._state.seq > seq
+
+    def _newest(self) -> str:
+        if self._state is None:
+            return "no scene yet; is the sim running?"
+        return f"episode '{self._state.episode_id}', tick {self._state.seq}"

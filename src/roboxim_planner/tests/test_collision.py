@@ -1,0 +1,98 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.models.description import Shape
+from roboxim_core.poses import Pose
+from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.pipeline import Planner
+from roboxim_planner.scene import AllowedContact, Attached, Body, PlanningScene, PointHull, box
+
+Down = Callable[..., Pose]
+EYE = tuple((float(i), float(j), float(k)) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1))
+
+
+def test_contact_names_the_pair_and_its_depth(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    joints = planner.ik.nearest(tcp_down(0.5, 0.0, -0.01), planner.named_state("home"))
+    contact = CollisionWorld(planner.robot, table).contacts(joints)[0]
+    assert "table" in (contact.body_a, contact.body_b)
+    assert "finger" in contact.body_a + contact.body_b
+    assert 0.005 < contact.depth < 0.03
+    assert contact.position[2] == pytest.approx(0.0, abs=0.03)
+
+
+def test_self_collision_is_found(planner: Planner) -> None:
+    folded = np.array([0.0, 1.7, 0.0, -3.0, 0.0, 0.0, 0.0])
+    assert CollisionWorld(planner.robot, PlanningScene()).contacts(folded)
+
+
+@pytest.mark.parametrize("kind", ["box", "sphere", "cylinder", "capsule", "points"])
+def test_padding_and_pose_hold_for_every_shape(tcp_down: Down, planner: Planner, kind: str) -> None:
+    """A body 20 mm below the fingers touches with 25 mm of padding, and not with 15 mm, wherever the robot stands."""
+    base = Pose(position=(1.0, 2.0, 0.5), quat_xyzw=(0.0, 0.0, np.sin(0.4), np.cos(0.4)))
+    joints = planner.ik.nearest(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))
+    size = {"box": (0.1, 0.1, 0.1), "sphere": (0.05,), "cylinder": (0.05, 0.1), "capsule": (0.02, 0.06)}.get(kind)
+    points = tuple((0.05 * x, 0.05 * y, 0.05 * z) for x, y, z in EYE)
+    shape = PointHull(points=points) if size is None else Shape(kind=kind, size=size)
+    tip = min(o[2] for o in _finger_points(planner, joints))
+    body = Body(name="thing", shapes=(shape,), pose=base @ Pose(position=(0.5, 0.04, tip - 0.07)))
+    scene = PlanningScene(robot_pose=base, bodies=(body,))
+    assert CollisionWorld(planner.robot, scene, padding=0.015).is_free(joints)
+    assert not CollisionWorld(planner.robot, scene, padding=0.025).is_free(joints)
+
+
+def _finger_points(planner: Planner, joints: np.ndarray) -> list[np.ndarray]:
+    import pinocchio as pin
+
+    robot = planner.robot
+    data, geometry_data = robot.model.createData(), robot.geometry.createData()
+    pin.updateGeometryPlacements(robot.model, data, robot.geometry, geometry_data, robot.full(joints))
+    corners = []
+    for item, placement in zip(robot.geometry.geometryObjects, geometry_data.oMg, strict=True):
+        if "finger" in item.name:
+            corners += [placement.act(np.array(eye) * item.geometry.halfSide) for eye in EYE]
+    return corners
+
+
+def test_flat_hull_is_refused_instead_of_crashing(planner: Planner) -> None:
+    flat = Body(name="flat", shapes=(PointHull(points=((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0))),))
+    with pytest.raises(InvalidRequestError, match="no convex hull"):
+        CollisionWorld(planner.robot, PlanningScene(bodies=(flat,)))
+
+
+def test_attached_body_spares_only_the_gripper(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    joints = planner.ik.nearest(tcp_down(0.5, 0.0, 0.1), planner.named_state("home"))
+    stick = Attached(body=box("stick", (0.02, 0.02, 0.16), Pose(position=(0.0, 0.0, 0.05))))
+    contacts = CollisionWorld(planner.robot, table.holding(stick)).contacts(joints)
+    assert [{c.body_a, c.body_b} for c in contacts] == [{"table", "stick"}]
+    long = Attached(body=box("long", (0.02, 0.02, 0.9)))
+    assert not CollisionWorld(planner.robot, PlanningScene().holding(long)).is_free(joints)
+
+
+def test_allowed_contacts_by_link_group_and_wildcard(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    joints = planner.ik.nearest(tcp_down(0.5, 0.0, -0.01), planner.named_state("home"))
+    for pair in (("table", "gripper"), ("robot", "table"), ("table", "")):
+        allowed = AllowedContact(body_a=pair[0], body_b=pair[1])
+        assert CollisionWorld(planner.robot, table.with_contacts([allowed])).is_free(joints)
+    one = AllowedContact(body_a="panda_leftfinger", body_b="table")
+    assert not CollisionWorld(planner.robot, table.with_contacts([one])).is_free(joints)
+    with pytest.raises(InvalidRequestError, match="did you mean 'table'"):
+        CollisionWorld(planner.robot, table.with_contacts([AllowedContact(body_a="tabel")]))
+
+
+def test_gripper_opening_moves_the_fingers(tcp_down: Down, planner: Planner) -> None:
+    joints = planner.ik.nearest(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))
+    cube = box("cube", (0.03, 0.03, 0.03), Pose(position=(0.5, 0.0, 0.3)))
+    assert CollisionWorld(planner.robot, PlanningScene(bodies=(cube,))).is_free(joints)
+    assert not CollisionWorld(planner.robot, PlanningScene(bodies=(cube,), gripper_opening=0.0)).is_free(joints)
+
+
+def test_edge_through_a_thin_wall_is_not_free(planner: Planner, walled: PlanningScene, left: np.ndarray) -> None:
+    right = left * [-1, 1, -1, 1, -1, 1, -1]
+    world = CollisionWorld(planner.robot, walled)
+    assert world.is_free(left)
+    assert world.is_free(right)
+    assert not world.edge_is_free(left, right, 0.02)
+    assert world.edge_is_free(left, left + 0.02, 0.02)

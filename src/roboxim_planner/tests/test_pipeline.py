@@ -1,0 +1,225 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError
+from roboxim_core.poses import Pose, distance
+from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner
+from roboxim_planner.scene import AllowedContact, PlanningScene, box
+from roboxim_planner.timing import MotionLimits, PolynomialMotion
+from roboxim_planner.verify import verify_motion
+
+Down = Callable[..., Pose]
+
+
+def test_plan_around_a_wall_is_valid(tcp_down: Down, planner: Planner, walled: PlanningScene, left: np.ndarray) -> None:
+    goal = tcp_down(0.5, -0.3, 0.2)
+    plan = planner.plan_to_pose(walled, left, [goal])
+    assert plan.route == "sampled"
+    samples = plan.sample(0.001)
+    world = CollisionWorld(planner.robot, walled)
+    assert world.first_collision(samples.positions) == -1
+    assert samples.positions[0] == pytest.approx(left)
+    assert distance(planner.robot.fk(plan.end), goal) == pytest.approx((0.0, 0.0), abs=1e-4)
+    assert (np.abs(samples.velocities) <= planner.robot.max_velocity * 1.001).all()
+    assert (np.abs(samples.accelerations) <= planner.robot.max_acceleration * 1.001).all()
+
+
+def test_same_seed_same_plan_whatever_came_before(
+    tcp_down: Down, planner: Planner, walled: PlanningScene, left: np.ndarray
+) -> None:
+    goal = tcp_down(0.5, -0.3, 0.2)
+
+    def bits(seed: int) -> bytes:
+        plan = planner.plan_to_pose(walled, left, [goal], MotionOptions(seed=seed))
+        return plan.sample(0.01).positions.tobytes()
+
+    first = bits(5)
+    assert bits(6) != first
+    assert bits(5) == first
+
+
+def test_planted_obstacle_on_the_path_is_never_crossed(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    start = planner.inverse_kinematics(tcp_down(0.45, 0.25, 0.25), planner.named_state("home"))[0]
+    goal = planner.inverse_kinematics(tcp_down(0.45, -0.25, 0.25), start)[0]
+    direct = planner.plan_to_joints(table, start, goal)
+    middle = planner.robot.fk(direct.motion.evaluate(np.array([direct.duration / 2]))[0][0])
+    planted = table.with_bodies([box("planted", (0.06, 0.06, 0.06), middle)])
+    assert direct.route == "direct"
+    for seed in range(3):
+        around = planner.plan_to_joints(planted, start, goal, MotionOptions(seed=seed))
+        hits = CollisionWorld(planner.robot, planted).first_collision(around.sample(0.001).positions)
+        assert (around.route, hits) == ("sampled", -1)
+
+
+def test_verifier_catches_a_collision_a_limit_and_a_missed_goal(
+    tcp_down: Down, planner: Planner, walled: PlanningScene
+) -> None:
+    """Hand it bad motions: a motion that slipped past the search must not slip past it."""
+    a = planner.inverse_kinematics(tcp_down(0.5, 0.3, 0.2), planner.named_state("home"), scene=walled)[0]
+    b = a.copy()
+    b[0] = -a[0]
+    slow = PolynomialMotion(np.array([0.0, 10.0]), _smooth(a, b, 10.0))
+    fast = PolynomialMotion(np.array([0.0, 0.1]), _smooth(a, b, 0.1))
+    limits = planner.limits(MotionOptions())
+    found = verify_motion(CollisionWorld(planner.robot, walled), planner.robot, slow, limits, b)
+    assert "wall" in str(found)
+    assert 1.0 < found.time_s < 9.0
+    assert "velocity of panda_joint1" in str(verify_motion(None, planner.robot, fast, limits, b))
+    assert "from its goal" in str(verify_motion(None, planner.robot, slow, limits, b + 0.01))
+    tight = MotionLimits(velocity=limits.velocity, acceleration=limits.acceleration, jerk=limits.jerk, tcp_speed=0.01)
+    assert "speed of the tcp" in str(verify_motion(None, planner.robot, slow, tight, b))
+
+
+def _smooth(a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
+    return np.stack([-2 * (b - a) / time**3, 3 * (b - a) / time**2, 0 * a, a])[:, None, :]
+
+
+def test_goal_list_reaches_the_reachable_one(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    goals = [Pose(position=(2.0, 0.0, 0.3)), tcp_down(0.5, 0.1, 0.3)]
+    plan = planner.plan_to_pose(table, planner.named_state("home"), goals)
+    assert plan.goal_index == 1
+
+
+def test_goal_at_the_start_is_still(planner: Planner, table: PlanningScene) -> None:
+    home = planner.named_state("home")
+    assert planner.plan_to_joints(table, home, home).route == "still"
+
+
+@pytest.mark.parametrize(
+    ("height", "reach", "code", "words"),
+    [
+        (0.3, 1.4, "GOAL_UNREACHABLE", r"within \d+.* mm"),
+        (-0.02, 0.5, "GOAL_IN_COLLISION", "no collision-free goal among .* table"),
+    ],
+)
+def test_pose_failures_say_why(
+    tcp_down: Down, planner: Planner, table: PlanningScene, height: float, reach: float, code: str, words: str
+) -> None:
+    with pytest.raises(PlannerError, match=words) as caught:
+        planner.plan_to_pose(table, planner.named_state("home"), [tcp_down(reach, 0.0, height)])
+    assert caught.value.code == ErrorCode[code]
+
+
+def test_joint_failures_say_why(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    home, beyond = planner.named_state("home"), planner.robot.upper + 0.1
+    low = planner.ik.nearest(tcp_down(0.5, 0.0, -0.02), home)
+    for start, goal, code, words in (
+        (low, home, "START_IN_COLLISION", "table.* overlap by"),
+        (beyond, home, "START_OUTSIDE_LIMITS", "panda_joint1"),
+        (home, beyond, "GOAL_UNREACHABLE", "outside"),
+        (home, low, "GOAL_IN_COLLISION", "table"),
+    ):
+        with pytest.raises(PlannerError, match=words) as caught:
+            planner.plan_to_joints(table, start, goal)
+        assert caught.value.code == ErrorCode[code]
+
+
+@pytest.mark.parametrize("joints", [[0.0] * 6, [0.0] * 6 + [float("nan")], [[0.0] * 7]])
+def test_malformed_joints_are_refused(planner: Planner, table: PlanningScene, joints: list[float]) -> None:
+    with pytest.raises(InvalidRequestError, match="start"):
+        planner.plan_to_joints(table, joints, planner.named_state("home"))
+
+
+@pytest.mark.parametrize("bad", [{"velocity_scaling": 0.0}, {"velocity_scaling": float("nan")},
+                                 {"max_tcp_speed_m_s": -1.0}, {"padding_m": 1.0}, {"seed": -1}])  # fmt: skip
+def test_malformed_options_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(InvalidRequestError):
+        MotionOptions(**bad)
+
+
+def test_no_way_to_the_goal_ends_in_planning_failed(planner: Planner) -> None:
+    """A wall that leaves a gap for the arm's foot alone divides left from right."""
+    parts = [
+        box("front", (2.0, 0.02, 3.0), Pose(position=(1.2, 0.0, 1.0))),
+        box("back", (2.0, 0.02, 3.0), Pose(position=(-1.2, 0.0, 1.0))),
+        box("above", (0.5, 0.02, 2.0), Pose(position=(0.0, 0.0, 1.55))),
+    ]
+    start = np.array([1.2, 0.9, 0.0, -2.2, 0.0, 2.6, 0.8])
+    goal = start * [-1, 1, 1, 1, 1, 1, 1]
+    config = replace(planner.config, attempts=2, search=replace(planner.config.search, iterations=30))
+    hurried = Planner(planner.robot.description, config)
+    with pytest.raises(PlannerError, match="no path found") as caught:
+        hurried.plan_to_joints(PlanningScene(bodies=tuple(parts)), start, goal)
+    assert caught.value.code == ErrorCode.PLANNING_FAILED
+
+
+@pytest.mark.parametrize("stage", ["goals", "direct", "search", "timing", "verify"])
+def test_a_deadline_ends_any_stage(
+    tcp_down: Down, planner: Planner, walled: PlanningScene, left: np.ndarray, stage: str
+) -> None:
+    def watch(at: str, iterations: int) -> None:
+        if at == stage:
+            raise RequestTimeoutError(f"late in {at}")
+
+    with pytest.raises(RequestTimeoutError, match=stage):
+        planner.plan_to_pose(walled, left, [tcp_down(0.5, -0.3, 0.2)], watch=watch)
+
+
+def test_cartesian_lift_with_a_held_cube(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
+    start = planner.inverse_kinematics(tcp_down(0.5, 0.1, 0.0225), planner.named_state("home"))[0]
+    cube = box("cube", (0.045, 0.045, 0.045), Pose(position=(0.5, 0.1, 0.0224)))
+    scene = table.with_bodies([cube]).with_opening(0.5625)
+    held = scene.attach("cube", tcp_down(0.5, 0.1, 0.0225)).with_contacts(
+        [AllowedContact(body_a="cube", body_b="table")]
+    )
+    plan = planner.plan_cartesian(held, start, [tcp_down(0.5, 0.1, 0.15)], MotionOptions(max_tcp_speed_m_s=0.2))
+    assert (plan.route, plan.fraction) == ("cartesian", 1.0)
+    assert plan.duration > 0.1275 / 0.2
+    with pytest.raises(PlannerError, match="cube and table|table and cube"):
+        planner.plan_cartesian(scene.attach("cube", tcp_down(0.5, 0.1, 0.0225)), start, [tcp_down(0.5, 0.1, 0.15)])
+
+
+def test_cartesian_stops_before_an_obstacle_with_the_part_that_is_free(
+    tcp_down: Down, planner: Planner, table: PlanningScene
+) -> None:
+    start = planner.inverse_kinematics(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))[0]
+    scene = table.with_bodies([box("block", (0.2, 0.2, 0.1), Pose(position=(0.5, 0.0, 0.05)))])
+    with pytest.raises(PathIncompleteError, match="block") as caught:
+        planner.plan_cartesian(scene, start, [tcp_down(0.5, 0.0, 0.05)])
+    partial = caught.value.partial
+    assert 0.6 < partial.fraction < 0.85
+    assert planner.robot.fk(partial.end).position[2] == pytest.approx(0.3 - 0.25 * partial.fraction, abs=1e-3)
+    through = planner.plan_cartesian(scene, start, [tcp_down(0.5, 0.0, 0.05)], ignore_collisions=True)
+    assert through.fraction == 1.0
+    assert planner.plan_cartesian(scene, start, [tcp_down(0.5, 0.0, 0.05)], min_fraction=0.5).fraction < 1.0
+
+
+def test_cartesian_out_of_reach_says_where(tcp_down: Down, planner: Planner) -> None:
+    with pytest.raises(PathIncompleteError, match="of the line"):
+        planner.plan_cartesian(PlanningScene(), planner.named_state("home"), [tcp_down(1.2, 0.0, 0.4)])
+
+
+def test_check_trajectory_finds_an_elbow_between_its_points(planner: Planner) -> None:
+    """Two free points whose straight joint line sweeps the elbow through a post."""
+    middle = np.array([0.0, 1.0, 0.0, -2.2, 0.0, 3.0, 0.8])
+    a, b = middle.copy(), middle.copy()
+    a[0], b[0] = -0.6, 0.6
+    elbow = planner.robot.fk(middle, "panda_link4").position
+    post = PlanningScene(bodies=(box("post", (0.03, 0.03, 0.1), Pose(position=elbow)),))
+    assert planner.check_state(post, a).valid
+    assert planner.check_state(post, b).valid
+    finding = planner.check_trajectory(post, [a, b, b + 0.01])
+    assert "post" in (finding.contacts[0].body_a, finding.contacts[0].body_b)
+    assert finding.index == 0
+    assert planner.check_trajectory(PlanningScene(), [a, b]).valid
+
+
+def test_check_trajectory_finds_limits(planner: Planner, table: PlanningScene) -> None:
+    home = planner.named_state("home")
+    path = np.stack([home, home + 0.1])
+    assert planner.check_trajectory(table, path, times=[0.0, 1.0]).valid
+    assert "velocity" in str(planner.check_trajectory(table, path, times=[0.0, 0.01]))
+    assert "tcp" in str(
+        planner.check_trajectory(table, path, [0.0, 1.0], options=MotionOptions(max_tcp_speed_m_s=0.01))
+    )
+    beyond = np.stack([home, home, planner.robot.upper + 0.1])
+    finding = planner.check_trajectory(PlanningScene(), beyond)
+    assert "panda_joint1 reaches" in str(finding)
+    assert finding.index == 2
+    for bad in ({"times": [0.0, 0.0]}, {"times": [0.0]}, {"velocities": [[0.0] * 7]}):
+        with pytest.raises(InvalidRequestError):
+            planner.check_trajectory(table, path, **bad)
