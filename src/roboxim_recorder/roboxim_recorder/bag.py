@@ -1,0 +1,231 @@
+"""Reads an episode's bag as the core's values, without a ROS installation: the bag carries its types' definitions."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+from mcap.records import Schema
+from mcap.stream_reader import CRCValidationError
+from rosbags.serde import SerdeError
+from rosbags.typesys import TypesysError
+
+from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.state import StateRecord
+from roboxim_recorder import topics
+from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
+from roboxim_recorder.schemas import MessageSchema, typestore
+from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
+
+T = TypeVar("T")
+
+
+@contextlib.contextmanager
+def damage(path: Path) -> Iterator[None]:
+    """Turn whatever a broken file makes the libraries raise into a `RecorderError` with code ``BAG_DAMAGED``."""
+    try:
+        yield
+    except (McapError, SerdeError, TypesysError, CRCValidationError, zstandard.ZstdError) as error:
+        raise damaged(path, f"{error or type(error).__name__}") from error
+    except (struct.error, EOFError, UnicodeDecodeError, InvalidRequestError) as error:
+        raise damaged(path, str(error)) from error
+    except OSError as error:
+        raise damaged(path, error.strerror or str(error)) from error
+    except AttributeError as error:  # a field that this version of RoboXim expects
+        raise damaged(path, f"it was written by another version of RoboXim ({error})") from error
+
+
+def damaged(path: Path, what: str) -> RecorderError:
+    """Make the error that names a bag and what is wrong with it."""
+    return RecorderError(
+        f"bag {path} is damaged: {what}; 'roboxim bag repair' saves what can be read", ErrorCode.BAG_DAMAGED
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BagTick:
+    """One tick of a bag."""
+
+    seq: int
+    """Number of the tick, from 0."""
+    stamp_ns: int
+    """Simulated time since tick 0 [ns]."""
+    topics: tuple[str, ...]
+    """Names, as in the bag, of the topics that must carry a message of this tick."""
+    state: StateRecord
+    """State of the world."""
+    step: EpisodeStep
+    """What the episode loop added: actions, phase, verdict."""
+    images: dict[str, npt.NDArray[np.uint8]] = field(default_factory=dict)
+    """Camera to RGB image, uint8, shape (height, width, 3), read-only."""
+    depth: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    """Camera to distance along the optical axis [m], float32, shape (height, width), read-only."""
+    segmentation: dict[str, npt.NDArray[np.uint16]] = field(default_factory=dict)
+    """Camera to entity ids, uint16, shape (height, width), read-only."""
+
+
+def mcap_file(path: Path | str) -> Path:
+    """Return the MCAP file of a bag, given its folder or the file itself.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when there is none.
+    """
+    path = Path(path)
+    files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
+    if len(files) != 1:
+        raise RecorderError(
+            f"{path} is not an episode's bag: expected one .mcap file in it, found {len(files)}",
+            ErrorCode.BAG_DAMAGED,
+        )
+    return files[0]
+
+
+class BagReader:
+    """An episode's bag. Messages are decoded when asked for; nothing is kept open between calls."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Open a bag.
+
+        Args:
+            path: The bag's folder, or its ``.mcap`` file.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when it is not a whole bag.
+        """
+        self.file = mcap_file(path)
+        self.path = Path(path)
+        with damage(self.path), self.file.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            if summary is None or summary.statistics is None:
+                raise damaged(self.path, "it has no index, its recording was interrupted")
+            self.metadata = {record.name: record.metadata for record in reader.iter_metadata()}.get(METADATA, {})
+            """The bag's metadata record: episode id, outcome, instruction, format version."""
+            counts = summary.statistics.channel_message_counts
+            self.counts = {c.topic: counts.get(c.id, 0) for c in summary.channels.values()}
+            """Topic to number of messages."""
+            self.types = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
+            """Topic to message type."""
+            self._store = typestore(map(_schema, summary.schemas.values()))
+
+    @cached_property
+    def info(self) -> EpisodeInfo:
+        """Everything that makes the episode again.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        return self._only(topics.INFO, EpisodeInfo)
+
+    @cached_property
+    def result(self) -> EpisodeResult:
+        """How the episode ended.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``; a repaired bag has no result.
+        """
+        return self._only(topics.RESULT, EpisodeResult)
+
+    def __len__(self) -> int:
+        """Count the ticks."""
+        return self.counts.get(topics.STEP, 0)
+
+    def _only(self, topic: str, cls: type[T]) -> T:
+        with damage(self.path):
+            for _, _, message in self.messages((topic,)):
+                return from_msg(message, cls)
+        raise damaged(self.path, f"it has no message on {topic}, its recording was interrupted")
+
+    def messages(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, stamp [ns] and decoded message in the order of recording.
+
+        Args:
+            names: Topics; none: all.
+
+        Raises:
+            InvalidRequestError: On a topic that the bag does not have.
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        for name in names or ():
+            if name not in self.types:
+                raise InvalidRequestError(f"bag {self.path} has no topic '{name}'; {one_of(self.types, name)}")
+        with damage(self.path), self.file.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            for schema, channel, message in reader.iter_messages(topics=names):
+                assert schema is not None
+                yield channel.topic, message.log_time, self._store.deserialize_cdr(message.data, schema.name)
+
+    def ticks(self, cameras: Sequence[str] | None = None) -> Iterator[BagTick]:
+        """Yield the ticks in order.
+
+        Args:
+            cameras: Cameras whose images to give; none: all.
+
+        Raises:
+            InvalidRequestError: On a camera that the bag does not have.
+            RecorderError: With code ``BAG_DAMAGED``, naming the tick that is not whole.
+        """
+        wanted = self._camera_topics(cameras)
+        names = (topics.NOTICE, topics.STATE, topics.STEP, *wanted)
+        found: dict[str, Any] = {}
+        for topic, _, message in self.messages(names):
+            found[topic] = message
+            if topic == topics.STEP:  # the last message of every tick
+                with damage(self.path):
+                    yield self._tick(found, wanted)
+                found = {}
+
+    def _camera_topics(self, cameras: Sequence[str] | None) -> dict[str, tuple[str, str]]:
+        """Return topic to (camera, kind)."""
+        have = [camera.name for camera in self.info.scene.cameras]
+        for camera in cameras or ():
+            if camera not in have:
+                raise InvalidRequestError(f"bag {self.path} has no camera '{camera}'; {one_of(have, camera)}")
+        kinds = ("image", "depth", "segmentation")
+        named = {
+            topics.image_topic(c, kind): (c, kind) for c in (have if cameras is None else cameras) for kind in kinds
+        }
+        return {topic: value for topic, value in named.items() if topic in self.types}
+
+    def _tick(self, found: dict[str, Any], wanted: dict[str, tuple[str, str]]) -> BagTick:
+        step = from_msg(found[topics.STEP], EpisodeStep)
+        missing = [name for name in (topics.NOTICE, topics.STATE) if name not in found]
+        if missing:
+            raise damaged(self.path, f"tick {step.seq} lacks {', '.join(missing)}")
+        notice = found[topics.NOTICE]
+        named = tuple(map(topics.absolute, notice.topics))
+        missing = [name for name in named if name in wanted and name not in found]
+        if missing:
+            raise damaged(self.path, f"tick {step.seq} lacks {', '.join(missing)}")
+        images: dict[str, dict[str, Any]] = {"image": {}, "depth": {}, "segmentation": {}}
+        for topic, (camera, kind) in wanted.items():
+            if topic in found:
+                images[kind][camera] = image_from_msg(found[topic])
+        return BagTick(
+            seq=step.seq,
+            stamp_ns=stamp_to_ns(notice.stamp),
+            topics=named,
+            state=from_msg(found[topics.STATE], StateRecord),
+            step=step,
+            images=images["image"],
+            depth=images["depth"],
+            segmentation=images["segmentation"],
+        )
+
+
+def _schema(schema: Schema) -> MessageSchema:
+    return MessageSchema(name=schema.name, text=schema.data.decode())
+
+
+__all__ = ["BagReader", "BagTick", "BagWriter", "damage", "damaged", "find_episode", "mcap_file"]

@@ -1,0 +1,247 @@
+"""Writes one episode's bag: a rosbag2 folder with one MCAP file, in its place only when it is whole.
+
+The bag grows in ``<out>/.partial/<id>`` and is renamed into ``<out>/episodes`` or ``<out>/set_apart`` when closed. A
+killed recorder loses the messages since the last `BagWriter.flush`; the rest is recovered by `check.repair_bag`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_recorder.schemas import MessageSchema
+
+PLACES = {"keep": "episodes", "set_apart": "set_apart"}
+"""How an episode is kept to the folder that it is kept in."""
+PARTIAL = ".partial"
+METADATA = "roboxim"
+"""Name of the MCAP metadata record."""
+FORMAT_VERSION = "1"
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_QOS = [
+    {
+        "history": "keep_last",
+        "depth": 10,
+        "reliability": "reliable",
+        "durability": "volatile",
+        "deadline": dict(_FOREVER),
+        "lifespan": dict(_FOREVER),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(_FOREVER),
+        "avoid_ros_namespace_conventions": False,
+    }
+]
+
+
+@contextlib.contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a file into a `RecorderError` with code ``DISK``."""
+    try:
+        yield
+    except OSError as error:
+        advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the folder"
+        raise RecorderError(
+            f"cannot write {path}: {error.strerror or error}; {advice} and run again", ErrorCode.DISK
+        ) from error
+
+
+def find_episode(output_dir: Path, episode_id: str) -> Path | None:
+    """Return the folder of an episode that a run has already, kept or set apart."""
+    candidates = (output_dir / place / episode_id for place in PLACES.values())
+    return next((path for path in candidates if path.exists()), None)
+
+
+class McapFile:
+    """An MCAP file with the profile of rosbag2 and what its ``metadata.yaml`` must say of it."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        """Make the folder and ``<name>_0.mcap`` in it; an OSError is the caller's."""
+        folder.mkdir(parents=True)
+        self.path = folder / f"{name}_0.mcap"
+        self._file = self.path.open("wb")
+        self._writer = Writer(self._file, chunk_size=16 << 20, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="roboxim")
+        self._channels: dict[str, int] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._schemas: dict[str, MessageSchema] = {}
+        self.counts: dict[str, int] = {}
+        self._span = (0, 0)
+
+    def add_topic(self, topic: str, schema: MessageSchema) -> None:
+        """Announce a topic."""
+        if schema.name not in self._schema_ids:
+            data = schema.text.encode()
+            self._schema_ids[schema.name] = self._writer.register_schema(schema.name, "ros2msg", data)
+        self._channels[topic] = self._writer.register_channel(
+            topic,
+            "cdr",
+            self._schema_ids[schema.name],
+            {
+                "offered_qos_profiles": yaml.safe_dump(_QOS, sort_keys=False),
+                "topic_type_hash": schema.type_hash,
+            },
+        )
+        self._schemas[topic] = schema
+        self.counts[topic] = 0
+
+    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+        """Append a serialised message."""
+        self._writer.add_message(self._channels[topic], stamp_ns, cdr, stamp_ns, self.counts[topic])
+        first, last = self._span if any(self.counts.values()) else (stamp_ns, stamp_ns)
+        self._span = (min(first, stamp_ns), max(last, stamp_ns))
+        self.counts[topic] += 1
+
+    def flush(self) -> None:
+        """End the chunk and hand everything to the operating system."""
+        self._writer.flush()
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Write the index and ``metadata.yaml`` and close the file."""
+        if metadata:
+            self._writer.add_metadata(METADATA, dict(metadata))
+        self._writer.finish()
+        self._file.close()
+        text = yaml.safe_dump(self._description(metadata), sort_keys=False, width=200)
+        (self.path.parent / "metadata.yaml").write_text(text)
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _description(self, metadata: Mapping[str, str]) -> dict[str, Any]:
+        total = sum(self.counts.values())
+        start = {"nanoseconds_since_epoch": self._span[0]}
+        duration = {"nanoseconds": self._span[1] - self._span[0]}
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": self._schemas[topic].name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [dict(_QOS[0])],
+                    "type_description_hash": self._schemas[topic].type_hash,
+                },
+                "message_count": count,
+            }
+            for topic, count in self.counts.items()
+        ]
+        file = {
+            "path": self.path.name,
+            "starting_time": dict(start),
+            "duration": dict(duration),
+            "message_count": total,
+        }
+        return {
+            "rosbag2_bagfile_information": {
+                "version": 9,
+                "storage_identifier": "mcap",
+                "duration": duration,
+                "starting_time": start,
+                "message_count": total,
+                "topics_with_message_count": topics,
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [self.path.name],
+                "files": [file],
+                "custom_data": dict(metadata),
+                "ros_distro": "jazzy",
+            }
+        }
+
+
+class BagWriter:
+    """Writes an episode's bag below a run's folder. Every fault of the disk is a `RecorderError` with code ``DISK``."""
+
+    def __init__(self, output_dir: Path, episode_id: str) -> None:
+        """Open the bag; what a killed recorder left of the same episode is removed.
+
+        Args:
+            output_dir: The run's folder, absolute.
+            episode_id: Unique id, usable as a file name.
+
+        Raises:
+            InvalidRequestError: On a relative folder or an id that is no file name.
+            RecorderError: ``EPISODE_EXISTS`` when the run has the episode, ``DISK`` when it cannot be written.
+        """
+        if not output_dir.is_absolute():
+            raise InvalidRequestError(f"the recorder's output folder must be absolute, got '{output_dir}'")
+        if not episode_id or episode_id.startswith(".") or Path(episode_id).name != episode_id:
+            raise InvalidRequestError(f"an episode's id must be usable as a file name, got '{episode_id}'")
+        existing = find_episode(output_dir, episode_id)
+        if existing is not None:
+            raise RecorderError(
+                f"{existing} exists; choose another folder or remove it to record the episode again",
+                ErrorCode.EPISODE_EXISTS,
+            )
+        self.output_dir, self.episode_id = output_dir, episode_id
+        self.partial = output_dir / PARTIAL / episode_id
+        with disk_errors(self.partial):
+            if self.partial.exists():
+                shutil.rmtree(self.partial)
+            self._mcap = McapFile(self.partial, episode_id)
+
+    def add_topic(self, topic: str, schema: MessageSchema) -> None:
+        """Announce a topic; its messages may follow."""
+        self._mcap.add_topic(topic, schema)
+
+    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+        """Append a serialised message.
+
+        Args:
+            topic: An announced topic.
+            cdr: The message as CDR with its encapsulation header.
+            stamp_ns: Time of its tick [ns].
+        """
+        with disk_errors(self.partial):
+            self._mcap.write(topic, cdr, stamp_ns)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system: a SIGKILL of this process loses only what comes after."""
+        with disk_errors(self.partial):
+            self._mcap.flush()
+
+    def close(self, keep: str, metadata: Mapping[str, str]) -> str:
+        """Finish the bag and put it in its place; a bag that cannot be finished is removed.
+
+        Args:
+            keep: ``keep`` or ``set_apart``.
+            metadata: For the bag's metadata record.
+
+        Returns:
+            The bag's path relative to the run's folder.
+        """
+        place = bag_path(self.episode_id, keep)
+        try:
+            with disk_errors(self.partial):
+                self._mcap.finish({"format_version": FORMAT_VERSION, "episode_id": self.episode_id, **metadata})
+                (self.output_dir / place).parent.mkdir(exist_ok=True)
+                self.partial.rename(self.output_dir / place)
+        except RecorderError:
+            self.drop()
+            raise
+        return place
+
+    def drop(self) -> None:
+        """Remove the bag."""
+        self._mcap.abandon()
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+
+def bag_path(episode_id: str, keep: str) -> str:
+    """Return a finished bag's path relative to the run's folder.
+
+    Raises:
+        InvalidRequestError: On an unknown way of keeping.
+    """
+    if keep not in PLACES:
+        raise InvalidRequestError(f"cannot keep an episode as '{keep}'; {one_of((*PLACES, 'drop'), keep)}")
+    return f"{PLACES[keep]}/{episode_id}"

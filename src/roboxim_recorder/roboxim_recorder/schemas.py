@@ -1,0 +1,140 @@
+"""What a bag must know of a message type: its full definition, its hash, and how to decode it. No ROS is imported.
+
+Definitions come from the interface files that every ROS package installs in its share folder, so a bag carries the
+comments too. Decoding is `rosbags`'.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from roboxim_core.errors import InvalidRequestError
+
+_BUILTIN = re.compile(r"^(bool|byte|char|float32|float64|u?int(8|16|32|64)|w?string)\b")
+_SEPARATOR = "=" * 80
+
+
+@dataclass(frozen=True, kw_only=True)
+class MessageSchema:
+    """A message type as a bag stores it."""
+
+    name: str
+    """Full name, e.g. ``sensor_msgs/msg/Image``."""
+    text: str
+    """Definition with those of all nested types, in the format ``ros2msg``."""
+
+    @property
+    def type_hash(self) -> str:
+        """The type's REP-2011 hash, ``RIHS01_...``."""
+        return typestore((self,)).hash_rihs01(self.name)
+
+
+def full_name(name: str) -> str:
+    """Return ``package/msg/Name`` for that or for ``package/Name``."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest.rpartition('/')[2]}"
+
+
+@lru_cache(maxsize=None)
+def message_schema(name: str) -> MessageSchema:
+    """Return the schema of an installed message type.
+
+    Args:
+        name: Full name, e.g. ``sensor_msgs/msg/Image``.
+
+    Raises:
+        InvalidRequestError: When there is no such type on this machine.
+    """
+    text, nested = _read(name)
+    parts, seen = [text], {name}
+    while nested:
+        inner = nested.pop(0)
+        if inner in seen:
+            continue
+        seen.add(inner)
+        inner_text, more = _read(inner)
+        parts.append(f"{_SEPARATOR}\nMSG: {inner.replace('/msg/', '/')}\n{inner_text}")
+        nested += more
+    return MessageSchema(name=name, text="\n".join(parts))
+
+
+def _file(name: str) -> Path:
+    package, _, kind = name.partition("/msg/")
+    spec = importlib.util.find_spec(package) if package.isidentifier() else None
+    if spec is None or spec.origin is None:
+        raise InvalidRequestError(f"message type '{name}': there is no ROS package '{package}' on this machine")
+    # lib/pythonX.Y/site-packages/<package>/__init__.py of an install prefix, a virtual environment's included
+    return Path(spec.origin).parents[4] / "share" / package / "msg" / f"{kind}.msg"
+
+
+def _read(name: str) -> tuple[str, list[str]]:
+    """Return a definition's own text and the names of the types that it nests."""
+    path = _file(name)
+    try:
+        text = path.read_text()
+    except OSError:
+        raise InvalidRequestError(f"message type '{name}' is not installed: no file {path}") from None
+    package = name.partition("/")[0]
+    nested = []
+    for line in text.splitlines():
+        field = line.partition("#")[0].split()
+        if len(field) < 2 or _BUILTIN.match(field[0]):
+            continue
+        kind = field[0].partition("[")[0]
+        if kind == "Header" and package != "std_msgs":
+            kind = "std_msgs/Header"
+        nested.append(full_name(kind if "/" in kind else f"{package}/{kind}"))
+    return text, nested
+
+
+def typestore(schemas: Iterable[MessageSchema]) -> Typestore:
+    """Return a store that decodes messages of these schemas; made once per set of schemas."""
+    return _typestore(tuple(sorted({(schema.name, schema.text) for schema in schemas})))
+
+
+@lru_cache(maxsize=64)
+def _typestore(definitions: tuple[tuple[str, str], ...]) -> Typestore:
+    store = get_typestore(Stores.EMPTY)
+    types = {}
+    for name, text in definitions:
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store
+
+
+def decode(store: Typestore, cdr: bytes, name: str) -> tuple[Any, bytes]:
+    """Decode a message and cut what does not belong to it.
+
+    rmw_fastrtps rounds the length of what it serialises up, so that up to dozens of undefined bytes follow the message;
+    strict readers (`rosbags`) refuse more than three.
+
+    Args:
+        store: Store that knows the type.
+        cdr: The serialised message with its encapsulation header, little endian.
+        name: Its type.
+
+    Returns:
+        The message, whose arrays share memory with ``cdr``, and the bytes that belong to it.
+
+    Raises:
+        SerdeError: When the bytes are not such a message.
+    """
+    if cdr[:2] != b"\x00\x01":
+        raise SerdeError(f"{name}: expected little-endian CDR, got encapsulation {bytes(cdr[:2]).hex()}")
+    definition = store.get_msgdef(name)
+    try:
+        message, end = definition.deserialize_cdr_le(memoryview(cdr)[4:], 0, definition.cls, store)
+    except (struct.error, UnicodeDecodeError, ValueError) as error:
+        raise SerdeError(f"not a {name}: {error}") from error
+    return message, cdr if len(cdr) <= end + 4 else cdr[: end + 4]

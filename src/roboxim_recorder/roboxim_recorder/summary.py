@@ -1,0 +1,134 @@
+"""What there is to say of a bag and of a folder of bags, as values and as text."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import EpisodeResult
+from roboxim_recorder import topics
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.bag_writer import PLACES
+from roboxim_recorder.check import list_bags
+
+
+def bag_info(path: Path | str) -> str:
+    """Describe a bag, for a person.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED``.
+    """
+    reader = BagReader(path)
+    info = reader.info
+    seconds = (len(reader) - 1) * info.scene.tick_ns / 1e9
+    lines = [
+        f"episode       {info.episode_id}",
+        f"file          {reader.file} ({reader.file.stat().st_size / 2**20:.2f} MiB)",
+        f"instruction   {info.task.instruction}",
+        f"task          {info.task.skill}: " + ", ".join(f"{r}={o.entity}" for r, o in info.task.objects.items()),
+        f"outcome       {_outcome(reader)}",
+        f"ticks         {len(reader)} ({seconds:g} s at {info.scene.control_rate_hz:g} Hz)",
+        f"actor         {info.actor}",
+        f"seed          run {info.run_seed}, {info.purpose}, index {info.index}, attempt {info.attempt}",
+        "cameras       " + ", ".join(f"{c.name} {c.width}x{c.height}" for c in info.scene.cameras),
+        f"renderer      {info.renderer}",
+        "versions      " + ", ".join(f"{name} {value}" for name, value in sorted(info.versions.items())),
+        "topics",
+    ]
+    width = max(map(len, reader.types))
+    lines += [f"  {name:<{width}}  {reader.counts[name]:>5}  {reader.types[name]}" for name in sorted(reader.types)]
+    return "\n".join(lines)
+
+
+def _outcome(reader: BagReader) -> str:
+    if not reader.counts.get(topics.RESULT):
+        return "interrupted, no result"
+    result = reader.result
+    return result.outcome + (f" ({result.reason})" if result.reason else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSummary:
+    """What a folder of bags holds."""
+
+    path: Path
+    """The folder."""
+    episodes: int
+    """Bags kept."""
+    set_apart: int
+    """Bags set apart."""
+    ticks: int
+    """Ticks in the kept bags."""
+    size_bytes: int
+    """Size of the kept bags."""
+    outcomes: dict[str, int]
+    """Outcome to number of kept bags."""
+    reasons: dict[str, int]
+    """Reason of failure to number of bags, set apart ones included."""
+    instructions: dict[str, int]
+    """Instruction to number of kept bags."""
+    semantics: tuple[ActionSemantics, ...]
+    """Action semantics that occur; a good data set has one."""
+
+    @property
+    def text(self) -> str:
+        """The summary for a person."""
+
+        def listed(counts: dict[str, int]) -> str:
+            return ", ".join(f"{name} x{count}" for name, count in counts.items()) or "-"
+
+        return "\n".join(
+            [
+                f"folder        {self.path}",
+                f"episodes      {self.episodes} kept ({listed(self.outcomes)}), {self.set_apart} set apart",
+                f"ticks         {self.ticks}",
+                f"size          {self.size_bytes / 2**20:.1f} MiB",
+                f"failures      {listed(self.reasons)}",
+                f"instructions  {listed(self.instructions)}",
+                f"semantics     {len(self.semantics)} kind(s)",
+            ]
+        )
+
+
+def dataset_summary(path: Path | str) -> DatasetSummary:
+    """Summarise a run's folder or a folder of bags.
+
+    Raises:
+        RecorderError: When there are no bags, or one is damaged.
+    """
+    bags = list_bags(path)
+    outcomes: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+    instructions: Counter[str] = Counter()
+    semantics: dict[ActionSemantics, None] = {}
+    ticks = size = 0
+    for bag in bags:
+        reader = BagReader(bag)
+        outcomes[reader.result.outcome] += 1
+        instructions[reader.info.task.instruction] += 1
+        semantics[reader.info.semantics] = None
+        ticks += len(reader)
+        size += reader.file.stat().st_size
+        reasons.update(_reason(reader.result))
+    apart = sorted((Path(path) / PLACES["set_apart"]).glob("*/*.mcap"))
+    for file in apart:
+        reasons.update(_reason(BagReader(file).result))
+    return DatasetSummary(
+        path=Path(path),
+        episodes=len(bags),
+        set_apart=len(apart),
+        ticks=ticks,
+        size_bytes=size,
+        outcomes=dict(outcomes.most_common()),
+        reasons=dict(reasons.most_common()),
+        instructions=dict(instructions.most_common()),
+        semantics=tuple(semantics),
+    )
+
+
+def _reason(result: EpisodeResult) -> Iterator[str]:
+    if result.reason:
+        yield result.reason

@@ -1,0 +1,45 @@
+"""The topics of an episode's bag and their types. Names in a bag are absolute and carry no worker namespace."""
+
+from __future__ import annotations
+
+from roboxim_core.specs import SceneSpec
+
+INFO = "/episode/info"
+RESULT = "/episode/result"
+STEP = "/evaluator/step"
+NOTICE = "/sim/ticks"
+STATE = "/sim/state"
+
+OWN = {INFO: "roboxim_interfaces/msg/EpisodeInfo", RESULT: "roboxim_interfaces/msg/EpisodeResult"}
+"""Topics that the recorder itself writes: the first and the last message."""
+ALWAYS = {
+    NOTICE: "roboxim_interfaces/msg/TickNotice",
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    STATE: "roboxim_interfaces/msg/StateRecord",
+    STEP: "roboxim_interfaces/msg/EpisodeStep",
+}
+"""Topics of every episode."""
+
+
+def image_topic(camera: str, kind: str = "image") -> str:
+    """Return a camera's topic; kinds: ``image``, ``camera_info``, ``depth``, ``segmentation``."""
+    return f"/camera/{camera}/{kind}"
+
+
+def scene_topics(scene: SceneSpec) -> dict[str, str]:
+    """Return topic to type of all that the graph publishes in an episode of a scene."""
+    topics = dict(ALWAYS)
+    for camera in scene.cameras:
+        topics[image_topic(camera.name)] = "sensor_msgs/msg/Image"
+        topics[image_topic(camera.name, "camera_info")] = "sensor_msgs/msg/CameraInfo"
+        for kind, on in (("depth", camera.depth), ("segmentation", camera.segmentation)):
+            if on:
+                topics[image_topic(camera.name, kind)] = "sensor_msgs/msg/Image"
+    return topics
+
+
+def absolute(topic: str) -> str:
+    """Return a topic's name in a bag."""
+    return topic if topic.startswith("/") else f"/{topic}"

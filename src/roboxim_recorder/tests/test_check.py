@@ -1,0 +1,96 @@
+"""Damage is found, named and repaired; a crashed run's folder is tidied."""
+
+from __future__ import annotations
+
+import pytest
+from rclpy.serialization import serialize_message
+
+from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.check import check_bag, list_bags, repair_bag, tidy_run
+from roboxim_recorder.summary import bag_info, dataset_summary
+
+
+def truncate(path, part):
+    file = next(path.glob("*.mcap"))
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * part)])
+
+
+def test_a_whole_bag_passes(tmp_path, fake):
+    report = check_bag(fake().record(tmp_path))
+    assert report.ok, report.problems
+    assert (report.episode_id, report.ticks, report.outcome) == ("demo-0-00000-0", 8, "success")
+
+
+def test_a_truncated_bag_is_damaged_and_repaired(tmp_path, fake):
+    path = fake(steps=20).record(tmp_path)
+    truncate(path, 0.4)
+    with pytest.raises(RecorderError, match="demo-0-00000-0 is damaged.*repair") as caught:
+        BagReader(path)
+    assert caught.value.code == ErrorCode.BAG_DAMAGED
+    assert not check_bag(path).ok
+    repaired = repair_bag(path)
+    reader = BagReader(repaired)
+    assert repaired.name == "demo-0-00000-0.repaired"
+    assert reader.info == fake(steps=20).info
+    assert [tick.seq for tick in reader.ticks()] == list(range(len(reader)))
+    assert 5 <= len(reader) < 23
+    assert check_bag(repaired).problems == (
+        f"bag {repaired} is damaged: it has no message on /episode/result, its recording was interrupted; "
+        "'roboxim bag repair' saves what can be read",
+    )
+    with pytest.raises(RecorderError, match="remove it to repair again"):
+        repair_bag(path)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.01])
+def test_a_bag_without_even_its_info_cannot_be_repaired(tmp_path, fake, part):
+    path = fake().record(tmp_path)
+    truncate(path, part)
+    with pytest.raises(RecorderError, match="not even the episode's info"):
+        repair_bag(path)
+    assert list(tmp_path.rglob("*repaired*")) == []
+
+
+def test_a_flipped_bit_is_found(tmp_path, fake):
+    path = fake().record(tmp_path)
+    file = next(path.glob("*.mcap"))
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4] ^= 16
+    file.write_bytes(data)
+    assert not check_bag(path).ok
+
+
+def test_a_killed_recorder_loses_at_most_four_ticks(tmp_path, fake):
+    episode = fake(steps=30)
+    recording = episode.open(tmp_path)
+    for seq in range(20):
+        for topic, message in episode.tick(seq).items():
+            recording.message(topic, serialize_message(message))
+    path = recording.path  # never closed, as after SIGKILL: what was not flushed is not in the file
+    assert len(BagReader(repair_bag(path))) >= 17
+    assert not (tmp_path / "episodes").exists()
+    recording.drop()
+
+
+def test_a_runs_folder_is_listed_summarised_and_tidied(tmp_path, fake):
+    kept = [fake(index=i, instruction=f"Pick up {i % 2}").record(tmp_path) for i in range(3)]
+    fake(index=7, outcome="failure").record(tmp_path, keep="set_apart")
+    fake(index=8).open(tmp_path)
+    assert list_bags(tmp_path) == kept
+    assert list_bags(kept[1]) == [kept[1]]
+    summary = dataset_summary(tmp_path)
+    assert (summary.episodes, summary.set_apart, summary.ticks) == (3, 1, 24)
+    assert summary.instructions == {"Pick up 0": 2, "Pick up 1": 1}
+    assert summary.reasons == {"not_lifted": 1}
+    assert "3 kept (success x3), 1 set apart" in summary.text
+    assert "Pick up 0" in bag_info(kept[0])
+    removed = tidy_run(tmp_path, [f"episodes/{kept[0].name}", f"episodes/{kept[1].name}"])
+    assert [path.name for path in removed] == ["demo-0-00008-0", "demo-0-00002-0", "demo-0-00007-0"]
+    assert list_bags(tmp_path) == kept[:2]
+
+
+def test_a_folder_without_bags_is_named(tmp_path):
+    with pytest.raises(RecorderError, match="has no bags"):
+        list_bags(tmp_path)
