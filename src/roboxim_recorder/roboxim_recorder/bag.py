@@ -37,7 +37,7 @@ def damage(path: Path) -> Iterator[None]:
     try:
         yield
     except (McapError, SerdeError, TypesysError, CRCValidationError, zstandard.ZstdError) as error:
-        raise damaged(path, f"{error or type(error).__name__}") from error
+        raise damaged(path, str(error) or type(error).__name__) from error
     except (struct.error, EOFError, UnicodeDecodeError, InvalidRequestError) as error:
         raise damaged(path, str(error)) from error
     except OSError as error:
@@ -144,7 +144,8 @@ class BagReader:
     def _only(self, topic: str, cls: type[T]) -> T:
         with damage(self.path):
             for _, _, message in self.messages((topic,)):
-                return from_msg(message, cls)
+                value: T = from_msg(message, cls)
+                return value
         raise damaged(self.path, f"it has no message on {topic}, its recording was interrupted")
 
     def messages(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, int, Any]]:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
+import yaml  # type: ignore[import-untyped]
 from mcap.writer import CompressionType, Writer
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
@@ -101,13 +101,13 @@ class McapFile:
 
     def flush(self) -> None:
         """End the chunk and hand everything to the operating system."""
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the index and ``metadata.yaml`` and close the file."""
         if metadata:
             self._writer.add_metadata(METADATA, dict(metadata))
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
         text = yaml.safe_dump(self._description(metadata), sort_keys=False, width=200)
         (self.path.parent / "metadata.yaml").write_text(text)

@@ -29,12 +29,12 @@ def stamp_of(message: Any) -> int | None:
     if hasattr(message, "stamp_ns"):
         return int(message.stamp_ns)
     if hasattr(message, "header"):
-        return stamp_to_ns(message.header.stamp)
+        return int(stamp_to_ns(message.header.stamp))
     if hasattr(message, "transforms"):
-        return stamp_to_ns(message.transforms[0].header.stamp) if message.transforms else None
+        return int(stamp_to_ns(message.transforms[0].header.stamp)) if message.transforms else None
     for name in ("clock", "stamp"):
         if hasattr(message, name):
-            return stamp_to_ns(getattr(message, name))
+            return int(stamp_to_ns(getattr(message, name)))
     return None
 
 

@@ -11,7 +11,7 @@ import re
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ def full_name(name: str) -> str:
     return f"{package}/msg/{rest.rpartition('/')[2]}"
 
 
-@lru_cache(maxsize=None)
+@cache
 def message_schema(name: str) -> MessageSchema:
     """Return the schema of an installed message type.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 
 from roboxim_core.errors import ErrorCode, RecorderError
@@ -56,8 +57,10 @@ def test_a_bag_without_even_its_info_cannot_be_repaired(tmp_path, fake, part):
 def test_a_flipped_bit_is_found(tmp_path, fake):
     path = fake().record(tmp_path)
     file = next(path.glob("*.mcap"))
+    with file.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[1]
     data = bytearray(file.read_bytes())
-    data[len(data) // 4] ^= 16
+    data[chunk.chunk_start_offset + chunk.chunk_length - 5] ^= 16
     file.write_bytes(data)
     assert not check_bag(path).ok
 
