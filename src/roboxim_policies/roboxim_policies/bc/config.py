@@ -45,8 +45,11 @@ class BCConfig:
     proprioception."""
     gripper_weight: float = 0.2
     """Weight of the gripper's cross entropy."""
-    proprio_noise_m: float = 0.0
-    """Standard deviation of noise on the position input [m]."""
+    position_noise_m: float = 0.003
+    """Standard deviation of noise on the position input [m]: the images, not the arm, shall say where to go."""
+    opening_noise: float = 0.3
+    """Noise on the gripper's opening as an input, relative to how far it is closed: an object that is grasped askew is
+    wider than any in the demonstrations, and must still be known as grasped."""
     brightness: float = 0.15
     """Largest relative change of an image's brightness in training."""
     shift_px: int = 0

@@ -62,8 +62,6 @@ class Demonstrations:
     """For each step the indices of its instruction's words, padded with 0, shape (N, longest)."""
     targets: Floats
     """For each step what the auxiliary task predicts, shape (N, `TARGET_SIZE`)."""
-    target_known: Floats
-    """1 where the target is known, else 0."""
     vocabulary: tuple[str, ...]
     """Words of the instructions; word i has index i + 1, index 0 is padding and unknown words."""
     camera_sizes: dict[str, tuple[int, int]]
@@ -147,8 +145,7 @@ def assemble(
         actions=np.concatenate([episode.actions for episode in kept]),
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
         words=np.repeat(np.stack(words), lengths, axis=0),
-        targets=np.concatenate([target for target, _ in targets]),
-        target_known=np.concatenate([known for _, known in targets]),
+        targets=np.concatenate(targets),
         vocabulary=vocabulary,
         camera_sizes=dict(camera_sizes),
         semantics=semantics,
@@ -156,28 +153,20 @@ def assemble(
     )
 
 
-def _targets(features: Floats, actions: Floats) -> tuple[Floats, Floats]:
-    """Return, per step, where the gripper is at its next opening or closing, relative to where it is now.
+def _targets(features: Floats, actions: Floats) -> Floats:
+    """Return, per step, where the gripper is at its next event, relative to where it is now.
 
-    A demonstration shows at its gripper's events what it was about: where the object is, where it goes. Predicting
-    that from every earlier image teaches the network to look there.
+    Events are its openings and closings and the end. A demonstration shows there what it was about: where the object is,
+    where it goes. Predicting that from every earlier image teaches the network to look there.
 
     Returns:
-        Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5); and 1 for the steps
-        that have an event ahead.
+        Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5).
     """
     closed = actions[:, 6] < 0.5
-    events = np.flatnonzero(closed[1:] != closed[:-1]) + 1
-    targets = np.zeros((len(actions), TARGET_SIZE), np.float32)
-    known = np.zeros(len(actions), np.float32)
-    first = 0
-    for event in events:
-        steps = slice(first, event + 1)
-        targets[steps, :3] = features[event, :3] - features[steps, :3]
-        targets[steps, 3:] = features[event, 4:6]
-        known[steps] = 1.0
-        first = event + 1
-    return targets, known
+    events = [*(np.flatnonzero(closed[1:] != closed[:-1]) + 1), len(actions) - 1]
+    following = np.array([events[i] for i in np.searchsorted(events, np.arange(len(actions)))])
+    position = features[following, :3] - features[:, :3]
+    return np.concatenate([position, features[following, 4:6]], axis=1).astype(np.float32)
 
 
 def load_rlds(

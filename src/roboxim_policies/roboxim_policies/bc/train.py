@@ -54,13 +54,11 @@ def statistics(data: Demonstrations) -> Statistics:
     """
     motion = data.actions[:, :6].astype(np.float64)
     scale = np.sqrt(np.mean(motion**2, axis=0))
-    known = data.target_known > 0
-    targets = data.targets[known] if known.any() else np.zeros((1, data.targets.shape[1]))
     return Statistics(
         proprio_mean=data.proprio.mean(axis=0).astype(np.float32),
         proprio_scale=np.maximum(data.proprio.std(axis=0), 1e-2).astype(np.float32),
         motion_scale=np.where(np.abs(motion).max(axis=0) < DEAD_DELTA, 0.0, scale).astype(np.float32),
-        target_scale=np.maximum(targets.std(axis=0), 1e-2).astype(np.float32),
+        target_scale=np.maximum(data.targets.std(axis=0), 1e-2).astype(np.float32),
     )
 
 
@@ -200,9 +198,11 @@ def _sampler(data: Demonstrations, stats: Statistics, config: BCConfig) -> Calla
     motion = jnp.asarray((data.actions[:, :6] / safe).astype(np.float32))
     gripper = jnp.asarray((data.actions[:, 6] > 0.5).astype(np.float32))
     targets = jnp.asarray(data.targets / stats.target_scale)
-    known, ends, words = jnp.asarray(data.target_known), jnp.asarray(data.ends), jnp.asarray(data.words)
-    noise = np.zeros(proprio.shape[1], np.float32)
-    noise[:3] = config.proprio_noise_m / stats.proprio_scale[:3]
+    ends, words = jnp.asarray(data.ends), jnp.asarray(data.words)
+    noise = np.zeros_like(data.proprio)
+    noise[:, :3] = config.position_noise_m / stats.proprio_scale[:3]
+    noise[:, 3] = config.opening_noise * (1 - data.proprio[:, 3]) / stats.proprio_scale[3]
+    noise_of = jnp.asarray(noise)
 
     def sample(images: dict[str, Array], batch: Array, key: Array) -> Any:
         keys = jax.random.split(key, len(images) + 1)
@@ -214,9 +214,9 @@ def _sampler(data: Demonstrations, stats: Statistics, config: BCConfig) -> Calla
         last = ends[batch][:, None]
         inside = (steps <= last).astype(jnp.float32)
         steps = jnp.minimum(steps, last)
-        where = proprio[batch] + noise * jax.random.normal(keys[0], (len(batch), len(noise)))
+        where = proprio[batch] + noise_of[batch] * jax.random.normal(keys[0], (len(batch), proprio.shape[1]))
         inputs = (seen, where, words[batch])
-        wanted = (motion[steps] * inside[..., None], gripper[steps], targets[batch], known[batch])
+        wanted = (motion[steps] * inside[..., None], gripper[steps], targets[batch])
         return inputs, wanted
 
     return sample
@@ -240,9 +240,9 @@ def _augment(pixels: Array, key: Array, config: BCConfig) -> Array:
 
 def _loss(network: Network, inputs: Any, wanted: Any, config: BCConfig) -> tuple[Array, dict[str, Array]]:
     said: Prediction = network(*inputs)
-    motion, gripper, target, known = wanted
+    motion, gripper, target = wanted
     move = jnp.mean(optax.huber_loss(said.motion, motion))
     grip = jnp.mean(optax.sigmoid_binary_cross_entropy(said.gripper, gripper))
-    aim = jnp.sum(known[:, None] * optax.huber_loss(said.target, target)) / jnp.maximum(known.sum(), 1) / target.shape[1]
+    aim = jnp.mean(optax.huber_loss(said.target, target))
     loss = move + config.gripper_weight * grip + config.target_weight * aim
     return loss, {"loss": loss, "move": move, "grip": grip, "aim": aim}

@@ -1,0 +1,95 @@
+"""The policy node: serves one policy under a namespace, ``policy`` by default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.context import Context
+from roboxim_interfaces.msg import PolicyDescription as PolicyDescriptionMsg
+from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
+
+from roboxim_core.policies import Policy
+from roboxim_policies.base import load_policy
+from roboxim_policies.conversions import fill_chunk, start_from_msg, window_from_msg
+from roboxim_policies.server import GuardedPolicy
+from roboxim_ros.conversions import to_msg
+from roboxim_ros.host import NodeHost, wait_for_stop
+from roboxim_ros.node import RoboximNode
+
+
+class PolicyNode(RoboximNode):
+    """Serves ``describe_policy``, ``reset_policy`` and ``act`` in its namespace.
+
+    Whatever the policy raises is an error in the answer and a traceback in the log; the node lives on.
+    """
+
+    def __init__(
+        self,
+        policy: str | Policy = "random",
+        *,
+        context: Context,
+        namespace: str = "policy",
+        parameters: dict[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        """Make the policy and serve it.
+
+        Args:
+            policy: A policy, or what `load_policy` takes: a registered name, ``module:Class``, ``file.py:Class``.
+            context: An initialised rclpy context.
+            namespace: Namespace of the services, e.g. ``policy`` or ``/w0/policy``.
+            parameters: Overrides of parameters, by name.
+            **options: Keyword arguments of the policy's class.
+
+        Raises:
+            ConfigError: When there is no such policy or it does not take the options.
+            PolicyError: When it does not describe itself.
+        """
+        super().__init__("policy", context=context, namespace=namespace, parameters=parameters)
+        made = load_policy(policy, **options) if isinstance(policy, str) else policy
+        self.guard = GuardedPolicy(made, log=lambda text: self.get_logger().error(text))
+        self.serve(DescribePolicy, "describe_policy", self._on_describe)
+        self.serve(ResetPolicy, "reset_policy", self._on_reset)
+        self.serve(Act, "act", self._on_act)
+
+    def _on_describe(self, request: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
+        response.description = to_msg(self.guard.description, PolicyDescriptionMsg)
+
+    def _on_reset(self, request: ResetPolicy.Request, response: ResetPolicy.Response) -> None:
+        self.guard.reset(start_from_msg(request, privileged=self.guard.description.privileged))
+
+    def _on_act(self, request: Act.Request, response: Act.Response) -> None:
+        chunk = self.guard.act(window_from_msg(request, privileged=self.guard.description.privileged))
+        fill_chunk(response, chunk)
+
+
+def serve(
+    policy: str | Policy,
+    namespace: str = "policy",
+    *,
+    domain_id: int | None = None,
+    on_ready: Callable[[PolicyNode], None] = lambda node: None,
+    should_stop: Callable[[], bool] = lambda: False,
+    **options: Any,
+) -> int:
+    """Serve a policy in this process until it is told to stop.
+
+    Args:
+        policy: See `PolicyNode`.
+        namespace: Namespace of its services.
+        domain_id: ROS domain; none: as the environment says.
+        on_ready: Called with the node once it serves.
+        should_stop: Asked five times a second.
+        **options: Keyword arguments of the policy's class.
+
+    Returns:
+        The signal that ended it, or 0.
+
+    Raises:
+        ConfigError: When there is no such policy or it does not take the options.
+        PolicyError: When it does not describe itself.
+    """
+    with NodeHost(domain_id=domain_id) as host:
+        on_ready(host.add(lambda context: PolicyNode(policy, context=context, namespace=namespace, **options)))
+        return wait_for_stop(lambda: should_stop() or not host.alive())

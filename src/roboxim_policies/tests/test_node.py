@@ -1,0 +1,108 @@
+"""A user's class behind the services of a node."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from roboxim_interfaces.msg import CameraImage
+from roboxim_interfaces.msg import Observation as ObservationMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
+from sensor_msgs.msg import Image
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ErrorCode
+from roboxim_core.policies import PolicyDescription
+from roboxim_policies import BasePolicy
+from roboxim_policies.node import PolicyNode
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import fill_image, from_msg
+from roboxim_ros.host import NodeHost
+from roboxim_ros.testing import graph_host
+
+pytestmark = pytest.mark.ros
+__all__ = ["graph_host"]
+
+
+class Users(BasePolicy):
+    cameras = ("workspace",)
+    window = 2
+    horizon = 2
+
+    def __init__(self):
+        self.seen = []
+        self.fail = False
+
+    def act(self, window):
+        self.seen.append(window)
+        if self.fail:
+            raise ZeroDivisionError("the user's bug")
+        return [[0.01, 0, 0, 0, 0, 0, 1], [0.02, 0, 0, 0, 0, 0, 0]]
+
+
+@pytest.fixture
+def served(graph_host: NodeHost):
+    policy = Users()
+    graph_host.add(lambda context: PolicyNode(policy, context=context, namespace="mine"))
+    with Clients("test_clients", context=graph_host.context) as clients:
+        yield policy, clients
+
+
+def call(clients, kind, name, request):
+    """Call without turning the code into an exception."""
+    return clients.client(kind, name).call(request, timeout_sec=10.0)
+
+
+def act_request(image: np.ndarray) -> Act.Request:
+    picture = CameraImage(camera="workspace", image=fill_image(Image(), image, "rgb8"))
+    observation = ObservationMsg(
+        seq=4, stamp_ns=400, images=[picture], proprio=np.arange(8, dtype=np.float32), state=[StateRecordMsg()]
+    )
+    return Act.Request(
+        episode_id="e", seq=4, instruction="Pick up the red cube", observations=[observation, observation],
+        pad_mask=[False, True],
+    )  # fmt: skip
+
+
+def test_a_users_class_is_served(served):
+    policy, clients = served
+    said = clients.call(DescribePolicy, "mine/describe_policy", DescribePolicy.Request()).description
+    description = from_msg(said, PolicyDescription)
+    assert (description.name, description.window, description.horizon) == ("Users", 2, 2)
+    assert description.cameras[0].name == "workspace"
+    assert description.semantics == ActionSemantics()
+    clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e", seed=1))
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3), dtype=np.uint8)
+    answer = clients.call(Act, "mine/act", act_request(image))
+    assert answer.horizon == 2
+    assert np.allclose(np.reshape(answer.actions, (2, 7))[:, 0], [0.01, 0.02])
+    newest = policy.seen[0].newest
+    assert np.array_equal(newest.images["workspace"], image)
+    assert not newest.images["workspace"].flags.writeable
+    assert newest.proprio.tolist() == list(range(8))
+    assert policy.seen[0].pad_mask == (False, True)
+    assert newest.state is None  # sent, but the policy is not privileged
+
+
+def test_a_users_exception_is_an_answer_and_the_node_lives_on(served):
+    policy, clients = served
+    clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e"))
+    request = act_request(np.zeros((20, 30, 3), np.uint8))
+    policy.fail = True
+    clients.client(Act, "mine/act").wait_for_service(10.0)
+    answer = call(clients, Act, "mine/act", request)
+    assert answer.error_code == ErrorCode.POLICY_FAULT
+    assert "ZeroDivisionError" in answer.error_msg
+    assert "the user's bug" in answer.error_msg
+    policy.fail = False
+    assert call(clients, Act, "mine/act", request).error_code == ErrorCode.OK
+
+
+def test_a_damaged_image_is_refused(served):
+    _, clients = served
+    clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e"))
+    request = act_request(np.zeros((20, 30, 3), np.uint8))
+    request.observations[1].images[0].image.height = 21
+    clients.client(Act, "mine/act").wait_for_service(10.0)
+    assert call(clients, Act, "mine/act", request).error_code == ErrorCode.INVALID_REQUEST

@@ -1,0 +1,176 @@
+"""A policy's faults become errors by name; what a policy may not see it never gets."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
+from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
+from roboxim_core.poses import IDENTITY
+from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+from roboxim_core.state import RobotState, StateRecord
+from roboxim_policies import BasePolicy
+from roboxim_policies.server import GuardedPolicy
+
+TASK = TaskSpec(
+    skill="pick_up",
+    objects={"target": PhysicalObject(entity="target", model="cube", name="cube")},
+    instruction="Pick up the red cube",
+)
+STATE = StateRecord(
+    episode_id="e",
+    seq=0,
+    stamp_ns=0,
+    robot=RobotState(
+        joint_names=(), joint_positions=(), joint_velocities=(), joint_commands=(), pose_tcp_measured=IDENTITY,
+        pose_tcp_commanded=IDENTITY, gripper_opening=1.0, gripper_command=1.0,
+    ),
+)  # fmt: skip
+
+
+def start(**kwargs) -> EpisodeStart:
+    return EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=3, **kwargs)
+
+
+def window(images=None, **kwargs) -> ObservationWindow:
+    observation = Observation(seq=0, stamp_ns=0, images=images or {}, **kwargs)
+    return ObservationWindow(
+        instruction="Pick up the red cube", observations=[observation], pad_mask=(True,), episode_id="e", seq=0
+    )
+
+
+class Answers(BasePolicy):
+    """Returns or raises what it is given, and keeps what it gets."""
+
+    def __init__(self, answer=None, *, privileged: bool = False):
+        self.answer, self.privileged, self.seen = answer, privileged, []
+
+    def reset(self, start):
+        self.seen.append(start)
+
+    def act(self, window):
+        self.seen.append(window)
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return np.zeros(7) if self.answer is None else self.answer
+
+
+def guarded(policy, log=lambda text: None) -> GuardedPolicy:
+    guard = GuardedPolicy(policy, log=log)
+    guard.reset(start(task=TASK, scene=SceneSpec()))
+    return guard
+
+
+@pytest.mark.parametrize(
+    ("answer", "word"),
+    [
+        (np.zeros(6), "shape"),
+        (np.zeros((2, 7)), "horizon"),
+        (np.zeros((0, 7)), "shape"),
+        ([0, 0, float("nan"), 0, 0, 0, 1], "step 0, component 2"),
+        ([np.inf] * 7, "finite"),
+        ("nonsense", "not numbers"),
+        ([[1, 2], [3]], "not numbers"),
+        ({"actions": 1}, "not numbers"),
+    ],
+)
+def test_wrong_answers_are_invalid_actions_by_name(answer, word):
+    with pytest.raises(PolicyError, match=word) as caught:
+        guarded(Answers(answer)).act(window())
+    assert caught.value.code == ErrorCode.INVALID_ACTION
+    assert "Answers" in str(caught.value)
+
+
+@pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), InvalidRequestError("mine"), MemoryError()])
+def test_what_a_policy_raises_is_its_fault_and_logged_with_its_traceback(error):
+    logged = []
+    with pytest.raises(PolicyError) as caught:
+        guarded(Answers(error), logged.append).act(window())
+    assert caught.value.code == ErrorCode.POLICY_FAULT
+    assert type(error).__name__ in str(caught.value)
+    assert "in act" in logged[0]
+    assert "raise self.answer" in logged[0]
+
+
+def test_after_a_fault_the_policy_goes_on():
+    policy = Answers(ValueError("boom"))
+    guard = guarded(policy)
+    with pytest.raises(PolicyError):
+        guard.act(window())
+    policy.answer = None
+    assert guard.act(window()).actions.shape == (1, 7)
+
+
+def test_a_user_interrupt_is_not_swallowed():
+    with pytest.raises(KeyboardInterrupt):
+        guarded(Answers(KeyboardInterrupt())).act(window())
+
+
+def test_only_a_privileged_policy_gets_task_scene_and_state():
+    plain, privileged = Answers(), Answers(privileged=True)
+    for policy in (plain, privileged):
+        guarded(policy).act(window(state=STATE))
+    began, saw = plain.seen
+    assert (began.task, began.scene, saw.newest.state) == (None, None, None)
+    began, saw = privileged.seen
+    assert (began.task, began.scene, saw.newest.state) == (TASK, SceneSpec(), STATE)
+
+
+def test_a_privileged_policy_without_a_scene_is_refused():
+    with pytest.raises(InvalidRequestError, match="privileged"):
+        GuardedPolicy(Answers(privileged=True)).reset(start())
+
+
+def test_a_missing_or_wrongly_sized_camera_is_named():
+    policy = Answers()
+    policy.cameras = (CameraRequirement(name="wrist", width=32, height=24),)
+    guard = guarded(policy)
+    with pytest.raises(InvalidRequestError, match="wrist") as caught:
+        guard.act(window({"workspace": np.zeros((24, 32, 3), np.uint8)}))
+    assert caught.value.code == ErrorCode.OBSERVATION_MISSING
+    with pytest.raises(InvalidRequestError, match="32x24 px, got 64x64"):
+        guard.act(window({"wrist": np.zeros((64, 64, 3), np.uint8)}))
+    guard.act(window({"wrist": np.zeros((24, 32, 3), np.uint8)}))
+
+
+def test_an_episode_that_was_not_started_is_refused():
+    with pytest.raises(InvalidRequestError, match="reset_policy"):
+        GuardedPolicy(Answers()).act(window())
+
+
+def test_a_policy_that_does_not_describe_itself_is_refused():
+    policy = Answers()
+    policy.describe = lambda: {"name": "x"}
+    with pytest.raises(PolicyError, match="PolicyDescription"):
+        GuardedPolicy(policy)
+    policy = Answers()
+    policy.window = 0
+    with pytest.raises(PolicyError, match="window"):
+        GuardedPolicy(policy)
+
+
+def test_a_policy_is_loaded_from_a_module_and_from_a_file(tmp_path, monkeypatch):
+    from roboxim_policies import load_policy
+
+    (tmp_path / "my_policy_module.py").write_text(
+        "from roboxim_policies import BasePolicy\n"
+        "class Mine(BasePolicy):\n"
+        "    cameras = ('wrist',)\n"
+        "    def __init__(self, gain=1.0):\n        self.gain = gain\n"
+        "    def act(self, window):\n        return [0, 0, -0.01 * self.gain, 0, 0, 0, 1]\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for spec in ("my_policy_module:Mine", f"{tmp_path}/my_policy_module.py:Mine"):
+        policy = load_policy(spec, gain=2.0)
+        assert policy.describe().cameras[0].name == "wrist"
+        assert policy.act(window())[2] == -0.02
+    with pytest.raises(ConfigError, match="did you mean 'Mine'"):
+        load_policy("my_policy_module:Mien")
+    with pytest.raises(ConfigError, match="gian"):
+        load_policy("my_policy_module:Mine", gian=1)
+    with pytest.raises(ConfigError, match="no_such_module"):
+        load_policy("no_such_module:Mine")
+    with pytest.raises(ConfigError, match="did you mean 'random'"):
+        load_policy("randm")
