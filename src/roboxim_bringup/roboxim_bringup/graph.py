@@ -97,16 +97,16 @@ class Graph:
 
     def start_policy(self, launch: PolicyLaunch, parameters: Mapping[str, Any]) -> Any:
         """Start a policy."""
+        from roboxim_policies import load_policy
         from roboxim_policies.node import PolicyNode
 
         namespace = f"{self.namespace.rstrip('/')}/{launch.namespace.strip('/')}"
         node = self.host.add(
             lambda context: PolicyNode(
+                load_policy(launch.spec, **launch.options),
                 context=context,
                 namespace=namespace,
                 parameters=dict(parameters),
-                policy=launch.spec,
-                **launch.options,
             )
         )
         self.nodes[launch.namespace] = node

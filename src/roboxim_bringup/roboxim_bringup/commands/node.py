@@ -37,25 +37,31 @@ def _starter(name: str) -> click.Command:
 
     It joins the only run that is alive (or --run), and makes a run of its own when there is none.
     """
-    for option in reversed(node_options):
+    return click.command(name)(namespace_option(membership_options(attach_options(start))))
+
+
+def membership_options(start: Any) -> Any:
+    """Add what every command that starts nodes takes."""
+    options = (
+        click.option(
+            "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
+            help="ROS 2 parameter file; may be repeated.",
+        ),
+        click.option(
+            "-p", "--param", "assignments", multiple=True, metavar="[NODE:]NAME:=VALUE",
+            help="A parameter; may be repeated.",
+        ),
+        click.option(
+            "--open-network", is_flag=True,
+            help="Let other hosts reach the graph; without it only this machine can. For a new run.",
+        ),
+    )  # fmt: skip
+    for option in reversed(options):
         start = option(start)
-    return click.command(name)(attach_options(start))
+    return start
 
 
-node_options = (
-    click.option("--namespace", default="", help="Namespace of the node, e.g. /w0."),
-    click.option(
-        "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
-        help="ROS 2 parameter file; may be repeated.",
-    ),
-    click.option(
-        "-p", "--param", "assignments", multiple=True, metavar="NAME:=VALUE", help="A parameter; may be repeated."
-    ),
-    click.option(
-        "--open-network", is_flag=True,
-        help="Let other hosts reach the node; without it only this machine does. Only for a new run.",
-    ),
-)  # fmt: skip
+namespace_option = click.option("--namespace", default="", help="Namespace of the graph, e.g. /w0.")
 
 
 def run_node(
@@ -96,7 +102,7 @@ def run_node(
     mine = {node: values for node, values in from_files.items() if node == label}
     common = from_files.get("", {})
     parameters = merge({label: dict(common)}, mine, parse_assignments(assignments, node=label))
-    with _membership(label, run_id, domain, open_network, namespace) as run, NodeHost() as host:
+    with membership(label, run_id, domain, open_network, namespace) as run, NodeHost() as host:
         graph = start_graph(
             host, namespace=namespace, parameters=parameters, nodes=(name,) if name else (), policies=policies
         )
@@ -108,7 +114,7 @@ def run_node(
 
 
 @contextlib.contextmanager
-def _membership(label: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str) -> Any:
+def membership(label: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str) -> Any:
     """Join a run, or make one when none is alive; yields its description."""
     import os
 

@@ -10,14 +10,8 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import absolute
-from roboxim_bringup.commands.node import node_options
+from roboxim_bringup.commands.node import membership_options, namespace_option
 from roboxim_bringup.graph import NODES
-
-
-def _with_node_options(start: Any) -> Any:
-    for option in reversed(node_options):
-        start = option(start)
-    return start
 
 
 @click.command()
@@ -32,7 +26,8 @@ def _with_node_options(start: Any) -> Any:
 @click.option("--id", "run_id", metavar="ID", help="Name of the run; default: a new one.")
 @click.option("--domain", type=click.IntRange(0, 232), help="ROS domain; default: one that nobody here uses.")
 @click.option("--detach", is_flag=True, help="Return when the graph is ready; end it with: roboxim down.")
-@_with_node_options
+@namespace_option
+@membership_options
 def command(
     processes: bool,
     nodes: tuple[str, ...],

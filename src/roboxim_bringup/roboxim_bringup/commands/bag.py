@@ -1,0 +1,142 @@
+"""Describe, check, repair and play recorded episodes."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from roboxim_bringup.attach import attach_options
+
+_bag = click.Path(exists=True, path_type=Path)
+
+
+@click.group()
+def command() -> None:
+    """Describe, check, repair and play recorded episodes."""
+
+
+@command.command("info")
+@click.argument("path", type=_bag)
+def info(path: Path) -> None:
+    """Describe a bag, or a folder of bags."""
+    from roboxim_recorder.summary import bag_info, dataset_summary
+
+    one = path.is_file() or any(path.glob("*.mcap"))
+    click.echo(bag_info(path) if one else dataset_summary(path).text)
+
+
+@command.command("check")
+@click.argument("paths", type=_bag, nargs=-1, required=True)
+def check(paths: tuple[Path, ...]) -> None:
+    """Check that bags are whole: every tick, every topic, every checksum. The exit code is 1 when one is not."""
+    from roboxim_core.errors import ErrorCode, RecorderError
+    from roboxim_recorder.check import check_bag, list_bags
+
+    broken = total = 0
+    for path in paths:
+        for bag in [path] if path.is_file() else list_bags(path):
+            report = check_bag(bag)
+            total += 1
+            broken += not report.ok
+            state = f"whole, {report.ticks} ticks, {report.outcome}" if report.ok else "DAMAGED"
+            click.echo(f"{bag}: {state}")
+            for problem in report.problems:
+                click.echo(f"  {problem}")
+    if broken:
+        raise RecorderError(f"{broken} of {total} bags are damaged", ErrorCode.BAG_DAMAGED)
+
+
+@command.command("repair")
+@click.argument("path", type=_bag)
+def repair(path: Path) -> None:
+    """Save what can be read of a damaged bag as a new one beside it."""
+    from roboxim_recorder.check import repair_bag
+
+    click.echo(f"saved {repair_bag(path)}")
+
+
+@command.command("play")
+@click.argument("path", type=_bag)
+@click.option("-r", "--rate", default=1.0, show_default=True, help="Speed, relative to simulated time.")
+@click.option("-t", "--topic", "topics", multiple=True, help="Play this topic; may be repeated; default: all.")
+@click.option("--namespace", default="", help="Put in front of every topic, e.g. /bag.")
+@click.option("--wait/--no-wait", default=False, help="Start when somebody listens.")
+@attach_options
+def play(
+    path: Path,
+    rate: float,
+    topics: tuple[str, ...],
+    namespace: str,
+    wait: bool,
+    run_id: str | None,
+    domain: int | None,
+) -> None:
+    """Publish a bag's messages as they were recorded.
+
+    They go into the only live run (or --run); without one, the player makes a run of its own.
+    """
+    from roboxim_bringup.attach import Peer
+    from roboxim_bringup.commands.node import membership
+    from roboxim_recorder.bag import BagReader
+
+    if rate <= 0:
+        raise click.UsageError("--rate must be greater than 0")
+    reader = BagReader(path)
+    with membership("play", run_id, domain, open_network=False, namespace=namespace) as run:
+        peer = Peer()
+        try:
+            publishers = _publishers(peer, reader, topics, namespace)
+            while wait and not any(publisher.get_subscription_count() for publisher in publishers.values()):
+                time.sleep(0.05)
+            click.echo(f"playing {len(reader)} ticks of {reader.path} into {run}; Ctrl-C ends it")
+            sent = _play(reader, publishers, rate)
+            _flush(publishers)
+        finally:
+            peer.close()
+    click.echo(f"published {sent} messages")
+
+
+def _publishers(peer: Any, reader: Any, topics: tuple[str, ...], namespace: str) -> dict[str, Any]:
+    from roboxim_bringup.attach import absolute
+    from roboxim_bringup.messages import look_up
+    from roboxim_core.errors import ConfigError, one_of
+    from roboxim_ros.qos import SENSOR
+
+    wanted = [absolute(topic) for topic in topics] or list(reader.types)
+    for topic in wanted:
+        if topic not in reader.types:
+            raise ConfigError(f"the bag has no topic '{topic}'; {one_of(reader.types, topic)}")
+    prefix = absolute(namespace.strip("/")) if namespace.strip("/") else ""
+    return {
+        topic: peer.node.create_publisher(look_up(reader.types[topic], "msg"), f"{prefix}{topic}", SENSOR)
+        for topic in wanted
+    }
+
+
+def _play(reader: Any, publishers: dict[str, Any], rate: float) -> int:
+    """Publish the serialised messages at their times; return how many."""
+    from mcap.reader import make_reader
+
+    from roboxim_recorder.bag import damage
+
+    sent = 0
+    started = time.monotonic()
+    first: int | None = None
+    with damage(reader.path), reader.file.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=list(publishers)):
+            first = message.log_time if first is None else first
+            due = started + (message.log_time - first) / 1e9 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+            publishers[channel.topic].publish(message.data)
+            sent += 1
+    return sent
+
+
+def _flush(publishers: dict[str, Any]) -> None:
+    from rclpy.duration import Duration
+
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(Duration(seconds=2))

@@ -1,0 +1,33 @@
+"""Say what this machine has, what is missing, and which parts work without it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import click
+
+_SIGNS = {"ok": ("ok  ", "green"), "warning": ("note", "yellow"), "missing": ("MISS", "red")}
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(as_json: bool) -> None:
+    """Say what this machine has, what is missing, what to do, and which parts work without it.
+
+    The exit code is 1 when something is missing that RoboXim cannot do without.
+    """
+    from roboxim_bringup.doctor import examine
+
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        if not as_json:
+            sign, colour = _SIGNS[finding.state]
+            click.echo(f"{click.style(sign, fg=colour)}  {finding.name:<16} {finding.detail}")
+            for label, text in (("do", finding.remedy), ("without it", finding.without)):
+                if finding.state != "ok" and text:
+                    click.echo(f"      {'':<16} {label}: {text}")
+    if as_json:
+        click.echo(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
+    raise SystemExit(int(any(finding.state == "missing" for finding in findings)))

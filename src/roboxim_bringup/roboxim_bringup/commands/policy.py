@@ -1,0 +1,64 @@
+"""Serve a policy, your own too, or list those there are."""
+
+from __future__ import annotations
+
+import click
+
+from roboxim_bringup.attach import attach_options
+from roboxim_bringup.commands.node import membership_options, run_node
+
+
+@click.group()
+def command() -> None:
+    """Serve a policy to the graph, or list those there are."""
+
+
+@command.command("serve")
+@click.argument("spec")
+@click.option("--namespace", default="policy", show_default=True, help="Namespace of its services.")
+@click.option(
+    "-o", "--option", "options", multiple=True, metavar="KEY=VALUE", help="Argument of its class; may be repeated."
+)
+@membership_options
+@attach_options
+def serve(
+    spec: str,
+    namespace: str,
+    options: tuple[str, ...],
+    params_files: tuple[str, ...],
+    assignments: tuple[str, ...],
+    open_network: bool,
+    run_id: str | None,
+    domain: int | None,
+) -> None:
+    r"""Serve a policy: a registered name, module:Class, or path/to/file.py:Class.
+
+    \b
+    roboxim policy serve my_module:MyPolicy --option checkpoint=/tmp/my.ckpt
+    roboxim evaluate --policy my_module:MyPolicy
+    """
+    from roboxim_bringup.graph import PolicyLaunch
+    from roboxim_bringup.parameters import parse_options
+
+    launch = PolicyLaunch(spec=spec, namespace=namespace, options=parse_options(options))
+    run_node(
+        "", namespace="", params_files=params_files, assignments=assignments, open_network=open_network,
+        run_id=run_id, domain=domain, policies=(launch,),
+    )  # fmt: skip
+
+
+@command.command("list")
+def list_policies() -> None:
+    """List the registered policies and their options."""
+    import importlib
+    import inspect
+
+    importlib.import_module("roboxim_policies.builtin")  # registers what ships
+    from roboxim_policies import POLICIES
+
+    for name in POLICIES:
+        make = POLICIES[name]
+        click.echo(f"{name}  {(inspect.getdoc(make) or '').splitlines()[0]}")
+        for option in inspect.signature(make).parameters.values():
+            default = "required" if option.default is option.empty else f"default {option.default!r}"
+            click.echo(f"    {option.name}: {default}")

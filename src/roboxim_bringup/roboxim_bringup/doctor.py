@@ -1,0 +1,247 @@
+"""What `roboxim doctor` looks at. Each check is one function; none of them changes anything."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from roboxim_core.errors import RoboximError
+
+GIB = 2**30
+MIB = 2**20
+WHEELS = ("ros-jazzy-rclpy", "ros-fastrtps", "ros-jazzy-sensor-msgs")
+LIBRARIES = ("numpy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "mcap", "rosbags", "jax")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    """What it is."""
+    state: str
+    """``ok``, ``warning`` (something works worse or not at all) or ``missing`` (RoboXim does not work)."""
+    detail: str
+    """What was found."""
+    remedy: str = ""
+    """What to do."""
+    without: str = ""
+    """What works, or does not, as things are."""
+
+
+def examine() -> Iterator[Finding]:
+    """Look at this machine; yields each finding as soon as it is there."""
+    for check in CHECKS:
+        try:
+            yield check()
+        except Exception as error:  # a broken check must not hide the others
+            yield Finding(name=check.__name__.strip("_"), state="warning", detail=f"{type(error).__name__}: {error}")
+
+
+def _python() -> Finding:
+    version = ".".join(map(str, sys.version_info[:3]))
+    good = sys.version_info[:2] == (3, 11)
+    return Finding(
+        name="Python",
+        state="ok" if good else "missing",
+        detail=f"{version} ({sys.executable})",
+        remedy="make setup PYTHON=/path/to/python3.11",
+        without="the wheels of ROS 2 Jazzy and PyBullet exist for 3.11 only",
+    )
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _packages(name: str, packages: tuple[str, ...]) -> Finding:
+    versions = {package: _version(package) for package in packages}
+    absent = [package for package, version in versions.items() if version is None]
+    return Finding(
+        name=name,
+        state="missing" if absent else "ok",
+        detail=", ".join(
+            f"{package.removeprefix('ros-jazzy-')} {version or '-'}" for package, version in versions.items()
+        ),
+        remedy="make setup",
+        without=f"nothing that needs {', '.join(absent)}",
+    )
+
+
+def _ros_wheels() -> Finding:
+    import rclpy
+
+    if _version("ros-jazzy-rclpy") is None:  # built with colcon on an installed ROS 2
+        detail = f"{os.environ.get('ROS_DISTRO', 'of an unknown distribution')}, {Path(rclpy.__file__).parent}"
+        return Finding(name="ROS 2", state="ok", detail=detail)
+    return _packages("ROS 2 wheels", WHEELS)
+
+
+def _libraries() -> Finding:
+    return _packages("libraries", LIBRARIES)
+
+
+def _interfaces() -> Finding:
+    try:
+        from roboxim_interfaces.srv import Tick
+
+        detail = f"built ({len(Tick.Request.get_fields_and_field_types())} fields in srv/Tick)"
+        return Finding(name="interfaces", state="ok", detail=detail)
+    except ImportError as error:
+        return Finding(
+            name="interfaces", state="missing", detail=str(error), remedy="make setup", without="no node can start"
+        )
+
+
+def _compiler() -> Finding:
+    compiler = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
+    header = Path(sysconfig.get_paths()["include"], "Python.h")
+    absent = [what for what, there in (("a C compiler", compiler), ("Python.h", header.is_file())) if not there]
+    return Finding(
+        name="compiler",
+        state="warning" if absent else "ok",
+        detail=f"{compiler or 'no C compiler'}, {header if header.is_file() else 'no Python.h'}",
+        remedy="apt install build-essential python3.11-dev",
+        without="everything works until an interface file changes",
+    )
+
+
+def _renderers() -> Finding:
+    from roboxim_sim.rendering import available_renderers
+
+    found = available_renderers()
+    detail = "; ".join(f"{name}: {status.detail}" for name, status in found.items())
+    absent = [name for name, status in found.items() if not status.available]
+    return Finding(
+        name="renderers",
+        state="missing" if len(absent) == len(found) else "warning" if absent else "ok",
+        detail=detail,
+        remedy="on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri",
+        without="use -p sim:renderer:=tiny: PyBullet's own renderer, slower and plainer",
+    )
+
+
+def _shared_memory() -> Finding:
+    usage = shutil.disk_usage("/dev/shm")
+    left = sum(1 for _ in Path("/dev/shm").glob("fastrtps_*"))
+    small = usage.free < 64 * MIB
+    return Finding(
+        name="shared memory",
+        state="warning" if small else "ok",
+        detail=f"{usage.free / MIB:.0f} MiB of {usage.total / MIB:.0f} MiB free, {left} files of Fast DDS",
+        remedy="with no ROS process alive: fastdds shm clean; in Docker: --shm-size=512m",
+        without="images travel over loopback UDP, slower",
+    )
+
+
+def _graph() -> Finding:
+    """Call a service of a node in another context, as two processes would."""
+    from rclpy.node import Node
+    from std_srvs.srv import Empty
+
+    from roboxim_ros.clients import Clients
+    from roboxim_ros.host import NodeHost
+    from roboxim_ros.runs import free_domain
+
+    def probe(context: object) -> Node:
+        node = Node("doctor", context=context)
+        node.create_service(Empty, "probe", lambda request, response: response)
+        return node
+
+    started = time.monotonic()
+    try:
+        with (
+            free_domain() as domain,
+            NodeHost(domain_id=domain) as server,
+            NodeHost(domain_id=domain) as client,
+            Clients("doctor_client", context=client.context) as clients,
+        ):
+            server.add(probe)
+            clients.call(Empty, "probe", Empty.Request(), timeout_s=5)
+    except RoboximError as error:
+        return Finding(
+            name="graph",
+            state="missing",
+            detail=str(error),
+            remedy="allow UDP on the loopback interface, ports 7400 to 33000, and writing to /dev/shm",
+            without="no node finds another one",
+        )
+    return Finding(
+        name="graph", state="ok", detail=f"first answer over loopback after {time.monotonic() - started:.2f} s"
+    )
+
+
+def _network() -> Finding:
+    wide = os.environ.get("ROBOXIM_TRANSPORT") == "network"
+    return Finding(
+        name="network",
+        state="warning" if wide else "ok",
+        detail="open: every host that reaches this one can call every service" if wide else "this machine only",
+        remedy="unset ROBOXIM_TRANSPORT",
+    )
+
+
+def _cores() -> Finding:
+    cores = len(os.sched_getaffinity(0))
+    return Finding(
+        name="cores",
+        state="ok" if cores >= 2 else "warning",
+        detail=f"{cores} usable; a good --workers is {max(1, cores)}",
+        without="everything works, at half the speed",
+    )
+
+
+def _memory() -> Finding:
+    lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
+    free = int(lines["MemAvailable"].split()[0]) * 1024
+    return Finding(
+        name="memory",
+        state="ok" if free > 2 * GIB else "warning",
+        detail=f"{free / GIB:.1f} GiB available; a worker needs about 0.5 GiB",
+        remedy="use fewer workers",
+    )
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free
+    return Finding(
+        name="disk",
+        state="ok" if free > 2 * GIB else "warning",
+        detail=f"{free / GIB:.1f} GiB free in {Path.cwd()}",
+        remedy="free some space, or write elsewhere with --out",
+        without="long recordings end with the error DISK",
+    )
+
+
+def _runs() -> Finding:
+    from roboxim_ros.runs import live_runs, runtime_dir
+
+    runs = live_runs()
+    return Finding(name="runs", state="ok", detail=f"{len(runs)} alive; registered in {runtime_dir()}")
+
+
+CHECKS: tuple[Callable[[], Finding], ...] = (
+    _python,
+    _ros_wheels,
+    _interfaces,
+    _libraries,
+    _compiler,
+    _renderers,
+    _shared_memory,
+    _graph,
+    _network,
+    _cores,
+    _memory,
+    _disk,
+    _runs,
+)
