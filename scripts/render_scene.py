@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import IDENTITY, Pose, look_at
@@ -44,11 +45,11 @@ def example_scene(size: int, depth: bool = False, segmentation: bool = False) ->
         )
         for color, (x, y, yaw) in CUBES.items()
     )
-    workspace = look_at((1.22, 0.56, 0.62), (0.36, 0.0, 0.17))
-    wrist = look_at((0.07, 0.0, 0.02), (0.018, 0.0, 0.14), up=(1.0, 0.0, 0.0))
+    workspace = look_at((1.3, 0.6, 0.68), (0.3, -0.01, 0.23))
+    wrist = look_at((0.095, 0.0, 0.03), (0.03, 0.0, 0.16), up=(1.0, 0.0, 0.0))
     flags = {"width": size, "height": size, "depth": depth, "segmentation": segmentation}
     cameras = (
-        CameraSpec(name="workspace", pose=workspace, fov_y_rad=math.radians(46.0), **flags),
+        CameraSpec(name="workspace", pose=workspace, fov_y_rad=math.radians(48.0), **flags),
         CameraSpec(name="wrist", parent="panda_hand", pose=wrist, fov_y_rad=math.radians(75.0), near=0.01, **flags),
     )
     return SceneSpec(entities=entities, cameras=cameras)

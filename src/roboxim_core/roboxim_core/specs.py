@@ -123,14 +123,15 @@ class LightSpec:
 
     kind: str = "sun"
     """``sun`` or ``lamp``."""
-    direction: Vec3 = (0.3, 0.2, -1.0)
+    direction: Vec3 = (0.35, -0.25, -1.0)
     """Direction that a sun's light travels in, in the world (any length > 0)."""
     position: Vec3 = (0.0, 0.0, 2.0)
     """Position of a lamp in the world [m]."""
     color: RGB = (1.0, 0.97, 0.92)
     """Colour of the light."""
-    intensity: float = 2.4
-    """Radiance factor; a white diffuse surface facing an unshadowed sun of 3.14 is about white."""
+    intensity: float = 2.3
+    """Radiance factor; a white diffuse surface facing an unshadowed sun of 3.14 is about white. A lamp's is what arrives
+    at the world's origin."""
     shadow: bool = True
     """Whether it casts shadows."""
 
@@ -153,13 +154,13 @@ class MaterialSpec:
 class LookSpec:
     """How the scene looks besides its entities."""
 
-    table: MaterialSpec = MaterialSpec(color=(0.62, 0.48, 0.36), roughness=0.55, texture="wood")
+    table: MaterialSpec = MaterialSpec(color=(0.72, 0.56, 0.42), roughness=0.55, texture="wood")
     """Material of the table's top."""
-    floor: MaterialSpec = MaterialSpec(color=(0.45, 0.46, 0.48), roughness=0.9)
+    floor: MaterialSpec = MaterialSpec(color=(0.44, 0.45, 0.47), roughness=0.9)
     """Material of the floor."""
-    wall: MaterialSpec = MaterialSpec(color=(0.78, 0.79, 0.8), roughness=0.95)
+    wall: MaterialSpec = MaterialSpec(color=(0.92, 0.92, 0.9), roughness=0.95)
     """Material of the wall behind the table."""
-    ambient: RGB = (0.42, 0.44, 0.48)
+    ambient: RGB = (0.54, 0.55, 0.58)
     """Radiance of the surroundings (image-based light's mean)."""
     lights: tuple[LightSpec, ...] = (LightSpec(),)
     """Lights; the first one that casts a shadow is the main light."""

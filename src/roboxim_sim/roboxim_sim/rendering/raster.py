@@ -2,19 +2,21 @@
 
 Metallic-roughness shading (GGX) under one shadowed main light, further lights without shadows and an analytic studio
 as image-based light; soft shadow edges; darkened contacts; sRGB; FXAA. Colour, depth and segmentation leave one pass,
-and all cameras of a tick share the shadow map and the framebuffer.
+and all cameras of a tick share the shadow map.
 
 Non-obvious behaviours:
 - A lamp's intensity is what arrives at the world's origin; nearer to the lamp it is brighter (inverse square).
 - A pixel (column, row) looks along ``((column + 0.5 - width / 2) / f, (row + 0.5 - height / 2) / f, 1)`` in the
   optical frame, ``f = height / 2 / tan(fov_y / 2)``. Depth and segmentation are of that ray; FXAA moves colour only.
-- Images depend on the arguments alone: not on earlier worlds, frames, processes or the number of threads.
+- A camera's images depend on the world, the poses and that camera alone, bit for bit: not on other cameras, earlier
+  worlds and frames, the process or the number of threads. (So each has a framebuffer of its own: where a viewport
+  lies in a shared one changes the rounding.)
 - Entities ``floor`` and ``wall`` receive shadows and cast none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import moderngl
 import numpy as np
@@ -64,7 +66,7 @@ class RasterRenderer:
         self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], depth="buffer")
         self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")])
         self._world: tuple[GpuWorld, LookSpec] | None = None
-        self._target: tuple[Buffer, Buffer] | None = None
+        self._targets: list[_Target] = []
 
     def load(self, world: RenderWorld) -> None:
         """Replace the world.
@@ -107,8 +109,13 @@ class RasterRenderer:
             ctx.front_face, ctx.depth_func = "cw", "<="
             self._cast_shadows(world, frame)
             self._find_contacts(world, frame)
-            for group in _groups(cameras, ctx.info["GL_MAX_TEXTURE_SIZE"]):
-                images.update(self._draw(world, frame, group))
+            targets = self._targets_of(cameras)
+            for (camera, pose), target in zip(cameras, targets, strict=True):
+                self._shade(world, frame, target, camera, pose)
+                self._smooth(target)
+            # Read last: the driver rasterises one image while the next one's vertices are processed.
+            for (camera, _), target in zip(cameras, targets, strict=True):
+                images[camera.name] = _read(camera, target)
         return images
 
     def close(self) -> None:
@@ -118,11 +125,16 @@ class RasterRenderer:
         self._owner.check()
         self._owner.closed = True
         with self._context:
-            buffers = (*(self._target or ()), self._shadow, self._cover, self._contact)
-            for item in (*buffers, *self._screens.values(), self._poses, self._corners):
-                item.release()
+            for target in self._targets:
+                target.release()
+            for buffer in (self._shadow, self._cover, self._contact):
+                buffer.release()
+            for array in self._screens.values():
+                array.release()
             for shader in self._shaders.values():
                 shader.program.release()
+            self._poses.release()
+            self._corners.release()
             if self._world:
                 self._world[0].release()
         self._context.release()
@@ -158,40 +170,18 @@ class RasterRenderer:
         self._cover.colors[0].use(0)
         self._fill("CONTACT_BLUR_FRAGMENT", image=0, texel=1 / CONTACT_SIZE)
 
-    def _draw(self, world: GpuWorld, frame: Frame, cameras: Cameras) -> Iterator[tuple[str, CameraImages]]:
-        """Draw cameras side by side and cut their images out."""
-        size = sum(camera.width for camera, _ in cameras), max(camera.height for camera, _ in cameras)
-        wanted = any(camera.depth or camera.segmentation for camera, _ in cameras)
-        raw, final = self._target_of(size, geometry=wanted)
-        self._shade(world, frame, raw, cameras)
-        self._smooth(raw, final, cameras)
-        color = final.read(0, 4, np.uint8)
-        geometry = raw.read(1, 2, np.float32) if wanted else None
-        for (camera, _), left in zip(cameras, _lefts(cameras), strict=True):
-            cut = (slice(0, camera.height), slice(left, left + camera.width))
-            depth = segmentation = None
-            if geometry is not None and camera.depth:
-                depth = geometry[(*cut, 0)].copy()
-            if geometry is not None and camera.segmentation:
-                segmentation = geometry[(*cut, 1)].astype(np.uint16)
-            rgb = np.ascontiguousarray(color[(*cut, slice(0, 3))])
-            yield camera.name, CameraImages(rgb=rgb, depth=depth, segmentation=segmentation)
-
-    def _shade(self, world: GpuWorld, frame: Frame, target: Buffer, cameras: Cameras) -> None:
-        """Draw the scene as every camera sees it."""
-        geometry = ("GEOMETRY",) if len(target.colors) > 1 else ()
+    def _shade(self, world: GpuWorld, frame: Frame, target: _Target, camera: CameraSpec, pose: Pose) -> None:
+        """Draw the scene as a camera sees it."""
+        geometry = ("GEOMETRY",) if target.geometry else ()
         shader = self._lit(world, frame, geometry)
-        target.fbo.viewport = (0, 0, *target.size)
-        target.fbo.use()
-        target.fbo.clear(depth=1.0)
+        target.raw.fbo.use()
+        target.raw.fbo.clear(depth=1.0)
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        for (camera, pose), left in zip(cameras, _lefts(cameras), strict=True):
-            target.fbo.viewport = (left, 0, camera.width, camera.height)
-            matrix = clip_from_world(camera, pose)
-            shader.write("clip_from_world", matrix.T)
-            shader.set(eye=pose.position)
-            world.draw(shader, frame.order(matrix, np.asarray(pose.position)))
-            self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
+        matrix = clip_from_world(camera, pose)
+        shader.write("clip_from_world", matrix.T)
+        shader.set(eye=pose.position)
+        world.draw(shader, frame.order(matrix, np.asarray(pose.position)))
+        self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
 
     def _lit(self, world: GpuWorld, frame: Frame, geometry: tuple[str, ...]) -> Shader:
         """Return the scene's shader with all it needs to know of light."""
@@ -210,15 +200,12 @@ class RasterRenderer:
             shader.write("light_from_world", frame.light.matrix.T)
         return shader
 
-    def _smooth(self, raw: Buffer, final: Buffer, cameras: Cameras) -> None:
-        """Anti-alias the colour of every camera."""
+    def _smooth(self, target: _Target) -> None:
+        """Anti-alias the colour."""
         self._context.enable_only(moderngl.NOTHING)
-        final.fbo.use()
-        raw.colors[0].use(0)
-        for (camera, _), left in zip(cameras, _lefts(cameras), strict=True):
-            final.fbo.viewport = (left, 0, camera.width, camera.height)
-            rect = (left, 0, left + camera.width - 1, camera.height - 1)
-            self._fill("FXAA_FRAGMENT", image=0, rect=rect, texel=(1 / raw.size[0], 1 / raw.size[1]))
+        target.final.fbo.use()
+        target.raw.colors[0].use(0)
+        self._fill("FXAA_FRAGMENT", image=0)
 
     def _fill(self, fragment: str, *flags: str, **values: object) -> None:
         """Draw a triangle over the whole viewport, at the far plane."""
@@ -239,35 +226,44 @@ class RasterRenderer:
             self._shaders[key].set(Poses=0)
         return self._shaders[key]
 
-    def _target_of(self, size: tuple[int, int], *, geometry: bool) -> tuple[Buffer, Buffer]:
-        """Return framebuffers for the shaded and for the final image; the last pair is kept."""
+    def _targets_of(self, cameras: Cameras) -> list[_Target]:
+        """Return a target for each camera; those of the last call are used again where they fit."""
+        old, self._targets = self._targets, []
+        for i, (camera, _) in enumerate(cameras):
+            size, geometry = (camera.width, camera.height), camera.depth or camera.segmentation
+            if i < len(old) and (old[i].raw.size, old[i].geometry) == (size, geometry):
+                self._targets.append(old[i])
+            else:
+                self._targets.append(_Target(self._context, size, geometry))
+        for target in old:
+            if target not in self._targets:
+                target.release()
+        return self._targets
+
+
+class _Target:
+    """Where a camera's image is drawn."""
+
+    def __init__(self, context: moderngl.Context, size: tuple[int, int], geometry: bool) -> None:
         colors = [(4, "f1"), *([(2, "f4")] if geometry else [])]
-        if self._target and (self._target[0].size, len(self._target[0].colors)) == (size, len(colors)):
-            return self._target
-        for buffer in self._target or ():
-            buffer.release()
-        self._target = Buffer(self._context, size, colors, depth="buffer"), Buffer(self._context, size, [(4, "f1")])
-        return self._target
+        self.geometry = geometry
+        self.raw = Buffer(context, size, colors, depth="buffer")
+        self.final = Buffer(context, size, [(4, "f1")])
+
+    def release(self) -> None:
+        self.raw.release()
+        self.final.release()
 
 
-def _lefts(cameras: Cameras) -> list[int]:
-    """Return the left edge of each camera in the shared framebuffer."""
-    lefts = [0]
-    for camera, _ in cameras[:-1]:
-        lefts.append(lefts[-1] + camera.width)
-    return lefts
-
-
-def _groups(cameras: Cameras, limit: int) -> Iterator[Cameras]:
-    """Split cameras into runs that fit side by side into a framebuffer."""
-    group: list[tuple[CameraSpec, Pose]] = []
-    for item in cameras:
-        if group and sum(camera.width for camera, _ in group) + item[0].width > limit:
-            yield group
-            group = []
-        group.append(item)
-    if group:
-        yield group
+def _read(camera: CameraSpec, target: _Target) -> CameraImages:
+    """Read a camera's images."""
+    depth = segmentation = None
+    rgb = np.ascontiguousarray(target.final.read(0, 4, np.uint8)[..., :3])
+    if target.geometry:
+        geometry = target.raw.read(1, 2, np.float32)
+        depth = geometry[..., 0].copy() if camera.depth else None
+        segmentation = geometry[..., 1].astype(np.uint16) if camera.segmentation else None
+    return CameraImages(rgb=rgb, depth=depth, segmentation=segmentation)
 
 
 def _padded(rows: Array) -> Array:

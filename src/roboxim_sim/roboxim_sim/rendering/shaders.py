@@ -147,11 +147,11 @@ void main() {
                  * clamp(0.3 + n.z, 0.0, 1.0);
 
     vec3 r = 2.0 * dot(n, v) * n - v;
-    float spread = 1.0 + 30.0 * (1.0 - roughness) * (1.0 - roughness);
+    float spread = 3.0 + 60.0 * (1.0 - roughness) * (1.0 - roughness);
     float box_a = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(-0.48, 0.36, 0.8))));
     float box_b = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(0.3, -0.8, 0.52))));
     vec3 around = mix(ground, sky, clamp(r.z * (1.2 - 0.7 * roughness) + 0.5, 0.0, 1.0));
-    around += sky * ((1.4 - roughness) * (1.6 * box_a * box_a + 1.0 * box_b * box_b));
+    around += sky * ((1.0 - roughness) * (2.2 * box_a * box_a + 1.6 * box_b * box_b));
     float g = 1.0 - nv;
     float g2 = g * g;
     vec3 mirror = f0 * (1.0 - 0.45 * roughness) + (1.0 - roughness) * (1.0 - roughness) * (g2 * g2 * g) * (1.0 - f0);
@@ -188,14 +188,12 @@ void main() {
 }
 """
 
-# Fast approximate anti-aliasing on the luma in alpha; fetches stay inside the camera's own rectangle.
+# Fast approximate anti-aliasing on the luma in alpha.
 FXAA_FRAGMENT = """
 uniform sampler2D image;
-uniform ivec4 rect;     // lower corner, upper corner (inclusive)
-uniform vec2 texel;
 out vec4 out_color;
-float luma(ivec2 p) { return texelFetch(image, clamp(p, rect.xy, rect.zw), 0).a; }
-vec3 smooth_at(vec2 p) { return texture(image, clamp(p, vec2(rect.xy) + 0.5, vec2(rect.zw) + 0.5) * texel).rgb; }
+float luma(ivec2 p) { return texelFetch(image, clamp(p, ivec2(0), textureSize(image, 0) - 1), 0).a; }
+vec3 smooth_at(vec2 p) { return texture(image, p / vec2(textureSize(image, 0))).rgb; }
 void main() {
     ivec2 p = ivec2(gl_FragCoord.xy);
     vec4 m = texelFetch(image, p, 0);

@@ -136,9 +136,13 @@ class TinyRenderer:
 
     def _draw(self, camera: CameraSpec, pose: Pose, parts: tuple[_Part, ...]) -> CameraImages:
         near, far = camera.near, camera.far
-        projection = pybullet.computeProjectionMatrixFOV(
-            math.degrees(camera.fov_y_rad), camera.width / camera.height, near, far
+        projection = list(
+            pybullet.computeProjectionMatrixFOV(math.degrees(camera.fov_y_rad), camera.width / camera.height, near, far)
         )
+        projection[8], projection[9] = (
+            1 / camera.width,
+            1 / camera.height,
+        )  # it samples pixels at a corner, not centrally
         view = OPTICAL_TO_GL @ pose.inverse().matrix
         _, _, rgba, depth, mask = pybullet.getCameraImage(
             camera.width,
@@ -183,7 +187,7 @@ def _light(look: LookSpec) -> dict[str, object]:
         "lightDistance": max(distance, 0.1),
         "lightColor": list(main.color),
         "shadow": int(main.shadow),
-        "lightAmbientCoeff": float(np.clip(np.sqrt(np.mean(look.ambient)), 0.0, 1.0)),
-        "lightDiffuseCoeff": float(np.clip(0.2 * main.intensity, 0.0, 1.0)),
+        "lightAmbientCoeff": float(np.clip(1.2 * np.mean(look.ambient), 0.0, 1.0)),
+        "lightDiffuseCoeff": float(np.clip(0.22 * main.intensity, 0.0, 1.0)),
         "lightSpecularCoeff": 0.1,
     }
