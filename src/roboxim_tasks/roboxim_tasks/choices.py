@@ -49,8 +49,9 @@ class Choice:
             index: Index of the episode.
         """
         if self.values:
-            return self.values[index % len(self.values) if self.order == "in_order" else int(rng.integers(len(self.values)))]
-        assert self.lower is not None and self.upper is not None
+            return self.values[_pick(len(self.values), self.order, rng, index)]
+        assert self.lower is not None
+        assert self.upper is not None
         return float(rng.uniform(self.lower, self.upper))
 
     def draw_number(self, rng: np.random.Generator, index: int) -> float:
@@ -115,10 +116,13 @@ class VectorChoice:
             index: Index of the episode.
         """
         if self.values:
-            row = index % len(self.values) if self.order == "in_order" else int(rng.integers(len(self.values)))
-            return np.array(self.values[row], dtype=float)
+            return np.array(self.values[_pick(len(self.values), self.order, rng, index)], dtype=float)
         drawn: npt.NDArray[np.float64] = rng.uniform(self.lower, self.upper)  # type: ignore[arg-type]
         return drawn
+
+
+def _pick(count: int, order: str, rng: np.random.Generator, index: int) -> int:
+    return index % count if order == "in_order" else int(rng.integers(count))
 
 
 def _check(listed: bool, lower: object, upper: object, order: str) -> None:

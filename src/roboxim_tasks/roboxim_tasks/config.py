@@ -1,17 +1,19 @@
 """Task configuration: which tasks are drawn and how their scenes are reset.
 
-Skills and reset components bring configurations of their own (``parameters``, ``reset``); they are checked here, against
-the class that the named skill or component declares, so that a wrong key is refused with its line before anything runs.
+Skills and reset components bring configurations of their own (``parameters``, ``reset``); they are checked here,
+against the class that the named skill or component declares, so that a wrong key is refused with its line before
+anything runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from roboxim_core.config import from_plain, load_yaml, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.library import ModelLibrary
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.skills import SKILLS
@@ -84,22 +86,19 @@ class TaskConfig:
         """Check the ranges.
 
         Raises:
-            ConfigError: On an unknown skill or role, or a number out of range.
+            ConfigError: On a number out of range.
         """
-        skill = SKILLS[self.skill]
-        for role in self.objects:
-            if role not in skill.roles:
-                raise ConfigError(f"skill '{self.skill}' has no role '{role}'; {one_of(skill.roles, role)}")
         if self.rate_hz <= 0 or self.max_steps < 0 or self.max_draws < 1:
             raise ConfigError("needs rate_hz > 0, max_steps >= 0 and max_draws >= 1")
 
 
-def task_config(data: Any, *, source: str = "task configuration") -> TaskConfig:
+def task_config(data: Any, *, source: str = "task configuration", library: ModelLibrary | None = None) -> TaskConfig:
     """Build a task configuration from plain data, complete with the defaults of its skill and components.
 
     Args:
         data: As `roboxim_core.config.parse_yaml` or `to_plain` gives; none: all defaults.
         source: What the data is, for messages.
+        library: Where objects and their modifiers are looked up; none: RoboXim's own.
 
     Raises:
         ConfigError: Listing every wrong key with its path, line and what is allowed.
@@ -109,12 +108,16 @@ def task_config(data: Any, *, source: str = "task configuration") -> TaskConfig:
     if not isinstance(data, Mapping):
         raise ConfigError(f"{source} is not valid: expected a mapping of keys, got {type(data).__name__}")
     config = from_plain(data, TaskConfig, source=source)
+    _require(source, data, ("skill",), config.skill, SKILLS)
     skill = SKILLS[config.skill]
-    parameters = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
+    for role in config.objects:
+        _require(source, data, ("objects", role), role, skill.roles)
+    for name in config.reset:
+        _require(source, data, ("reset", name), name, COMPONENTS)
+    _check_objects(source, data, config, library or ModelLibrary())
+    parameters: Any = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
     given = _section(data, "reset")
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"{source}: reset: expected component: {{...}}, got {given!r}")
-    reset = {}
+    reset: dict[str, Any] = {}
     for name in dict.fromkeys((*skill.components, *given)):
         section = _section(given, name)
         reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
@@ -127,6 +130,47 @@ def task_config(data: Any, *, source: str = "task configuration") -> TaskConfig:
         templates=config.templates or Choice(values=skill.templates),
         max_steps=config.max_steps or skill.max_steps,
     )
+
+
+def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLibrary) -> None:
+    """Check every model and modifier that may be drawn, so that a typo does not surface at the hundredth episode."""
+    places: list[tuple[tuple[str, ...], ObjectConfig | DistractorConfig]] = [
+        (("objects", role), objects) for role, objects in config.objects.items()
+    ]
+    for path, objects in [*places, (("distractors",), config.distractors)]:
+        for model in objects.models.values:
+            _require(source, data, (*path, "models"), str(model), library.object_ids)
+            allowed = library.object_modifiers(str(model))
+            for name, choice in objects.modifiers.items():
+                where = (*path, "modifiers", name)
+                _require(source, data, where, name, allowed)
+                for value in choice.values or (choice.lower, choice.upper):
+                    assert value is not None
+                    allowed[name].check(f"{source} is not valid: {_at(data, where)}", name, value)
+
+
+def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: Iterable[str]) -> None:
+    """Refuse an unknown name, with its place.
+
+    Raises:
+        ConfigError: Listing the known names.
+    """
+    names = tuple(known)
+    if name not in names:
+        raise ConfigError(f"{source} is not valid: {_at(data, path)}: unknown name '{name}'; {one_of(names, name)}")
+
+
+def _at(data: Any, path: tuple[str, ...]) -> str:
+    """Return a key's path, with its line when the data came from YAML text."""
+    line = ""
+    for key in path:
+        positions = getattr(data, "lc", None)
+        if not isinstance(data, Mapping) or key not in data:
+            break
+        if positions is not None and key in (positions.data or {}):
+            line = f" (line {positions.data[key][0] + 1})"
+        data = data[key]
+    return ".".join(path) + line
 
 
 def _section(data: Mapping[str, Any], key: str) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from roboxim_core.config import load_config, named_config, to_json
+from roboxim_core.config import to_json
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
@@ -13,6 +13,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.roles import description, task_objects
 from roboxim_tasks.skills import SKILLS
@@ -48,7 +49,7 @@ class EpisodeGenerator:
             TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
             ConfigError: When the configuration names what does not exist.
         """
-        base = load_config(named_config("scenes", config.scene), SceneSpec)
+        base = named("scenes", config.scene, SceneSpec)
         _check_unambiguous(base, config, task, self._library)
         context = ResetContext(
             seed=seed, config=config, task=task, library=self._library, arm=self._arm(base.robot.model)

@@ -1,7 +1,7 @@
 """The expert: a skill's executor behind the policy interface (thesis 4.2.3).
 
-It plans once, at its first request: candidate stages from the skill, a reference of commanded poses, the joint path that
-the delta controller makes of it, and the planner's word that this very path is free. What is verified is what is
+It plans once, at its first request: candidate stages from the skill, a reference of commanded poses, the joint path
+that the delta controller makes of it, and the planner's word that this very path is free. What is verified is what is
 executed. Each answer is the delta from the *commanded* pose to the reference's next pose, so injected noise is
 corrected and never accumulates.
 """
@@ -76,9 +76,13 @@ class Expert:
             TaskError: With code ``NO_EXPERT`` when no task or scene comes with it, or the skill is unknown.
         """
         if start.task is None or start.scene is None:
-            raise TaskError("the expert needs the task and the scene; send them as to a privileged policy", ErrorCode.NO_EXPERT)
+            raise TaskError(
+                "the expert needs the task and the scene; send them as to a privileged policy", ErrorCode.NO_EXPERT
+            )
         if start.task.skill not in SKILLS:
-            raise TaskError(f"no expert for skill '{start.task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT)
+            raise TaskError(
+                f"no expert for skill '{start.task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT
+            )
         self._start, self._reference = start, None
 
     def act(self, window: ObservationWindow) -> ActionChunk:
@@ -106,7 +110,8 @@ class Expert:
         )
 
     def _plan(self, start: EpisodeStart, state: StateRecord) -> list[ReferencePoint]:
-        assert start.task is not None and start.scene is not None
+        assert start.task is not None
+        assert start.scene is not None
         view = ExpertScene(task=start.task, scene=start.scene, state=state, library=self._library)
         reasons = []
         for stages in SKILLS[start.task.skill].stages(view):

@@ -59,7 +59,9 @@ def generate_object(
     return PhysicalObject(entity=entity, model=model, name=noun, modifiers=drawn)
 
 
-def generate_distractors(context: GenerationContext, objects: Mapping[str, PhysicalObject]) -> dict[str, PhysicalObject]:
+def generate_distractors(
+    context: GenerationContext, objects: Mapping[str, PhysicalObject]
+) -> dict[str, PhysicalObject]:
     """Draw the distractors: none fits the description of an object of the task.
 
     Args:
@@ -85,7 +87,7 @@ def generate_distractors(context: GenerationContext, objects: Mapping[str, Physi
                 break
         else:
             raise TaskError(
-                f"no distractor can be told from {sorted(taken)}: constraint distractor_distinct refused {MAX_TRIES} draws; "
+                f"no distractor can be told from {sorted(taken)}: distractor_distinct refused {MAX_TRIES} draws; "
                 "give distractors.modifiers.color or distractors.models more values",
                 ErrorCode.RESET_INFEASIBLE,
             )

@@ -23,7 +23,9 @@ class Judge:
             TaskError: With code ``UNKNOWN_SKILL`` when the task's skill is not registered.
         """
         if task.skill not in SKILLS:
-            raise TaskError(f"unknown skill '{task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.UNKNOWN_SKILL)
+            raise TaskError(
+                f"unknown skill '{task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.UNKNOWN_SKILL
+            )
         self.task = task
         self._skill = SKILLS[task.skill]
         self._verdict = Verdict()
@@ -41,7 +43,9 @@ class Judge:
         present = {entity.name for entity in state.entities}
         missing = sorted(thing.entity for thing in self.task.objects.values() if thing.entity not in present)
         if missing:
-            raise TaskError(f"episode {state.episode_id}: the scene lacks {missing} of the task; it has {sorted(present)}")
+            raise TaskError(
+                f"episode {state.episode_id}: the scene lacks {missing} of the task; it has {sorted(present)}"
+            )
         self._verdict, self._solved_since_ns = Verdict(), None
         self._evaluator = self._skill.evaluator(self.task, state)
         return self._fold(state)

@@ -29,7 +29,7 @@ class Stage:
     opening: float = 1.0
     """Commanded opening, 1 = open, 0 = closed."""
     free: bool = False
-    """Whether the way does not matter: then it leaves the straight line to avoid obstacles, and noise may be injected."""
+    """Whether the way does not matter: then it goes around obstacles, and noise may be injected."""
     speed: float = 1.0
     """Fraction of the largest speed of the tool centre point."""
     duration_s: float = 0.0

@@ -1,4 +1,4 @@
-"""What the expert needs of the planner, as a small port: the node serves it with ROS clients, tests with the planner's core."""
+"""What the expert needs of the planner, as a small port: served by ROS clients, or by the planner's core in tests."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ corner between them and leaves no pause. The average of a path that ends at rest
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -96,8 +97,8 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
 def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> tuple[list[Pose], list[int]]:
     """Sample adjoining legs that all move, or one that stays; return a pose and a leg's index per tick."""
     if legs[0].stage.pose is None:
-        ticks = round(legs[0].stage.duration_s * rate_hz)
-        return [start] * ticks, [0] * ticks
+        stay = round(legs[0].stage.duration_s * rate_hz)
+        return [start] * stay, [0] * stay
     knots, times, owners = [start], [0.0], [0]
     for index, leg in enumerate(legs):
         assert leg.stage.pose is not None
@@ -106,16 +107,16 @@ def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float
             knots.append(pose)
             owners.append(index)
     coordinates, anchor = _coordinates(knots)
-    count = max(1, int(np.ceil(times[-1] * rate_hz - 1e-6)))
+    count = max(1, math.ceil(times[-1] * rate_hz - 1e-6))
     ticks = np.minimum(np.arange(1, count + 1) / rate_hz, times[-1])
     raw = np.stack([np.interp(ticks, times, column) for column in coordinates.T], axis=1)
-    width = max(1, round(config.smoothing_s * rate_hz))
+    width = max(1, int(config.smoothing_s * rate_hz + 0.5))
     padded = np.concatenate([np.repeat(coordinates[:1], width - 1, 0), raw, np.repeat(coordinates[-1:], width - 1, 0)])
     smooth = np.stack([np.convolve(column, np.full(width, 1.0 / width), "valid") for column in padded.T], axis=1)
     smooth[-1] = coordinates[-1]
-    owner_of = np.searchsorted(np.array(times), np.append(ticks, [times[-1]] * (width - 1)) - 1e-9)
+    reached = np.searchsorted(np.array(times), np.append(ticks, [times[-1]] * (width - 1)) - 1e-9)
     poses = [Pose.from_arrays(row[:3], Rotation.from_rotvec(row[3:]) * anchor) for row in smooth]
-    return poses, [owners[min(int(i), len(owners) - 1)] for i in owner_of]
+    return poses, [owners[min(int(i), len(owners) - 1)] for i in reached]
 
 
 def _duration(begin: Pose, end: Pose, config: SpeedConfig) -> float:

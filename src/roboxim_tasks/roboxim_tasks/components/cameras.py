@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.config import load_config, named_config
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.poses import Pose, Vec3, look_at
 from roboxim_core.specs import CameraSpec, SceneSpec
 from roboxim_tasks.choices import VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+from roboxim_tasks.files import named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,9 @@ class CamerasReset(ResetComponent):
         for name in self.config.names:
             spec = load_camera(name)
             if spec.parent != "world" and spec.parent not in context.arm.link_names:
-                raise ConfigError(f"camera '{name}': no link '{spec.parent}'; {one_of(context.arm.link_names, spec.parent)}")
+                raise ConfigError(
+                    f"camera '{name}': no link '{spec.parent}'; {one_of(context.arm.link_names, spec.parent)}"
+                )
             rng = context.rng(f"{self.name}/{name}")
             shift, turn = self.config.shift_m.get(name), self.config.turn_rad.get(name)
             if shift is not None:
@@ -115,4 +117,4 @@ def load_camera(name: str) -> CameraSpec:
     Raises:
         ConfigError: When there is none of that name or its file is wrong.
     """
-    return load_config(named_config("cameras", name), CameraConfig).spec(name)
+    return named("cameras", name, CameraConfig).spec(name)

@@ -58,7 +58,9 @@ class LightsReset(ResetComponent):
                 changed[key] = tuple(choice.draw(rng, index).tolist())
         if changed:
             if not look.lights:
-                raise ConfigError(f"reset.lights sets {', '.join(changed)}, but scene '{context.config.scene}' has no light")
+                raise ConfigError(
+                    f"reset.lights sets {', '.join(changed)}, but scene '{context.config.scene}' has no light"
+                )
             light: LightSpec = replace(look.lights[0], **changed)  # type: ignore[arg-type]
             look = replace(look, lights=(light, *look.lights[1:]))
         if self.config.ambient is not None:

@@ -49,7 +49,7 @@ class SurfacesReset(ResetComponent):
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Draw each surface."""
-        materials = {}
+        look = scene.look
         for surface in ("table", "floor", "wall"):
             config: SurfaceConfig = getattr(self.config, surface)
             material: MaterialSpec = getattr(scene.look, surface)
@@ -59,5 +59,5 @@ class SurfacesReset(ResetComponent):
                 material = replace(material, color=(r, g, b))
             if config.texture is not None:
                 material = replace(material, texture=str(config.texture.draw(rng, index)))
-            materials[surface] = material
-        return replace(scene, look=replace(scene.look, **materials))
+            look = replace(look, **{surface: material})  # type: ignore[arg-type]
+        return replace(scene, look=look)

@@ -1,0 +1,26 @@
+"""Named YAML files that every reset reads: parsed once, and again when they change."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar, cast
+
+from roboxim_core.config import load_config, named_config
+
+T = TypeVar("T")
+
+
+def named(kind: str, name: str, cls: type[T]) -> T:
+    """Return ``config/<kind>/<name>.yaml`` as a frozen dataclass.
+
+    Raises:
+        ConfigError: When there is no such file or it is wrong.
+    """
+    path = named_config(kind, name)
+    return cast("T", _load(path, path.stat().st_mtime_ns, cls))  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, _mtime_ns: int, cls: type[object]) -> object:
+    return load_config(path, cls)

@@ -1,0 +1,141 @@
+"""The task node: draws episodes, judges them, and serves the expert as a policy."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from rclpy.context import Context
+from roboxim_interfaces.msg import PolicyDescription as PolicyDescriptionMsg
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg
+from roboxim_interfaces.msg import Verdict as VerdictMsg
+from roboxim_interfaces.srv import Act, DescribePolicy, GenerateEpisode, Judge, ResetPolicy
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, TaskError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.policies import EpisodeStart
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.node import RoboximNode
+from roboxim_tasks.config import DEFAULT_TASK, TaskConfig, load_task_config, parse_task_config
+from roboxim_tasks.conversions import fill_chunk, window_from_msg
+from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.expert import Expert
+from roboxim_tasks.judging import Judge as TaskJudge
+from roboxim_tasks.ports import PlannerClient
+from roboxim_tasks.reference import SpeedConfig
+
+MAX_JUDGES = 16
+"""Episodes judged at a time; the one that was asked for longest ago is forgotten first."""
+
+
+def _parameter(default: Any, description: str, *bounds: float) -> Any:
+    return field(default=default, metadata={"description": description} | ({"range": bounds} if bounds else {}))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskNodeConfig:
+    """Parameters of the task node."""
+
+    task: str = _parameter(DEFAULT_TASK, "task of requests without a configuration: a name in config/tasks, or a file")
+    """Default task."""
+    rate_hz: float = _parameter(10.0, "control rate that the expert declares [Hz]", 1.0, 60.0)
+    """Control rate of the expert."""
+    max_tcp_speed_m_s: float = _parameter(SpeedConfig.max_tcp_speed_m_s, "largest tcp speed [m/s]", 0.01, 2.0)
+    """Speed of the expert."""
+    max_tcp_rot_speed_rad_s: float = _parameter(
+        SpeedConfig.max_tcp_rot_speed_rad_s, "largest angular speed of the tool [rad/s]", 0.05, 6.0
+    )
+    """Angular speed of the expert."""
+    smoothing_s: float = _parameter(SpeedConfig.smoothing_s, "time in which the expert reaches its speed [s]", 0.0, 2.0)
+    """Smoothing of the expert."""
+    planner_timeout_s: float = _parameter(30.0, "longest wait for the planner [s]", 0.1, 600.0)
+    """Wait for the planner."""
+
+
+class TaskNode(RoboximNode):
+    """Serves ``tasks/*`` and the expert as a policy under ``expert/*``."""
+
+    def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
+        """Make the node; see `RoboximNode`.
+
+        Raises:
+            ConfigError: When a parameter or the default task is wrong.
+        """
+        super().__init__("tasks", context=context, namespace=namespace, parameters=parameters)
+        self.config = self.declare_config(TaskNodeConfig)
+        self._default_task = load_task_config(self.config.task)
+        self._parse = lru_cache(maxsize=16)(parse_task_config)
+        self._library = ModelLibrary()
+        self._generator = EpisodeGenerator(self._library)
+        self._judges: OrderedDict[str, TaskJudge] = OrderedDict()
+        speeds = SpeedConfig(
+            max_tcp_speed_m_s=self.config.max_tcp_speed_m_s,
+            max_tcp_rot_speed_rad_s=self.config.max_tcp_rot_speed_rad_s,
+            smoothing_s=self.config.smoothing_s,
+        )
+        planner = PlannerClient(self.clients_of_node, self._library, self.config.planner_timeout_s)
+        self._expert = Expert(self._library, planner, speeds, self.config.rate_hz)
+        self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
+        self.serve(Judge, "tasks/judge", self._on_judge)
+        self.serve(DescribePolicy, "expert/describe_policy", self._on_describe)
+        self.serve(ResetPolicy, "expert/reset_policy", self._on_reset)
+        self.serve(Act, "expert/act", self._on_act)
+
+    def _task_config(self, text: str) -> TaskConfig:
+        return self._parse(text) if text.strip() else self._default_task
+
+    def _on_generate(self, request: GenerateEpisode.Request, response: GenerateEpisode.Response) -> None:
+        seed = SeedPath(
+            run_seed=int(request.run_seed),
+            purpose=request.purpose,
+            index=int(request.index),
+            attempt=int(request.attempt),
+        )
+        draw = self._generator.draw(seed, self._task_config(request.task_config))
+        response.task = to_msg(draw.task, TaskSpecMsg)
+        response.scene = to_msg(draw.scene, SceneSpecMsg)
+        response.max_steps = draw.max_steps
+        response.task_config_json = draw.config_json
+
+    def _on_judge(self, request: Judge.Request, response: Judge.Response) -> None:
+        state = from_msg(request.state, StateRecord)
+        if state.episode_id != request.episode_id:
+            raise InvalidRequestError(f"the state belongs to episode '{state.episode_id}', not '{request.episode_id}'")
+        if request.task:
+            judge = TaskJudge(from_msg(request.task[0], TaskSpec))
+            verdict = judge.start(state)
+            self._judges[request.episode_id] = judge
+            if len(self._judges) > MAX_JUDGES:
+                self._judges.popitem(last=False)
+        elif request.episode_id in self._judges:
+            self._judges.move_to_end(request.episode_id)
+            verdict = self._judges[request.episode_id].step(state)
+        else:
+            raise TaskError(
+                f"no episode '{request.episode_id}' is being judged; start with tick 0 and the task",
+                ErrorCode.UNKNOWN_EPISODE,
+            )
+        response.verdict = to_msg(verdict, VerdictMsg)
+
+    def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
+        response.description = to_msg(self._expert.describe(), PolicyDescriptionMsg)
+
+    def _on_reset(self, request: ResetPolicy.Request, response: ResetPolicy.Response) -> None:
+        self._expert.reset(
+            EpisodeStart(
+                episode_id=request.episode_id,
+                instruction=request.instruction,
+                seed=int(request.seed),
+                task=from_msg(request.task[0], TaskSpec) if request.task else None,
+                scene=from_msg(request.scene[0], SceneSpec) if request.scene else None,
+            )
+        )
+
+    def _on_act(self, request: Act.Request, response: Act.Response) -> None:
+        fill_chunk(response, self._expert.act(window_from_msg(request)))

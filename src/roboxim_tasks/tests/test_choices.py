@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from roboxim_core.errors import ConfigError
+from roboxim_tasks.choices import Choice, VectorChoice
+
+
+def test_an_ordered_list_is_a_function_of_the_index():
+    choice = Choice(values=("red", "green", "blue"), order="in_order")
+    rng = np.random.default_rng(0)
+    assert [choice.draw(rng, index) for index in (0, 1, 2, 3, 7)] == ["red", "green", "blue", "red", "green"]
+    assert VectorChoice(values=((1.0,), (2.0,)), order="in_order").draw(rng, 5).tolist() == [2.0]
+
+
+def test_a_range_and_a_random_list_cover_all_of_it():
+    rng = np.random.default_rng(0)
+    numbers = [Choice(lower=-1.0, upper=3.0).draw_number(rng, 0) for _ in range(500)]
+    assert min(numbers) < -0.9
+    assert max(numbers) > 2.9
+    assert abs(np.mean(numbers) - 1.0) < 0.2
+    assert {Choice(values=(1, 2, 3)).draw(rng, 0) for _ in range(50)} == {1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {}, {"lower": 1.0}, {"values": (1.0,), "lower": 0.0, "upper": 1.0}, {"lower": 2.0, "upper": 1.0},
+        {"values": (1.0,), "order": "sorted"}, {"lower": 0.0, "upper": 1.0, "order": "in_order"},
+    ],
+)  # fmt: skip
+def test_a_choice_that_means_nothing_is_refused(wrong):
+    with pytest.raises(ConfigError):
+        Choice(**wrong)

@@ -1,0 +1,171 @@
+"""The expert over the cores of planner and sim: it solves what the resetters draw; doing nothing solves nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_bringup.cores import CorePlanner
+from roboxim_core.actions import hold_action
+from roboxim_core.errors import ErrorCode, PolicyError, TaskError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_core.poses import Pose
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import EntitySpec
+from roboxim_sim.world import World
+from roboxim_tasks.config import load_task_config
+from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.expert import Expert
+from roboxim_tasks.judging import Judge
+
+NOISE = np.array([0.004] * 3 + [0.01] * 3 + [0.0])
+
+
+@pytest.fixture(scope="module")
+def library():
+    return ModelLibrary()
+
+
+@pytest.fixture(scope="module")
+def world(library):
+    with World(library) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def generator(library):
+    return EpisodeGenerator(library)
+
+
+@pytest.fixture(scope="module")
+def expert(library):
+    return Expert(library, CorePlanner(library))
+
+
+def draw(generator, index, config="pick_cube_distractors"):
+    seed = SeedPath(run_seed=11, purpose="test", index=index)
+    return seed, generator.draw(seed, load_task_config(config))
+
+
+def window(state):
+    observation = Observation(seq=state.seq, stamp_ns=state.stamp_ns, state=state)
+    return ObservationWindow(
+        instruction="", observations=[observation], pad_mask=(True,), episode_id=state.episode_id, seq=state.seq
+    )
+
+
+def start(expert, drawn, episode_id):
+    expert.reset(
+        EpisodeStart(
+            episode_id=episode_id, instruction=drawn.task.instruction, seed=5, task=drawn.task, scene=drawn.scene
+        )
+    )
+
+
+def run(world, drawn, act, *, settle=10):
+    """Run one episode; return its last verdict and its records."""
+    records = [world.load(drawn.scene, "e")]
+    judge = Judge(drawn.task)
+    verdict = judge.start(records[0])
+    try:
+        for _ in range(drawn.max_steps):
+            action, done = act(records[-1])
+            records.append(world.tick(records[-1].seq + 1, action))
+            verdict = judge.step(records[-1])
+            if verdict.success or verdict.failed or done:
+                break
+        for _ in range(settle):
+            records.append(world.tick(records[-1].seq + 1, hold_action(records[-1].robot.gripper_command)))
+            verdict = judge.step(records[-1])
+    finally:
+        world.release("e")
+    return verdict, records
+
+
+def expert_act(expert, rng=None):
+    def act(state):
+        chunk = expert.act(window(state))
+        noise = rng.normal(size=7) * NOISE if rng is not None and chunk.phases == ("free",) else 0.0
+        return (chunk.actions[0] + noise).astype(np.float32), chunk.done
+
+    return act
+
+
+@pytest.mark.parametrize("noisy", [False, True], ids=["clean", "noisy"])
+def test_the_expert_picks_every_cube_at_its_first_try(world, generator, expert, noisy):
+    for index in range(10 * noisy, 10 * noisy + 10):
+        seed, drawn = draw(generator, index)
+        start(expert, drawn, "e")
+        verdict, records = run(world, drawn, expert_act(expert, seed.rng("execution_noise") if noisy else None))
+        assert verdict.success, (index, verdict)
+        assert verdict.predicates["lift_m"] > 0.09
+        assert 30 <= len(records) - 11 <= 60
+        assert not any(record.clipped or record.left_workspace for record in records)
+        for name in (entity.name for entity in drawn.scene.entities if entity.name != "target"):
+            moved = np.subtract(records[-1].entity(name).pose.position, records[0].entity(name).pose.position)
+            assert np.linalg.norm(moved) < 0.005
+
+
+def test_the_expert_is_smooth_and_the_same_every_time(world, generator, expert):
+    _, drawn = draw(generator, 3)
+    hashes = []
+    for _ in range(2):
+        start(expert, drawn, "e")
+        _, records = run(world, drawn, expert_act(expert))
+        hashes.append([record.state_hash for record in records])
+    assert hashes[0] == hashes[1]
+    deltas = np.array([record.action_executed[:6] for record in records[1:-10]])
+    assert np.abs(np.diff(deltas[:, :3], axis=0)).max() < 0.008
+    assert np.linalg.norm(deltas[:, :3], axis=1).max() <= 0.0205
+    assert np.linalg.norm(deltas[:, 3:], axis=1).max() <= 0.085
+
+
+def test_doing_nothing_solves_nothing(world, generator):
+    for index in range(3):
+        _, drawn = draw(generator, index)
+        verdict, _ = run(world, replace(drawn, max_steps=20), lambda state: (hold_action(1.0), False), settle=0)
+        assert not verdict.success_ever
+        assert verdict.reason == "not_grasped"
+
+
+def test_the_expert_goes_around_what_blocks_its_way(world, generator, expert, library):
+    _, drawn = draw(generator, 1, "pick_cube")
+    target = np.array(drawn.scene.entity("target").pose.position)
+    tcp = np.array([*target[:2], 0.0]) + [0.0, 0.25, 0.06]
+    tower = [
+        EntitySpec(
+            name=f"tower_{level}", model="cube", modifiers={"color": "white", "scale": 1.4}, fixed=True,
+            pose=Pose(position=(target[0], target[1] + 0.13, 0.0315 + 0.063 * level)),
+        )
+        for level in range(4)
+    ]  # fmt: skip
+    config = load_task_config("pick_cube")
+    robot = replace(config.reset["robot"], position=replace(config.reset["robot"].position, lower=None, upper=None,
+                                                            values=(tuple(tcp + [0, 0, 0.12]),)))  # fmt: skip
+    seed = SeedPath(run_seed=11, purpose="test", index=1)
+    drawn = generator.draw(seed, replace(config, reset={**config.reset, "robot": robot}))
+    scene = replace(drawn.scene, entities=(*drawn.scene.entities, *tower))
+    blocked = replace(drawn, scene=scene)
+    start(expert, blocked, "e")
+    verdict, records = run(world, blocked, expert_act(expert))
+    assert verdict.success, verdict
+    touched = {c.body_a for r in records for c in r.contacts} | {c.body_b for r in records for c in r.contacts}
+    assert any(name.startswith("tower") for name in touched)  # they lie on one another and on the table
+    for record in records:
+        assert not any("robot" in (c.body_a, c.body_b) and "tower" in c.body_a + c.body_b for c in record.contacts)
+
+
+def test_what_the_expert_cannot_do_fails_the_episode_by_reason(world, generator, expert):
+    _, drawn = draw(generator, 0, "pick_cube")
+    far = replace(drawn.scene.entities[0], pose=Pose(position=(0.9, 0.6, 0.0225)))
+    unreachable = replace(drawn, scene=replace(drawn.scene, entities=(far,)))
+    start(expert, unreachable, "e")
+    with pytest.raises(PolicyError, match="no motion for 'Pick up the"):
+        run(world, unreachable, expert_act(expert))
+    with pytest.raises(TaskError) as error:
+        expert.reset(EpisodeStart(episode_id="e", instruction="", seed=0))
+    assert error.value.code == ErrorCode.NO_EXPERT
+    start(expert, drawn, "another")
+    with pytest.raises(TaskError, match="not reset for episode 'e'"):
+        run(world, drawn, expert_act(expert))
