@@ -56,7 +56,9 @@ def visual(source: Path) -> trimesh.Scene:
         part = decimated(merged, max(60, round(TRIANGLES * len(merged.faces) / total)))
         part.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
-                baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255], metallicFactor=0.0, roughnessFactor=GLOSS.get(color[0], 0.5)
+                baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255],
+                metallicFactor=0.0,
+                roughnessFactor=GLOSS.get(color[0], 0.5),
             )
         )
         _ = part.vertex_normals  # computed now so that the file carries them
@@ -70,7 +72,9 @@ def main() -> None:
         shutil.rmtree(HERE / folder, ignore_errors=True)
         (HERE / folder).mkdir()
     for source in sorted((SOURCE / "meshes/visual").glob("*.dae")):
-        (HERE / "visual" / f"{source.stem}.glb").write_bytes(visual(source).export(file_type="glb", include_normals=True))
+        (HERE / "visual" / f"{source.stem}.glb").write_bytes(
+            visual(source).export(file_type="glb", include_normals=True)
+        )
     for source in sorted((SOURCE / "meshes/collision").glob("*.stl")):
         if source.stem != "finger":  # the fingers are boxes
             trimesh.load_mesh(source).convex_hull.export(HERE / "collision" / source.name)

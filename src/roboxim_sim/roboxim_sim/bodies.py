@@ -173,9 +173,7 @@ class RobotBody:
             childFramePosition=[0, 0, 0],
             physicsClientId=self._client,
         )
-        pybullet.changeConstraint(
-            gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N, physicsClientId=self._client
-        )
+        pybullet.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N, physicsClientId=self._client)
 
 
 class ObjectBody:
@@ -250,9 +248,7 @@ class ObjectBody:
             )
             pybullet.resetBaseVelocity(self.id, linear, angular, physicsClientId=self._client)
         for name, position in (joint_positions or {}).items():
-            pybullet.resetJointState(
-                self.id, self.joint_names.index(name), position, physicsClientId=self._client
-            )
+            pybullet.resetJointState(self.id, self.joint_names.index(name), position, physicsClientId=self._client)
 
     def read_joints(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return positions and velocities of the joints."""
@@ -351,7 +347,8 @@ def _volume(shape: Shape) -> float:
 
 @lru_cache(maxsize=64)
 def _hull(path: str) -> trimesh.Trimesh:
-    return trimesh.load_mesh(path).convex_hull
+    hull: trimesh.Trimesh = trimesh.load_mesh(path).convex_hull
+    return hull
 
 
 _KINDS = {

@@ -46,7 +46,8 @@ class SimConfig:
     renderer: str = field(default="raster", metadata={"description": "renderer by name: raster, tiny"})
     """Renderer used unless a request names one."""
     scene: str = field(
-        default="three_cubes", metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"}
+        default="three_cubes",
+        metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"},
     )
     """Scene loaded at the start."""
 

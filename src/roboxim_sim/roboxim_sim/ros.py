@@ -42,9 +42,17 @@ RESULT_OF_CODE = {
     ErrorCode.LEASE_HELD: Result.RESULT_INCORRECT_STATE,
 }
 FEATURES = (
-    "SPAWNING DELETING ENTITY_STATE_GETTING ENTITY_STATE_SETTING SIMULATION_RESET SIMULATION_STATE_GETTING "
-    "SIMULATION_STATE_SETTING STEP_SIMULATION_SINGLE STEP_SIMULATION_MULTIPLE STEP_SIMULATION_ACTION"
-).split()
+    SimulatorFeatures.SPAWNING,
+    SimulatorFeatures.DELETING,
+    SimulatorFeatures.ENTITY_STATE_GETTING,
+    SimulatorFeatures.ENTITY_STATE_SETTING,
+    SimulatorFeatures.SIMULATION_RESET,
+    SimulatorFeatures.SIMULATION_STATE_GETTING,
+    SimulatorFeatures.SIMULATION_STATE_SETTING,
+    SimulatorFeatures.STEP_SIMULATION_SINGLE,
+    SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
+    SimulatorFeatures.STEP_SIMULATION_ACTION,
+)
 GOAL_TOLERANCE_RAD = 0.01
 GRIPPER_TOLERANCE_M = 0.003
 
@@ -82,7 +90,7 @@ class StandardServices:
         return answer
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = [getattr(SimulatorFeatures, name) for name in FEATURES]
+        response.features.features = list(FEATURES)
         response.features.spawn_formats = ["roboxim"]
         response.features.custom_info = json.dumps(self._node.renderer_info)
         return response
@@ -182,7 +190,9 @@ class MotionActions:
             "result_timeout": 10,
         }
         self._servers = [
-            ActionServer(node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow, **options),
+            ActionServer(
+                node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow, **options
+            ),
             ActionServer(node, GripperCommand, "gripper_controller/gripper_cmd", self._grip, **options),
             ActionServer(node, SimulateSteps, "sim/simulate_steps", self._simulate, **options),
         ]
@@ -320,4 +330,3 @@ def _opening_m(record: StateRecord, max_opening_m: float) -> float:
 def _grip_force(record: StateRecord, links: tuple[str, ...]) -> float:
     touching = (c for c in record.contacts if "robot" in (c.body_a, c.body_b))
     return max((c.force_last for c in touching if {c.link_a, c.link_b} & set(links)), default=0.0)
-

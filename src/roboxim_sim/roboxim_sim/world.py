@@ -14,7 +14,6 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 import pybullet
-from scipy.interpolate import CubicHermiteSpline
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
@@ -27,6 +26,7 @@ from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
 from roboxim_sim.readout import TickObserver, hash_state, read_robot
+from roboxim_sim.trajectories import JointTrajectory, checked_trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +64,7 @@ class World:
         self._episode_id = ""
         self._moving = False
         self._loads = 0
+        self._scene_poses: ScenePoses | None = None
 
     def __enter__(self) -> World:
         """Return itself."""
@@ -226,9 +227,7 @@ class World:
             SimError: With code ``LEASE_HELD`` when another episode holds the world.
         """
         if episode_id and self._episode_id and episode_id != self._episode_id:
-            raise SimError(
-                f"episode '{self._episode_id}' holds the sim, not '{episode_id}'", ErrorCode.LEASE_HELD
-            )
+            raise SimError(f"episode '{self._episode_id}' holds the sim, not '{episode_id}'", ErrorCode.LEASE_HELD)
         self._episode_id = ""
 
     def tick(self, seq: int, action: npt.ArrayLike, *, episode_id: str | None = None) -> StateRecord:
@@ -306,14 +305,15 @@ class World:
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
-            InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
-                positions beyond the limits, or jumps that no motor can follow.
+            InvalidRequestError: With code ``TRAJECTORY_INVALID``; see `checked_trajectory`.
         """
         self.require_free("follow a trajectory")
-        times, points, speeds = self._checked_trajectory(times_s, positions, velocities)
-        return self._exclusive(self._follow(times, points, speeds))
+        trajectory = checked_trajectory(self._controller.arm, self._command.joints, times_s, positions, velocities)
+        return self._exclusive(self._follow(trajectory))
 
-    def move_gripper(self, opening: float, force_n: float | None = None, timeout_s: float = 3.0) -> Iterator[StateRecord]:
+    def move_gripper(
+        self, opening: float, force_n: float | None = None, timeout_s: float = 3.0
+    ) -> Iterator[StateRecord]:
         """Move the gripper until it arrives or stalls; advances time.
 
         Args:
@@ -406,8 +406,8 @@ class World:
                 and the record is marked as disturbed.
 
         Raises:
-            SimError: With code ``DIVERGED`` naming the first tick whose hash differs, or when a disturbed snapshot is to
-                be restored exactly.
+            SimError: With code ``DIVERGED`` naming the first tick whose hash differs, or when a disturbed snapshot is
+                to be restored exactly.
         """
         if approximate:
             return self._restore_poses(snapshot, episode_id)
@@ -451,7 +451,7 @@ class World:
 
     def _rewatch(self) -> None:
         self._observer = TickObserver(self._client, self._robot, self._objects, self._fixed)
-        self._scene_poses: ScenePoses | None = None
+        self._scene_poses = None
         self._robot.drive_gripper(self._command.gripper)
 
     def _advance(self, steps: int, before: ControllerState | None = None) -> None:
@@ -538,57 +538,19 @@ class World:
         names = [body.name for body in self._objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
-    def _checked_trajectory(
-        self, times_s: Sequence[float], positions: npt.ArrayLike, velocities: npt.ArrayLike | None
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64] | None]:
-        arm = self._controller.arm
-        times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
-        speeds = None if velocities is None else np.asarray(velocities, dtype=float)
-        shape = (len(times), len(arm.model.joint_names))
-        problem = ""
-        if not len(times) or points.shape != shape or (speeds is not None and speeds.shape != shape):
-            problem = f"needs positions (and velocities) of shape {shape} with at least one point, got {points.shape}"
-        elif not all(np.isfinite(a).all() for a in (times, points, *([] if speeds is None else [speeds]))):
-            problem = "holds a number that is not finite"
-        elif times[0] < 0 or np.any(np.diff(times) <= 0):
-            problem = f"needs increasing times from 0, got {times.tolist()}"
-        elif not all(arm.within_limits(point, -1e-6) for point in points):
-            problem = "leaves the joint limits"
-        else:
-            if times[0] > 0:
-                times, points = np.append(0.0, times), np.vstack([self._command.joints, points])
-                speeds = None if speeds is None else np.vstack([np.zeros(shape[1]), speeds])
-            elif np.abs(points[0] - self._command.joints).max() > 0.01:
-                problem = f"starts at {points[0].round(3).tolist()}, but the arm is at {self._command.joints}"
-            mean_speed = np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]
-            if np.any(mean_speed > 1.2 * arm.velocity):
-                problem = "is faster than the joints' velocity limits"
-        if problem:
-            raise InvalidRequestError(f"the trajectory {problem}", ErrorCode.TRAJECTORY_INVALID)
-        return times, points, speeds
-
-    def _follow(
-        self,
-        times: npt.NDArray[np.float64],
-        points: npt.NDArray[np.float64],
-        speeds: npt.NDArray[np.float64] | None,
-    ) -> Iterator[StateRecord]:
-        curve = CubicHermiteSpline(times, points, speeds) if speeds is not None and len(times) > 1 else None
-        total = int(np.ceil(times[-1] * self.scene.physics_rate_hz - 1e-9))
-        done = 0
-        while done < total:
+    def _follow(self, trajectory: JointTrajectory) -> Iterator[StateRecord]:
+        rate = self.scene.physics_rate_hz
+        total = int(np.ceil(trajectory.duration_s * rate - 1e-9))
+        targets = trajectory.sample(np.arange(1, total + 1) / rate).tolist()
+        for start in range(0, total, self._steps_per_tick):
             self._disturbed = True
             self._observer.begin()
-            steps = min(self._steps_per_tick, total - done)
-            for number in range(done + 1, done + steps + 1):
-                at = min(number / self.scene.physics_rate_hz, float(times[-1]))
-                target = curve(at) if curve else np.array([np.interp(at, times, column) for column in points.T])
-                before = self._command
-                self._command = replace(before, joints=tuple(target.tolist()))
+            steps = targets[start : start + self._steps_per_tick]
+            for target in steps:
+                before, self._command = self._command, replace(self._command, joints=tuple(target))
                 self._advance(1, before)
-            done += steps
             self._seq += 1
-            self._steps += steps
+            self._steps += len(steps)
             self._command = replace(self._command, pose=self._controller.arm.fk(self._command.joints))
             self._record = self._read()
             yield self._record
@@ -612,14 +574,14 @@ class World:
             replace(
                 spec,
                 pose=states[spec.name].pose,
-                joint_positions=dict(zip(states[spec.name].joint_names, states[spec.name].joint_positions, strict=True)),
+                joint_positions=dict(
+                    zip(states[spec.name].joint_names, states[spec.name].joint_positions, strict=True)
+                ),
             )
             for spec in snapshot.scene.entities
         )
         opening = min(1.0, max(0.0, record.robot.gripper_opening))
-        robot = replace(
-            snapshot.scene.robot, joint_positions=record.robot.joint_commands, gripper_opening=opening
-        )
+        robot = replace(snapshot.scene.robot, joint_positions=record.robot.joint_commands, gripper_opening=opening)
         self.load(replace(snapshot.scene, entities=entities, robot=robot, settle_steps=0), episode_id)
         self._command = replace(self._command, gripper=record.robot.gripper_command)
         self._seq = record.seq

@@ -39,8 +39,8 @@ class IkResult:
 class ArmKinematics:
     """An arm with its gripper. Poses are in the robot's base frame. Not thread-safe: make one per thread.
 
-    Non-obvious: Pinocchio's own joint order is the URDF's depth-first order; ``joint_names`` of the model may differ, so
-    every vector goes through index maps.
+    Non-obvious: Pinocchio orders joints depth first; ``joint_names`` of the model may differ, so every vector goes
+    through index maps.
     """
 
     def __init__(self, model: RobotModel) -> None:

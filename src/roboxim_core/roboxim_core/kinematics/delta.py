@@ -163,7 +163,9 @@ class DeltaController:
         executed[6] = gripper
         return executed, clipped
 
-    def _keep_inside(self, now: npt.NDArray[np.float64], then: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], bool]:
+    def _keep_inside(
+        self, now: npt.NDArray[np.float64], then: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], bool]:
         if self._base_is_identity:
             now_world, then_world = now, then
         else:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 from roboxim_core.config import config_dir as default_config_dir
 from roboxim_core.config import load_config
@@ -74,7 +75,9 @@ class ModifierModel:
         """
         if kind == "scale":
             if isinstance(value, bool) or not isinstance(value, float | int) or not self.lower <= value <= self.upper:
-                raise ConfigError(f"{source}: scale must be a number from {self.lower:g} to {self.upper:g}, got {value!r}")
+                raise ConfigError(
+                    f"{source}: scale must be a number from {self.lower:g} to {self.upper:g}, got {value!r}"
+                )
         elif value not in self.colors:
             raise ConfigError(f"{source}: unknown color '{value}'; {one_of(self.colors, str(value))}")
 
@@ -120,7 +123,9 @@ class ObjectConfig:
             raise ConfigError(f"an object needs at least one link and unique link names, got {names}")
         children = [joint.child for joint in self.joints]
         if sorted(children) != sorted(names[1:]):
-            raise ConfigError(f"every link but the base '{names[0]}' needs exactly one joint; joints lead to {children}")
+            raise ConfigError(
+                f"every link but the base '{names[0]}' needs exactly one joint; joints lead to {children}"
+            )
         for joint in self.joints:
             if joint.parent not in names or joint.kind not in ("prismatic", "revolute"):
                 raise ConfigError(
@@ -166,7 +171,12 @@ class RobotConfig:
         Raises:
             ConfigError: Naming the list.
         """
-        lists = {**dataclasses.asdict(self.limits), "home": self.home, "motor_force": self.motor_force, **self.named_states}
+        lists = {
+            **dataclasses.asdict(self.limits),
+            "home": self.home,
+            "motor_force": self.motor_force,
+            **self.named_states,
+        }
         for name, values in lists.items():
             if len(values) != len(self.joint_names):
                 raise ConfigError(f"{name} must have {len(self.joint_names)} numbers, one per joint, got {len(values)}")
@@ -232,7 +242,9 @@ class ModelLibrary:
         values = {kind: modifier.default for kind, modifier in config.modifiers.items()} | dict(modifiers or {})
         key = (object_id, tuple(sorted(values.items())))
         if key not in self._modified:
-            fields = {f.name: getattr(config, f.name) for f in dataclasses.fields(ObjectConfig) if f.name != "modifiers"}
+            fields = {
+                f.name: getattr(config, f.name) for f in dataclasses.fields(ObjectConfig) if f.name != "modifiers"
+            }
             model = _resolve_meshes(ObjectModel(id=object_id, **fields), self.config_dir / "objects")
             if "color" in values:
                 model = _tinted(model, PALETTE[str(values["color"])])
@@ -300,6 +312,7 @@ class ModelLibrary:
         return self._objects[object_id]
 
 
+Piece = TypeVar("Piece", Shape, Visual)
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".glb", ".png", ".jpg"}
 
 
@@ -316,7 +329,7 @@ def mesh_path(filename: str, urdf: Path) -> Path:
 
 
 def _resolve_meshes(model: ObjectModel, folder: Path) -> ObjectModel:
-    def absolute(shape: Shape | Visual) -> Shape | Visual:
+    def absolute(shape: Piece) -> Piece:
         return replace(shape, mesh=str((folder / shape.mesh).resolve())) if shape.mesh else shape
 
     links = tuple(
@@ -346,7 +359,9 @@ def _scaled(model: ObjectModel, factor: float) -> ObjectModel:
         x, y, z = pose.position
         return replace(pose, position=(x * factor, y * factor, z * factor))
 
-    if any(item.mesh for link in model.links for item in (*link.collision, *link.visual)):
+    meshes = [s.mesh for link in model.links for s in link.collision]
+    meshes += [v.mesh for link in model.links for v in link.visual]
+    if any(meshes):
         raise ConfigError(f"object '{model.id}' is made of meshes, which the scale modifier does not carry")
     links = tuple(
         replace(
@@ -368,9 +383,7 @@ def _scaled(model: ObjectModel, factor: float) -> ObjectModel:
         )
         for joint in model.joints
     )
-    grasps = tuple(
-        replace(grasp, pose=moved(grasp.pose), width_m=grasp.width_m * factor) for grasp in model.grasps
-    )
+    grasps = tuple(replace(grasp, pose=moved(grasp.pose), width_m=grasp.width_m * factor) for grasp in model.grasps)
     x, y, z = (value * factor for value in model.size)
     return replace(
         model, links=links, joints=joints, grasps=grasps, size=(x, y, z), rest_height=model.rest_height * factor

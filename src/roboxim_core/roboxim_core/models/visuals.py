@@ -38,7 +38,10 @@ def box_mesh(size: tuple[float, ...]) -> TriangleMesh:
     """Return a box with bevelled edges: extents x, y, z [m]. ``uv`` runs from 0 to 1 over each face."""
     half = np.asarray(size, dtype=float) / 2
     bevel = min(0.0015, 0.08 * float(half.min()))
-    vertices, normals, uv, faces = [], [], [], []
+    vertices: list[Array] = []
+    normals: list[Array] = []
+    uv: list[Array] = []
+    faces: list[list[int]] = []
 
     def quad(corners: Array, normal: Array, corner_normals: Array, coordinates: Array) -> None:
         a, b, c, d = range(len(vertices), len(vertices) + 4)
@@ -249,8 +252,8 @@ def object_link_poses(model: ObjectModel, joint_positions: dict[str, float]) -> 
         if not ready:
             raise ConfigError(f"object '{model.id}': the joints {[j.name for j in pending]} do not lead to the base")
         for joint in ready:
-            poses[joint.child] = poses[joint.parent] @ joint.pose @ joint_motion(
-                joint, joint_positions.get(joint.name, 0.0)
+            poses[joint.child] = (
+                poses[joint.parent] @ joint.pose @ joint_motion(joint, joint_positions.get(joint.name, 0.0))
             )
             pending.remove(joint)
     return poses
@@ -283,7 +286,10 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
     floor = VisualPart(mesh=_plane(middle + [0, 0, FLOOR_Z], [room, 0, 0], [0, room, 0]), material=look.floor)
     height = [0, 0, 1.4]
     walls = tuple(
-        VisualPart(mesh=_plane(middle + [*(room * np.array(out)), FLOOR_Z + 1.4], room * np.array([*along, 0]), height), material=look.wall)
+        VisualPart(
+            mesh=_plane(middle + [*(room * np.array(out)), FLOOR_Z + 1.4], room * np.array([*along, 0]), height),
+            material=look.wall,
+        )
         for out, along in (((-1, 0), (0, 1)), ((1, 0), (0, -1)), ((0, -1), (-1, 0)), ((0, 1), (1, 0)))
     )
     return (
@@ -348,7 +354,9 @@ def _material_of(mesh: trimesh.Trimesh) -> MaterialSpec:
         return MaterialSpec()
     r, g, b = (float(c) / 255 for c in material.baseColorFactor[:3])
     return MaterialSpec(
-        color=(r, g, b), metallic=float(material.metallicFactor or 0.0), roughness=float(material.roughnessFactor or 0.5)
+        color=(r, g, b),
+        metallic=float(material.metallicFactor or 0.0),
+        roughness=float(material.roughnessFactor or 0.5),
     )
 
 

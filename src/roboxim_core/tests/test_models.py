@@ -1,0 +1,198 @@
+"""Models: loading, modifiers, meshes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import PALETTE, ModelLibrary
+from roboxim_core.models.visuals import (
+    ScenePoses,
+    box_mesh,
+    object_link_poses,
+    render_world,
+    visual_generators,
+    visual_parts,
+)
+from roboxim_core.poses import Pose
+from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
+from roboxim_core.state import EntityState, RobotState, StateRecord
+
+LIBRARY = ModelLibrary()
+DRAWER = """
+name: box with a drawer
+links:
+  - {name: body, mass: 2.0, collision: [{kind: box, size: [0.2, 0.2, 0.1]}]}
+  - {name: drawer, mass: 0.3, collision: [{kind: box, size: [0.1, 0.1, 0.05], pose: {position: [0.1, 0.0, 0.0]}}]}
+joints:
+  - {name: slide, kind: prismatic, parent: body, child: drawer, upper: 0.15,
+     pose: {position: [0.1, 0.0, 0.02]}, axis: [1.0, 0.0, 0.0]}
+size: [0.2, 0.2, 0.1]
+rest_height: 0.05
+modifiers: {scale: {default: 1.0, lower: 0.5, upper: 2.0}}
+"""
+
+
+@pytest.fixture
+def own_library(tmp_path: Path) -> ModelLibrary:
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "drawer_box.yaml").write_text(DRAWER)
+    return ModelLibrary(tmp_path)
+
+
+@pytest.mark.parametrize("object_id", LIBRARY.object_ids)
+def test_every_object_loads_with_all_its_modifiers(object_id: str) -> None:
+    plain = LIBRARY.object(object_id)
+    assert plain.links
+    assert plain.rest_height > 0
+    for kind, modifier in LIBRARY.object_modifiers(object_id).items():
+        values = modifier.colors if kind == "color" else (modifier.lower, modifier.upper)
+        for value in values:
+            assert LIBRARY.object(object_id, {kind: value}).id == object_id
+    for link in plain.links:
+        for visual in link.visual:
+            assert all(len(part.mesh.faces) for part in visual_parts(visual))
+
+
+def test_color_tints_and_scale_scales() -> None:
+    cube = LIBRARY.object("cube", {"color": "blue", "scale": 1.2})
+    (link,) = cube.links
+    assert link.visual[0].material.color == PALETTE["blue"]
+    assert link.collision[0].size == pytest.approx([0.054] * 3)
+    assert link.mass == pytest.approx(0.08 * 1.2**3)
+    assert cube.rest_height == pytest.approx(0.027)
+    assert cube.grasps[0].width_m == pytest.approx(0.054)
+    assert LIBRARY.object("cube", {"scale": 1.2, "color": "blue"}) is cube
+
+
+@pytest.mark.parametrize(
+    ("object_id", "modifiers", "message"),
+    [
+        ("cub", {}, "did you mean 'cube'"),
+        ("cube", {"colour": "red"}, "did you mean 'color'"),
+        ("cube", {"color": "rde"}, "did you mean 'red'"),
+        ("cube", {"scale": 9.0}, "from 0.6 to 1.4"),
+        ("cube", {"scale": True}, "must be a number"),
+    ],
+)
+def test_wrong_object_or_modifier_is_refused(object_id: str, modifiers: dict[str, str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        LIBRARY.object(object_id, modifiers)
+
+
+def test_unknown_robot_and_joint_are_refused(own_library: ModelLibrary) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'panda'"):
+        LIBRARY.robot("pandda")
+    with pytest.raises(ConfigError, match="did you mean 'slide'"):
+        own_library.entity_model(EntitySpec(name="a", model="drawer_box", joint_positions={"slid": 0.1}))
+    with pytest.raises(ConfigError, match="from 0 to 0.15"):
+        own_library.entity_model(EntitySpec(name="a", model="drawer_box", joint_positions={"slide": 0.2}))
+
+
+def test_object_file_with_a_loose_link_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "bad.yaml").write_text(DRAWER.replace("child: drawer", "child: lid"))
+    with pytest.raises(ConfigError, match=r"bad\.yaml.*needs exactly one joint"):
+        ModelLibrary(tmp_path).object("bad")
+
+
+def test_digest_names_the_content(own_library: ModelLibrary) -> None:
+    before = own_library.digest("drawer_box")
+    path = own_library.config_dir / "objects" / "drawer_box.yaml"
+    path.write_text(path.read_text().replace("0.3", "0.4"))
+    assert own_library.digest("drawer_box") != before
+    assert LIBRARY.digest("panda") == ModelLibrary().digest("panda") != LIBRARY.digest("cube")
+
+
+def test_drawer_moves_with_its_joint_and_scale(own_library: ModelLibrary) -> None:
+    model = own_library.object("drawer_box", {"scale": 2.0})
+    poses = object_link_poses(model, {"slide": 0.1})
+    assert poses["drawer"].position == pytest.approx((0.3, 0.0, 0.04))
+    assert model.joints[0].upper == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "volume"),
+    [
+        ("box", (0.04, 0.05, 0.06), 0.04 * 0.05 * 0.06),
+        ("sphere", (0.03,), 4 / 3 * np.pi * 0.03**3),
+        ("cylinder", (0.03, 0.1), np.pi * 0.03**2 * 0.1),
+        ("capsule", (0.02, 0.1), np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3),
+    ],
+)
+def test_primitive_meshes_are_closed_and_face_outwards(kind: str, size: tuple[float, ...], volume: float) -> None:
+    mesh = visual_generators[kind](size)
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
+    solid.merge_vertices(merge_norm=True, merge_tex=True, digits_vertex=6)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(volume, rel=0.03)
+    assert solid.bounds.mean(axis=0) == pytest.approx([0, 0, 0], abs=1e-6)
+    facing = (
+        mesh.normals[mesh.faces].mean(axis=1) * trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).face_normals
+    ).sum(1)
+    assert facing.min() > 0.4
+
+
+def test_box_texture_covers_each_face_once() -> None:
+    mesh = box_mesh((0.1, 0.1, 0.1))
+    assert mesh.uv is not None
+    top = mesh.normals[:, 2] > 0.99
+    flat = top & (np.abs(mesh.vertices[:, 2] - 0.05) < 1e-6)
+    assert mesh.uv[flat].min() == 0.0
+    assert mesh.uv[flat].max() == 1.0
+
+
+def _record(scene: SceneSpec) -> StateRecord:
+    robot = LIBRARY.robot("panda")
+    state = RobotState(
+        joint_names=robot.joint_names,
+        joint_positions=robot.home,
+        joint_velocities=(0.0,) * 7,
+        joint_commands=robot.home,
+        pose_tcp_measured=Pose(),
+        pose_tcp_commanded=Pose(),
+        gripper_opening=1.0,
+        gripper_command=1.0,
+        finger_positions=(0.04, 0.04),
+    )
+    entities = tuple(EntityState(name=e.name, pose=e.pose) for e in scene.entities)
+    return StateRecord(episode_id="", seq=0, stamp_ns=0, robot=state, entities=entities)
+
+
+def test_render_world_and_poses_have_the_same_moving_bodies() -> None:
+    cube = EntitySpec(name="target", model="cube", pose=Pose(position=(0.5, 0.1, 0.0225)))
+    scene = SceneSpec(entities=(cube,))
+    world = render_world(scene, LIBRARY)
+    poses = ScenePoses(scene, LIBRARY).body_poses(_record(scene))
+    still = {"table", "pedestal", "floor", "wall"}
+    assert set(poses) | still == {body.key for body in world.bodies}
+    assert world.entity_names == ("table", "floor", "wall", "robot", "target")
+    assert poses["target"] == cube.pose
+    fingers = poses["robot/panda_leftfinger"], poses["robot/panda_rightfinger"]
+    assert np.linalg.norm(np.subtract(fingers[0].position, fingers[1].position)) == pytest.approx(0.08)
+
+
+def test_camera_on_the_hand_moves_with_it_and_an_unknown_parent_is_refused() -> None:
+    camera = CameraSpec(name="wrist", parent="panda_hand", pose=Pose(position=(0.0, 0.0, 0.1034)))
+    scene = SceneSpec(cameras=(camera,))
+    poses = ScenePoses(scene, LIBRARY)
+    state = _record(scene).robot
+    raised = replace(state, joint_positions=LIBRARY.robot("panda").named_states["ready"])
+    for robot in (state, raised):
+        tcp = poses.link_poses(robot)["panda_hand_tcp"]
+        assert poses.camera_poses(robot)["wrist"].position == pytest.approx(tcp.position, abs=1e-9)
+    with pytest.raises(ConfigError, match="panda_hand"):
+        ScenePoses(SceneSpec(cameras=(replace(camera, parent="panda_hnd"),)), LIBRARY)
+
+
+@pytest.mark.parametrize("robot_id", LIBRARY.robot_ids)
+def test_no_model_file_holds_an_absolute_path(robot_id: str) -> None:
+    robot = LIBRARY.robot(robot_id)
+    for line in robot.urdf.read_text().splitlines():
+        if "filename" in line:
+            assert 'filename="package://' in line

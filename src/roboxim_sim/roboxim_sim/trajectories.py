@@ -1,0 +1,89 @@
+"""Joint trajectories as they are asked for from outside: checked at the door, then sampled at the physics rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.poses import Array
+
+SPEED_MARGIN = 1.2
+"""Points further apart than the joints can move in the time, times this, are taken for a mistake."""
+START_TOLERANCE_RAD = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTrajectory:
+    """A trajectory that starts where the arm is commanded to be."""
+
+    times_s: Array
+    """Increasing times from 0, shape (m,) [s]."""
+    positions: Array
+    """Arm joint positions, shape (m, n) [rad]."""
+    velocities: Array | None
+    """Arm joint velocities, shape (m, n) [rad/s]; none: straight lines between the points."""
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last point [s]."""
+        return float(self.times_s[-1])
+
+    def sample(self, times_s: npt.ArrayLike) -> Array:
+        """Return the joint positions at times, shape (k, n) [rad]; after the end: the last point."""
+        at = np.minimum(np.asarray(times_s, dtype=float), self.duration_s)
+        if self.velocities is None or len(self.times_s) == 1:
+            return np.stack([np.interp(at, self.times_s, column) for column in self.positions.T], axis=1)
+        return np.asarray(CubicHermiteSpline(self.times_s, self.positions, self.velocities)(at))
+
+
+def checked_trajectory(
+    arm: ArmKinematics,
+    commanded: Sequence[float],
+    times_s: Sequence[float],
+    positions: npt.ArrayLike,
+    velocities: npt.ArrayLike | None,
+) -> JointTrajectory:
+    """Check a trajectory and let it start at the commanded joints.
+
+    Args:
+        arm: The arm.
+        commanded: Where it is commanded to be [rad].
+        times_s: Times from the start, shape (m,) [s]; if the first is above 0 the arm moves to the first point by then.
+        positions: Arm joint positions, shape (m, n) [rad].
+        velocities: Arm joint velocities, shape (m, n) [rad/s], or none.
+
+    Raises:
+        InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
+            positions beyond the limits, a start elsewhere, or jumps that no motor can follow.
+    """
+    times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
+    speeds = None if velocities is None else np.asarray(velocities, dtype=float)
+    shape = (len(times), len(arm.model.joint_names))
+    if not len(times) or points.shape != shape or (speeds is not None and speeds.shape != shape):
+        raise _invalid(f"needs positions (and velocities) of shape {shape}, at least one point, got {points.shape}")
+    if not all(np.isfinite(array).all() for array in (times, points, *([] if speeds is None else [speeds]))):
+        raise _invalid("holds a number that is not finite")
+    if times[0] < 0 or np.any(np.diff(times) <= 0):
+        raise _invalid(f"needs increasing times from 0, got {times.tolist()}")
+    outside = [index for index, point in enumerate(points) if not arm.within_limits(point, -1e-6)]
+    if outside:
+        raise _invalid(f"leaves the joint limits at point {outside[0]}: {points[outside[0]].tolist()}")
+    if times[0] > 0:
+        times, points = np.append(0.0, times), np.vstack([commanded, points])
+        speeds = None if speeds is None else np.vstack([np.zeros(shape[1]), speeds])
+    elif np.abs(points[0] - commanded).max() > START_TOLERANCE_RAD:
+        raise _invalid(f"starts at {points[0].round(3).tolist()}, but the arm is at {np.round(commanded, 3).tolist()}")
+    mean_speed = np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]
+    if np.any(mean_speed > SPEED_MARGIN * arm.velocity):
+        raise _invalid(f"is faster than the joints' velocity limits {arm.model.limits.velocity}")
+    return JointTrajectory(times_s=times, positions=points, velocities=speeds)
+
+
+def _invalid(problem: str) -> InvalidRequestError:
+    return InvalidRequestError(f"the trajectory {problem}", ErrorCode.TRAJECTORY_INVALID)
