@@ -14,7 +14,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import EntitySpec
 from roboxim_sim.world import World
-from roboxim_tasks.config import load_task_config
+from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge
@@ -129,29 +129,26 @@ def test_doing_nothing_solves_nothing(world, generator):
         assert verdict.reason == "not_grasped"
 
 
-def test_the_expert_goes_around_what_blocks_its_way(world, generator, expert, library):
-    _, drawn = draw(generator, 1, "pick_cube")
-    target = np.array(drawn.scene.entity("target").pose.position)
-    tcp = np.array([*target[:2], 0.0]) + [0.0, 0.25, 0.06]
-    tower = [
-        EntitySpec(
-            name=f"tower_{level}", model="cube", modifiers={"color": "white", "scale": 1.4}, fixed=True,
-            pose=Pose(position=(target[0], target[1] + 0.13, 0.0315 + 0.063 * level)),
-        )
-        for level in range(4)
-    ]  # fmt: skip
-    config = load_task_config("pick_cube")
-    robot = replace(config.reset["robot"], position=replace(config.reset["robot"].position, lower=None, upper=None,
-                                                            values=(tuple(tcp + [0, 0, 0.12]),)))  # fmt: skip
-    seed = SeedPath(run_seed=11, purpose="test", index=1)
-    drawn = generator.draw(seed, replace(config, reset={**config.reset, "robot": robot}))
-    scene = replace(drawn.scene, entities=(*drawn.scene.entities, *tower))
-    blocked = replace(drawn, scene=scene)
+WALLED = """
+reset:
+  robot: {position: {values: [[0.5, 0.26, 0.15]]}}
+  objects: {area: {values: [[0.5, -0.14]]}, yaw_rad: {values: [0.1]}}
+"""
+
+
+def test_the_expert_goes_around_what_blocks_its_way(world, generator, expert):
+    drawn = generator.draw(SeedPath(run_seed=11, purpose="test", index=0), parse_task_config(WALLED))
+    tower = tuple(
+        EntitySpec(name=f"tower_{level}", model="cube", modifiers={"color": "white", "scale": 1.4}, fixed=True,
+                   pose=Pose(position=(0.5, 0.06, 0.0315 + 0.063 * level)))
+        for level in range(3)
+    )  # fmt: skip
+    blocked = replace(drawn, scene=replace(drawn.scene, entities=(*drawn.scene.entities, *tower)))
     start(expert, blocked, "e")
     verdict, records = run(world, blocked, expert_act(expert))
     assert verdict.success, verdict
-    touched = {c.body_a for r in records for c in r.contacts} | {c.body_b for r in records for c in r.contacts}
-    assert any(name.startswith("tower") for name in touched)  # they lie on one another and on the table
+    beside = [p for p in (r.robot.pose_tcp_measured.position for r in records) if abs(p[1] - 0.06) < 0.05]
+    assert all(abs(x - 0.5) > 0.05 or z > 0.19 for x, _, z in beside)
     for record in records:
         assert not any("robot" in (c.body_a, c.body_b) and "tower" in c.body_a + c.body_b for c in record.contacts)
 
