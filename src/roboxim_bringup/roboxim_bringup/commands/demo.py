@@ -1,0 +1,109 @@
+"""The main job: generate, record, export, train, evaluate."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """How large the demo is. Scenes are never made easier, only fewer."""
+
+    demonstrations: int
+    """Demonstrations to generate."""
+    rollouts: int
+    """Rollouts of bc."""
+    random_rollouts: int
+    """Rollouts of random."""
+    steps: int
+    """Training steps."""
+    size: str = "128"
+    """Image size."""
+    minutes: str
+    """Total time on 2 cores, for people."""
+    training: list[str] = field(default_factory=list)
+    """Further options of the training."""
+
+
+SCALES = {
+    "default": Scale(demonstrations=120, rollouts=30, random_rollouts=20, steps=1500, minutes="about 7 minutes"),
+    "smoke": Scale(demonstrations=3, rollouts=2, random_rollouts=1, steps=12, size="96", minutes="about 1 minute"),
+    "large": Scale(demonstrations=600, rollouts=50, random_rollouts=20, steps=12000, minutes="about 1 hour"),
+}
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default="runs/demo", show_default=True, help="Folder of the demo."
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything.")
+@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes.")
+@click.option("--smoke", is_flag=True, help="A minute's run that shows that everything works; trains nothing of use.")
+@click.option("--large", is_flag=True, help="The documented larger setting, about an hour.")
+@click.option(
+    "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny, saying so."
+)
+def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, renderer: str | None) -> None:
+    r"""Run the main job: "Pick up the <colour> cube" from demonstrations to a report.
+
+    \b
+    roboxim demo                 # or: make demo
+    roboxim demo --large         # a policy that succeeds in 9 of 10 rollouts
+
+    Every step is a command that it prints before it runs it; run them one by one as you like. Ctrl-C stops; the same
+    command goes on.
+    """
+    scale = SCALES["smoke" if smoke else "large" if large else "default"]
+    renderer = renderer or _renderer()
+    click.echo(
+        f"The main job, {scale.minutes} on 2 cores: {scale.demonstrations} demonstrations, {scale.steps} training steps, "
+        f"{scale.rollouts} rollouts.\nTo fit that time there are few demonstrations and images of {scale.size} px; the "
+        "scenes vary in full: the cube anywhere in 20 x 30 cm at any yaw, the start anywhere in a 12 cm box."
+    )
+    demos, dataset, trained, evaluation = out / "demos", out / "rlds", out / "bc", out / "evaluation"
+    common = ["--seed", str(seed), "--workers", str(workers), "--renderer", renderer, "--size", scale.size]
+    rollouts = str(scale.rollouts)
+    started = time.monotonic()
+    _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *common)
+    _step("export", "rlds", str(demos), str(dataset), "--resume")
+    _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps), *scale.training)
+    _step(
+        "evaluate", "--policy", "bc", "--checkpoint", str(trained), "--policy", "random", "--out", str(evaluation),
+        "--episodes", rollouts, *common,
+    )  # fmt: skip
+    minutes, seconds = divmod(round(time.monotonic() - started), 60)
+    click.echo(f"\nDone in {minutes} min {seconds} s. What it made:")
+    for path, what in (
+        (evaluation / "report.html", "the report: success rates, films of episodes; open it in a browser"),
+        (demos / "first_demonstrations.png", "pictures of the first demonstrations"),
+        (demos / "episodes", "the demonstrations, one MCAP bag each (Foxglove opens them)"),
+        (dataset, "the RLDS dataset"),
+        (trained, "the trained policy"),
+    ):
+        click.echo(f"  {path}: {what}")
+
+
+def _renderer() -> str:
+    """Choose raster where it works, else tiny, saying so."""
+    from roboxim_sim.rendering import available_renderers
+
+    raster = available_renderers()["raster"]
+    if raster.available:
+        return "raster"
+    click.echo(f"raster does not work here: {raster.detail}\nThe demo goes on with PyBullet's own renderer, tiny.")
+    return "tiny"
+
+
+def _step(*arguments: str) -> None:
+    """Run a roboxim command in a process of its own, shown as a user would type it."""
+    click.echo(f"\n$ roboxim {shlex.join(arguments)}")
+    done = subprocess.run([sys.executable, "-m", "roboxim_bringup", *arguments], check=False)
+    if done.returncode:
+        raise SystemExit(done.returncode)

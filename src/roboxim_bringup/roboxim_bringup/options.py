@@ -1,0 +1,48 @@
+"""Command line options that several commands share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+Decorator = Callable[[Any], Any]
+
+
+def episode_options(*, episodes: int, out: str) -> Decorator:
+    """Return a decorator that adds the options of a run of episodes.
+
+    Args:
+        episodes: Default number.
+        out: Default folder.
+    """
+    options = [
+        click.option("--task", default="pick_cube", show_default=True, help="Task of config/tasks, or a YAML file."),
+        click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
+        click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
+        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="Folder of the run."),
+        click.option(
+            "--episodes", type=click.IntRange(1), default=episodes, show_default=True, help="Number of episodes."
+        ),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
+        click.option(
+            "--workers", type=click.IntRange(1), default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
+            help="Processes, each with a whole graph.",
+        ),
+        click.option("--size", default="as-configured", show_default=True, help="Image size: SIZE or WIDTHxHEIGHT."),
+        click.option(
+            "--renderer", default="raster", show_default=True, help="raster (needs EGL) or tiny (PyBullet's own)."
+        ),
+        click.option("--depth", is_flag=True, help="Also record depth."),
+        click.option("--segmentation", is_flag=True, help="Also record segmentation."),
+    ]  # fmt: skip
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate

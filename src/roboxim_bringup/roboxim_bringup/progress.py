@@ -1,0 +1,77 @@
+"""Progress for people: bars on a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+LINE_PERIOD_S = 10.0
+
+
+class ProgressLine:
+    """A bar with a note beside it. A context manager; safe to call from several threads."""
+
+    def __init__(self, title: str, total: int, done: int = 0) -> None:
+        """Prepare the bar.
+
+        Args:
+            title: What is going on, a few words.
+            total: Units in all.
+            done: Units done before this start.
+        """
+        self._title, self._total, self._done = title, total, done
+        self._note = ""
+        self._started = self._last = time.monotonic()
+        self._bar: Progress | None = None
+        if sys.stdout.isatty():
+            self._bar = Progress(
+                TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+                console=Console(file=sys.stdout),
+            )  # fmt: skip
+
+    def __enter__(self) -> ProgressLine:
+        """Show the bar."""
+        if self._bar is not None:
+            self._bar.start()
+            self._task = self._bar.add_task(self._title, total=self._total, completed=self._done, note="")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the last state on the screen."""
+        if self._bar is not None:
+            self._bar.stop()
+        elif error is None:
+            self._line()
+
+    def update(self, done: int, note: str = "") -> None:
+        """Show how far it is.
+
+        Args:
+            done: Units done.
+            note: What there is to say, short.
+        """
+        self._done, self._note = done, note
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, note=note)
+        elif time.monotonic() - self._last > LINE_PERIOD_S:
+            self._line()
+
+    def say(self, text: str) -> None:
+        """Say something that stays on the screen."""
+        if self._bar is not None:
+            self._bar.console.print(text, markup=False, highlight=False)
+        else:
+            click.echo(text)
+
+    def _line(self) -> None:
+        self._last = time.monotonic()
+        seconds = self._last - self._started
+        click.echo(f"{self._title}: {self._done} of {self._total} after {seconds:.0f} s {self._note}".rstrip())
