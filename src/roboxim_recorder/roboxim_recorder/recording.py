@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rosbags.serde import SerdeError
+
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
@@ -56,8 +58,8 @@ class EpisodeRecording:
             RoboximError: As `BagWriter`; ``INVALID_REQUEST`` on a message type that is not installed.
         """
         self.info = info
-        self.extra = dict(extra_topics or {})
         self.expected = topics.scene_topics(info.scene)
+        self.extra = {name: kind for name, kind in (extra_topics or {}).items() if name not in self.expected}
         kinds = {**topics.OWN, **self.expected, **self.extra}
         schemas = {topic: message_schema(kind) for topic, kind in kinds.items()}
         self._store = typestore(schemas.values())
@@ -82,6 +84,15 @@ class EpisodeRecording:
     def path(self) -> Path:
         """Where the bag grows."""
         return self._writer.partial
+
+    @property
+    def next_seq(self) -> int:
+        """The first tick that is not yet in the bag."""
+        return self._next
+
+    def wants(self, topic: str) -> bool:
+        """Tell whether a topic, by its name in the bag, is recorded."""
+        return topic in self.expected or topic in self.extra
 
     def message(self, topic: str, cdr: bytes) -> list[int]:
         """Take a message in.
@@ -114,7 +125,12 @@ class EpisodeRecording:
         return self._write_whole_ticks()
 
     def _decode(self, topic: str, cdr: bytes) -> tuple[Any, bytes]:
-        return decode(self._store, cdr, self._kinds[topic])
+        try:
+            return decode(self._store, cdr, self._kinds[topic])
+        except SerdeError as error:
+            raise RecorderError(
+                f"a message on {topic} cannot be read ({error}); is its publisher of another version?"
+            ) from None
 
     def _take_notice(self, notice: Any, cdr: bytes) -> None:
         unknown = [name for name in notice.topics if topics.absolute(name) not in self.expected]
@@ -126,7 +142,7 @@ class EpisodeRecording:
             )
         self._notices[notice.seq] = (notice, cdr)
 
-    def _missing(self, seq: int) -> list[str]:
+    def missing(self, seq: int) -> list[str]:
         """Name what tick ``seq`` lacks."""
         missing = [] if seq in self._steps else [topics.STEP]
         if seq not in self._notices:
@@ -152,7 +168,7 @@ class EpisodeRecording:
 
     def _write_whole_ticks(self) -> list[int]:
         written = []
-        while self._next in self._notices and self._next in self._steps and not self._missing(self._next):
+        while self._next in self._notices and self._next in self._steps and not self.missing(self._next):
             self._write_tick(self._next)
             written.append(self._next)
             self._next += 1
@@ -212,7 +228,7 @@ class EpisodeRecording:
                 f"'{self.info.episode_id}' is said to end with tick {last_seq}, but {self._next} ticks were recorded; "
                 "the bag is not kept"
             )
-        ticks = [f"tick {seq} lacks {', '.join(self._missing(seq))}" for seq in range(self._next, last_seq + 1)]
+        ticks = [f"tick {seq} lacks {', '.join(self.missing(seq))}" for seq in range(self._next, last_seq + 1)]
         shown = "; ".join(ticks[:5]) + (f"; and {len(ticks) - 5} more ticks" if len(ticks) > 5 else "")
         return f"'{self.info.episode_id}' has a gap and is not kept: {shown}"
 

@@ -1,0 +1,162 @@
+"""The recorder node: one bag per episode, from the raw messages of the graph.
+
+Publishers of a tick are transient local and so are these subscriptions, hence a tick that is published before the two
+ends have found each other still arrives; what was published before the episode was opened is told by its source's time.
+Subscriptions are made once and kept: matching is what takes time.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from rclpy.subscription import Subscription
+from roboxim_interfaces.msg import RecordedTick
+from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
+
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
+from roboxim_recorder import topics
+from roboxim_recorder.bag_writer import bag_path
+from roboxim_recorder.recording import EpisodeRecording
+from roboxim_ros import qos
+from roboxim_ros.conversions import from_msg
+from roboxim_ros.node import RoboximNode
+
+
+class RecorderNode(RoboximNode):
+    """Serves ``recorder/open_episode`` and ``recorder/close_episode``; acknowledges ticks on ``recorder/recorded``."""
+
+    def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
+        """Make the node; see `RoboximNode`."""
+        super().__init__("recorder", context=context, namespace=namespace, parameters=parameters)
+        self._recording: EpisodeRecording | None = None
+        self._failed = ""
+        self._opened_ns = 0
+        self._subscribed: dict[str, tuple[str, Subscription]] = {}
+        self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.STATE)
+        for topic, kind in topics.ALWAYS.items():
+            self._subscribe(topic[1:], kind, qos.RECORDING)
+        self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
+        self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
+
+    def destroy_node(self) -> None:
+        """Destroy the node; an open bag is removed."""
+        self._abort("the recorder is stopped")
+        super().destroy_node()
+
+    def _on_open(self, request: OpenEpisode.Request, response: OpenEpisode.Response) -> None:
+        info = from_msg(request.info, EpisodeInfo)
+        if self._recording is not None:
+            self._abort(f"'{info.episode_id}' is opened")
+        extra = {name: self._type_of(name) for name in request.topics}
+        recording = EpisodeRecording(
+            Path(request.output_dir),
+            info,
+            serialize_message(request.info),
+            {topics.absolute(name): kind for name, kind in extra.items()},
+        )
+        self._opened_ns = time.time_ns()
+        self._failed = ""
+        for topic, kind in recording.expected.items():
+            self._subscribe(topic[1:], kind, qos.RECORDING)
+        for name, kind in extra.items():
+            self._subscribe(name, kind, self._matching_qos(name))
+        self._recording = recording
+        response.bag = str(recording.path)
+
+    def _on_close(self, request: CloseEpisode.Request, response: CloseEpisode.Response) -> None:
+        episode_id = request.result.episode_id
+        recording = self._recording
+        if recording is None or recording.info.episode_id != episode_id:
+            if request.keep == "drop" and episode_id == self._failed:
+                return
+            raise RecorderError(
+                f"no bag of '{episode_id}' is open"
+                + (f", but one of '{recording.info.episode_id}'" if recording else "")
+                + "; call recorder/open_episode first",
+                ErrorCode.EPISODE_NOT_OPEN,
+            )
+        if request.keep == "drop":
+            self._abort("it is dropped on request")
+            return
+        request.result.bag = bag_path(episode_id, request.keep)
+        result = from_msg(request.result, EpisodeResult)
+        self._recording = None
+        response.bag = recording.close(result, serialize_message(request.result), request.keep)
+
+    def _abort(self, why: str) -> None:
+        if self._recording is not None:
+            recording, self._recording = self._recording, None
+            recording.drop()
+            self.get_logger().warning(f"the bag of '{recording.info.episode_id}' is removed: {why}")
+
+    # ---------------------------------------------------------------- messages
+
+    def _subscribe(self, name: str, kind: str, profile: QoSProfile) -> None:
+        """Subscribe to a topic by its name in the graph, unless that is done; another type replaces it."""
+        topic = topics.absolute(name)
+        known = self._subscribed.get(topic)
+        if known is not None:
+            if known[0] == kind:
+                return
+            self.destroy_subscription(known[1])
+        subscription = self.create_subscription(_message_class(kind), name, self._callback(topic), profile, raw=True)
+        self._subscribed[topic] = (kind, subscription)
+
+    def _callback(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
+        def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then tells the source's time
+            self._on_message(topic, cdr, info["source_timestamp"])
+
+        return received
+
+    def _on_message(self, topic: str, cdr: bytes, source_ns: int) -> None:
+        recording = self._recording
+        if recording is None or source_ns < self._opened_ns or not recording.wants(topic):
+            return
+        try:
+            for seq in recording.message(topic, cdr):
+                self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
+        except RoboximError as error:
+            answer = RecordedTick(
+                episode_id=recording.info.episode_id,
+                seq=recording.next_seq,
+                error_code=int(error.code),
+                error_msg=str(error),
+            )
+            self._failed = recording.info.episode_id
+            self._abort(str(error))
+            self._recorded_out.publish(answer)
+
+    # ---------------------------------------------------------------- extra topics
+
+    def _type_of(self, topic: str) -> str:
+        full = self.resolve_topic_name(topic)
+        found = dict(self.get_topic_names_and_types())
+        if full not in found:
+            raise InvalidRequestError(f"cannot record topic '{topic}': nobody publishes it; {one_of(found, full)}")
+        return str(found[full][0])
+
+    def _matching_qos(self, topic: str) -> QoSProfile:
+        """Return what fits every publisher of a topic that is there."""
+        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+        volatile = any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=qos.RECORDING.depth,
+            reliability=max(
+                (profile.reliability for profile in offered), default=qos.RECORDING.reliability, key=lambda p: p.value
+            ),
+            durability=DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+
+
+def _message_class(kind: str) -> Any:
+    package, _, name = kind.partition("/msg/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)

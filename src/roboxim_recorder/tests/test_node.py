@@ -1,0 +1,155 @@
+"""The recorder node against publishers that behave as the sim and the evaluator do."""
+
+from __future__ import annotations
+
+import queue
+import time
+
+import pytest
+from rclpy.node import Node
+from roboxim_interfaces import msg as ours
+from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
+from std_msgs.msg import String
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.check import check_bag
+from roboxim_recorder.node import RecorderNode
+from roboxim_ros import qos
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import to_msg
+from roboxim_ros.testing import graph_host  # noqa: F401
+
+pytestmark = pytest.mark.ros
+
+
+class FakeGraph:
+    """Publishes made-up episodes; camera publishers are made when the first image is, as the sim does."""
+
+    def __init__(self, host):
+        self.recorder = host.add(lambda context: RecorderNode(context=context, namespace="/w1"))
+        self.node = host.add(lambda context: Node("fake", context=context, namespace="/w1"))
+        self.clients = Clients("fake_clients", context=host.context, namespace="/w1")
+        self.acknowledged = queue.Queue()
+        self.node.create_subscription(ours.RecordedTick, "recorder/recorded", self.acknowledged.put, qos.STATE)
+        self.publishers = {}
+
+    def publish(self, topic, message):
+        if topic not in self.publishers:
+            profile = qos.SENSOR if topic.startswith("/camera") or topic == "/evaluator/step" else qos.STATE
+            self.publishers[topic] = self.node.create_publisher(type(message), topic[1:], profile)
+        self.publishers[topic].publish(message)
+
+    def open(self, episode, out, **options):
+        info = to_msg(episode.info, ours.EpisodeInfo)
+        request = OpenEpisode.Request(info=info, output_dir=str(out), **options)
+        return self.clients.call(OpenEpisode, "recorder/open_episode", request)
+
+    def tick(self, episode, seq, without=()):
+        for topic, message in episode.tick(seq).items():
+            if topic not in without:
+                self.publish(topic, message)
+
+    def acknowledgement(self):
+        return self.acknowledged.get(timeout=10)
+
+    def play(self, episode):
+        for seq in range(episode.last_seq + 1):
+            self.tick(episode, seq)
+            answer = self.acknowledgement()
+            assert (answer.episode_id, answer.seq, answer.error_code) == (episode.info.episode_id, seq, 0)
+
+    def close(self, episode, keep="keep"):
+        request = CloseEpisode.Request(result=to_msg(episode.result, ours.EpisodeResult), keep=keep)
+        return self.clients.call(CloseEpisode, "recorder/close_episode", request).bag
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to pass"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def graph(graph_host):  # noqa: F811
+    graph = FakeGraph(graph_host)
+    yield graph
+    graph.clients.close()
+
+
+def test_episodes_are_recorded_one_after_another(graph, tmp_path, fake):
+    for index in range(2):
+        episode = fake(index=index)
+        graph.open(episode, tmp_path)
+        graph.play(episode)
+        bag = graph.close(episode)
+        assert bag == f"episodes/{episode.info.episode_id}"
+        report = check_bag(tmp_path / bag)
+        assert report.ok, report.problems
+        reader = BagReader(tmp_path / bag)
+        assert (reader.info, reader.result.bag, len(reader)) == (episode.info, bag, 8)
+        assert reader.counts["/camera/wrist/image"] == 8
+
+
+def test_what_was_published_before_an_episode_is_not_taken(graph, tmp_path, fake):
+    episode = fake(steps=1, settle=0)
+    graph.tick(episode, 0)
+    graph.tick(episode, 1)
+    graph.open(episode, tmp_path)
+    graph.tick(episode, 0, without=("/joint_states",))
+    wait_until(lambda: graph.recorder._recording.missing(0) == ["/joint_states"])
+    with pytest.raises(RecorderError, match="tick 0 lacks /joint_states; tick 1 lacks /sim/ticks") as caught:
+        graph.close(episode)
+    assert caught.value.code == ErrorCode.EPISODE_GAP
+    assert list(tmp_path.rglob("*.mcap")) == []
+
+
+def test_a_new_episode_removes_the_bag_of_a_dead_evaluator(graph, tmp_path, fake):
+    graph.open(fake(index=1), tmp_path)
+    graph.tick(fake(index=1), 0)
+    graph.acknowledgement()
+    episode = fake(index=2)
+    graph.open(episode, tmp_path)
+    assert [path.name for path in (tmp_path / ".partial").iterdir()] == [episode.info.episode_id]
+    graph.play(episode)
+    graph.close(episode, keep="set_apart")
+    assert [path.parent.name for path in tmp_path.rglob("*.mcap")] == [episode.info.episode_id]
+    with pytest.raises(RecorderError, match="no bag of 'demo-0-00001-0' is open") as caught:
+        graph.close(fake(index=1))
+    assert caught.value.code == ErrorCode.EPISODE_NOT_OPEN
+
+
+def test_a_tick_that_cannot_be_recorded_is_answered(graph, tmp_path, fake):
+    episode = fake()
+    graph.open(episode, tmp_path)
+    notice = episode.tick(0)["/sim/ticks"]
+    notice.topics = [*notice.topics, "camera/third/image"]
+    graph.publish("/sim/ticks", notice)
+    answer = graph.acknowledgement()
+    assert (answer.seq, answer.error_code) == (0, ErrorCode.EPISODE_GAP)
+    assert "camera/third/image" in answer.error_msg
+    assert graph.close(episode, keep="drop") == ""
+    assert list(tmp_path.rglob("*.mcap")) == []
+
+
+def test_bad_requests_are_refused(graph, tmp_path, fake):
+    with pytest.raises(InvalidRequestError, match="absolute"):
+        graph.open(fake(), "relative")
+    with pytest.raises(InvalidRequestError, match="nobody publishes it"):
+        graph.open(fake(), tmp_path, topics=["nothing"])
+    graph.open(fake(), tmp_path)
+    with pytest.raises(InvalidRequestError, match="did you mean 'keep'"):
+        graph.close(fake(), keep="kep")
+    assert graph.close(fake(), keep="drop") == ""
+
+
+def test_extra_topics_are_recorded(graph, tmp_path, fake):
+    episode = fake()
+    graph.publish("/note", String(data="before"))
+    wait_until(lambda: "/w1/note" in dict(graph.recorder.get_topic_names_and_types()))
+    graph.open(episode, tmp_path, topics=["note"])
+    graph.publish("/note", String(data="within"))
+    graph.play(episode)
+    reader = BagReader(tmp_path / graph.close(episode))
+    assert [message.data for _, _, message in reader.messages(["/note"])] == ["within"]
