@@ -101,13 +101,12 @@ class SimNode(RoboximNode):
 
     @property
     def renderer_info(self) -> dict[str, str]:
-        """Name and device of the renderer in use; the device is empty until it draws."""
-        renderer = self._renderers.get((self._renderer_name, "live"))
-        return {
-            "simulator": "RoboXim (PyBullet)",
-            "renderer": self._renderer_name,
-            "device": renderer.device if renderer else "",
-        }
+        """Name and device of the renderer in use; the device says so where it does not work on this machine."""
+        try:
+            device = self._renderer(self._renderer_name, "live").device
+        except SimError as error:
+            device = f"unavailable: {error}"
+        return {"simulator": "RoboXim (PyBullet)", "renderer": self._renderer_name, "device": device}
 
     def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
         """Load a scene and publish tick 0; whatever fails, no episode is left holding the sim."""
@@ -135,7 +134,7 @@ class SimNode(RoboximNode):
         self._joints_out.publish(joint_state_msg(record, world.robot))
         self._tf_out.publish(tf_msg(stamp_ns, frames))
         self._state_out.publish(state)
-        topics = {"joint_states": 0, "tf": 0, "sim/state": 0, **self._publish_cameras(record)}
+        topics = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0, **self._publish_cameras(record)}
         notice = TickNotice(
             episode_id=record.episode_id,
             seq=record.seq,
@@ -245,7 +244,7 @@ class SimNode(RoboximNode):
 
     def _renderer_text(self) -> str:
         info = self.renderer_info
-        return f"{info['renderer']} ({info['device'] or 'not in use'})"
+        return f"{info['renderer']} ({info['device']})"
 
 
 def _image_msgs(stamp_ns: int, camera: str, images: CameraImages) -> dict[str, Image]:

@@ -172,9 +172,14 @@ class StandardServices:
 
 
 class _Turn:
-    """Awaited, gives the executor one turn."""
+    """Awaited, gives the executor one turn: rclpy resumes a waiting coroutine only when something wakes it."""
+
+    def __init__(self, node: SimNode) -> None:
+        self._node = node
 
     def __await__(self) -> Generator[None, None, None]:
+        if self._node.executor is not None:
+            self._node.executor.wake()
         yield
 
 
@@ -258,7 +263,7 @@ class MotionActions:
                 self._node.publish(self._world.step(steps))
                 done += steps
                 goal.publish_feedback(SimulateSteps.Feedback(completed_steps=done, remaining_steps=total - done))
-                await _Turn()
+                await _Turn(self._node)
             if done < total:
                 goal.canceled()
             else:
@@ -275,7 +280,7 @@ class MotionActions:
             for record in motion:
                 self._node.publish(record)
                 yield record
-                await _Turn()
+                await _Turn(self._node)
                 if goal.is_cancel_requested:
                     return
         finally:

@@ -1,0 +1,288 @@
+"""The sim node: what a client in the graph sees."""
+
+from __future__ import annotations
+
+import threading
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from control_msgs.action import FollowJointTrajectory, GripperCommand
+from rclpy.action import ActionClient
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.msg import TickNotice
+from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, RestoreSnapshot, TakeSnapshot, Tick
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from simulation_interfaces.action import SimulateSteps
+from simulation_interfaces.msg import EntityState, Resource, Result
+from simulation_interfaces.srv import (
+    DeleteEntity,
+    GetEntities,
+    GetEntityState,
+    GetSimulatorFeatures,
+    ResetSimulation,
+    SetEntityState,
+    SpawnEntity,
+    StepSimulation,
+)
+from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from roboxim_core.config import load_config, named_config
+from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros import qos
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain
+from roboxim_sim.node import SimNode
+from roboxim_sim.world import World
+
+pytestmark = pytest.mark.ros
+SCENE = load_config(named_config("scenes", "three_cubes"), SceneSpec)
+SMALL = replace(SCENE, cameras=tuple(replace(camera, width=64, height=48, depth=True) for camera in SCENE.cameras))
+HOME = ModelLibrary().robot("panda").home
+DOWN = np.array([0.01, 0.0, -0.01, 0.0, 0.0, 0.02, 1.0], np.float32)
+
+
+class Listener:
+    """Collects messages and waits for them."""
+
+    def __init__(self, clients: Clients) -> None:
+        self._clients, self._arrived = clients, threading.Condition()
+        self.messages: dict[str, list[Any]] = {}
+
+    def listen(self, kind: Any, topic: str) -> None:
+        self.messages[topic] = []
+        self._clients.node.create_subscription(kind, topic, lambda m: self._take(topic, m), qos.SENSOR)
+
+    def _take(self, topic: str, msg: Any) -> None:
+        with self._arrived:
+            self.messages[topic].append(msg)
+            self._arrived.notify_all()
+
+    def wait(self, topic: str, fits: Callable[[Any], bool]) -> Any:
+        with self._arrived:
+            found = self._arrived.wait_for(lambda: [m for m in self.messages[topic] if fits(m)], timeout=10.0)
+        assert found, f"nothing that fits on {topic}"
+        return found[-1]
+
+
+@pytest.fixture(scope="module")
+def clients() -> Iterator[Clients]:
+    with free_domain() as domain, NodeHost(domain_id=domain) as host:
+        host.add(lambda context: SimNode(context=context, parameters={"renderer": "tiny", "scene": ""}))
+        with Clients("test", context=host.context) as made:
+            yield made
+
+
+def load(clients: Clients, scene: SceneSpec, episode_id: str = "") -> Any:
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
+    request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg))
+    return clients.call(LoadScene, "sim/load_scene", request)
+
+
+def tick(clients: Clients, seq: int, episode_id: str = "e") -> StateRecord:
+    answer = clients.call(Tick, "sim/tick", Tick.Request(episode_id=episode_id, seq=seq, action=DOWN))
+    return from_msg(answer.state, StateRecord)
+
+
+def send_goal(clients: Clients, kind: Any, name: str, goal: Any) -> Any:
+    """Send a goal and return its result, without cancelling."""
+    client = ActionClient(clients.node, kind, name)
+    done, box = threading.Event(), []
+
+    def accepted(future: Any) -> None:
+        future.result().get_result_async().add_done_callback(lambda f: (box.append(f.result()), done.set()))
+
+    assert client.wait_for_server(10.0)
+    client.send_goal_async(goal).add_done_callback(accepted)
+    assert done.wait(20.0)
+    client.destroy()
+    return box[0]
+
+
+def without_cameras() -> SceneSpec:
+    return replace(SCENE, cameras=())
+
+
+def test_ticks_through_the_node_are_the_worlds(clients: Clients) -> None:
+    with World() as world:
+        expected = world.load(without_cameras(), "e")
+        assert from_msg(load(clients, without_cameras(), "e").state, StateRecord) == expected
+        for seq in (1, 2, 3):
+            assert tick(clients, seq) == world.tick(seq, DOWN)
+
+
+def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
+    listener = Listener(clients)
+    listener.listen(TickNotice, "sim/ticks")
+    for kind, topic in ((JointState, "joint_states"), (TFMessage, "tf")):
+        listener.listen(kind, topic)
+    for camera in ("workspace", "wrist"):
+        listener.listen(Image, f"camera/{camera}/image")
+        listener.listen(Image, f"camera/{camera}/depth")
+        listener.listen(CameraInfo, f"camera/{camera}/camera_info")
+    load(clients, SMALL, "topics")
+    record = tick(clients, 1, "topics")
+    notice = listener.wait("sim/ticks", lambda m: m.episode_id == "topics" and m.seq == 1)
+    assert set(notice.topics) == {"sim/state", *listener.messages} - {"sim/ticks"}
+    crc = dict(zip(notice.topics, notice.image_crc32, strict=True))
+    for camera in ("workspace", "wrist"):
+        topic = f"camera/{camera}/image"
+        image = listener.wait(topic, lambda m, t=topic: zlib.crc32(m.data) == crc[t])
+        assert stamp_to_ns(image.header.stamp) == record.stamp_ns
+        assert image_from_msg(image).shape == (48, 64, 3)
+        assert image_from_msg(image).std() > 5
+    joints = listener.wait("joint_states", lambda m: stamp_to_ns(m.header.stamp) == record.stamp_ns)
+    assert tuple(joints.position[:7]) == record.robot.joint_positions
+    assert len(joints.velocity) == len(joints.effort) == len(joints.name) == 9
+    tf = listener.wait("tf", lambda m: stamp_to_ns(m.transforms[0].header.stamp) == record.stamp_ns)
+    frames = {t.child_frame_id for t in tf.transforms}
+    assert frames >= {"panda_base", "tcp", "panda_hand", "red_cube", "wrist_optical"}
+    info = listener.wait("camera/wrist/camera_info", lambda m: True)
+    assert info.k[0] == pytest.approx(24 / np.tan(1.2217 / 2))
+
+
+def test_rendering_a_record_again_gives_the_same_pixels(clients: Clients) -> None:
+    listener = Listener(clients)
+    listener.listen(Image, "camera/wrist/image")
+    load(clients, SMALL, "again")
+    record = tick(clients, 1, "again")
+    live = listener.wait("camera/wrist/image", lambda m: stamp_to_ns(m.header.stamp) == record.stamp_ns)
+    load(clients, without_cameras(), "else")  # what is simulated now does not matter
+    request = RenderState.Request(scene=to_msg(SMALL, SceneSpecMsg), state=to_msg(record, StateRecordMsg))
+    images = {i.camera: i.image for i in clients.call(RenderState, "sim/render_state", request).images}
+    assert np.array_equal(image_from_msg(images["wrist"]), image_from_msg(live))
+
+
+def test_snapshot_travels_and_restores(clients: Clients) -> None:
+    load(clients, without_cameras(), "e")
+    records = [tick(clients, seq) for seq in (1, 2, 3)]
+    snapshot = clients.call(TakeSnapshot, "sim/take_snapshot", TakeSnapshot.Request()).snapshot_json
+    load(clients, SceneSpec())
+    request = RestoreSnapshot.Request(episode_id="e", snapshot_json=snapshot)
+    state = clients.call(RestoreSnapshot, "sim/restore_snapshot", request).state
+    assert state.state_hash == records[-1].state_hash
+    assert tick(clients, 4).seq == 4
+
+
+def test_the_lease_keeps_others_out(clients: Clients) -> None:
+    load(clients, without_cameras(), "mine")
+
+    def code(call: Callable[[], Any]) -> ErrorCode:
+        with pytest.raises(RoboximError) as caught:
+            call()
+        return caught.value.code
+
+    assert code(lambda: tick(clients, 1, "yours")) == ErrorCode.LEASE_HELD
+    other = LoadScene.Request(episode_id="yours", scene=to_msg(without_cameras(), SceneSpecMsg))
+    assert code(lambda: clients.call(LoadScene, "sim/load_scene", other)) == ErrorCode.LEASE_HELD
+    assert code(lambda: tick(clients, 7, "mine")) == ErrorCode.WRONG_SEQ
+    step = clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=5)).result
+    assert step.result == Result.RESULT_INCORRECT_STATE
+    assert "LEASE_HELD" in step.error_message
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = [f"panda_joint{i}" for i in range(1, 8)]
+    goal.trajectory.points = [_point(HOME, 1)]
+    refused = send_goal(clients, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", goal)
+    assert "LEASE_HELD" in refused.result.error_string
+    assert send_goal(clients, GripperCommand, "gripper_controller/gripper_cmd", GripperCommand.Goal()).status == 6
+    assert tick(clients, 1, "mine").seq == 1
+
+
+def _point(positions: Any, seconds: int) -> JointTrajectoryPoint:
+    point = JointTrajectoryPoint(positions=[float(p) for p in positions])
+    point.time_from_start.sec = seconds
+    return point
+
+
+def test_trajectory_and_gripper_actions_move_the_robot(clients: Clients) -> None:
+    load(clients, without_cameras())
+    order = [3, 1, 2, 7, 6, 5, 4]
+    target = np.array(HOME) + [0.2, 0.1, -0.1, 0.1, 0.1, -0.1, 0.3]
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = [f"panda_joint{i}" for i in order]
+    goal.trajectory.points = [_point(target[np.array(order) - 1], 1)]
+    answer = send_goal(clients, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", goal)
+    assert (answer.status, answer.result.error_code) == (4, 0), answer.result.error_string
+    request = GripperCommand.Goal()
+    request.command.position = 0.04
+    grip = send_goal(clients, GripperCommand, "gripper_controller/gripper_cmd", request).result
+    assert grip.reached_goal
+    assert grip.position == pytest.approx(0.04, abs=0.003)
+    steps = send_goal(clients, SimulateSteps, "sim/simulate_steps", SimulateSteps.Goal(steps=50)).result
+    assert steps.result.result == Result.RESULT_OK
+    snapshot = clients.call(TakeSnapshot, "sim/take_snapshot", TakeSnapshot.Request()).snapshot_json
+    assert f'"joint_commands":[{target[0]:.1f}' in snapshot
+
+
+def test_a_cancelled_trajectory_stops_where_it_is(clients: Clients) -> None:
+    load(clients, without_cameras())
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = [f"panda_joint{i}" for i in range(1, 8)]
+    goal.trajectory.points = [_point(np.array(HOME) + [1.0, 0, 0, 0, 0, 0, 0], 200)]
+    client = ActionClient(clients.node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory")
+    assert client.wait_for_server(10.0)
+    done, moving, box = threading.Event(), threading.Event(), []
+
+    def accepted(future: Any) -> None:
+        handle = future.result()
+        handle.get_result_async().add_done_callback(lambda f: (box.append(f.result()), done.set()))
+        threading.Thread(target=lambda: (moving.wait(10.0), handle.cancel_goal_async()), daemon=True).start()
+
+    client.send_goal_async(goal, feedback_callback=lambda _: moving.set()).add_done_callback(accepted)
+    assert done.wait(20.0)
+    client.destroy()
+    assert box[0].status == 5
+    assert load(clients, without_cameras(), "after").state.seq == 0
+
+
+def test_standard_services(clients: Clients) -> None:
+    load(clients, without_cameras())
+    features = clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()).features
+    assert '"renderer": "tiny"' in features.custom_info
+    spawn = SpawnEntity.Request(name="red_cube", allow_renaming=True)
+    spawn.entity_resource = Resource(uri="roboxim://cube?color=orange&scale=1.1")
+    position = spawn.initial_pose.pose.position
+    position.x, position.y, position.z = 0.4, 0.3, 0.03
+    answer = clients.call(SpawnEntity, "sim/spawn_entity", spawn)
+    assert (answer.result.result, answer.entity_name) == (Result.RESULT_OK, "red_cube_1")
+    spawn.allow_renaming = False
+    assert clients.call(SpawnEntity, "sim/spawn_entity", spawn).result.result == SpawnEntity.Response.NAME_NOT_UNIQUE
+    spawn.name, spawn.entity_resource.uri = "x", "aple"
+    refused = clients.call(SpawnEntity, "sim/spawn_entity", spawn).result
+    assert refused.result == SpawnEntity.Response.NO_RESOURCE
+    assert "cube" in refused.error_message
+
+    names = GetEntities.Request()
+    names.filters.filter = "^red"
+    assert list(clients.call(GetEntities, "sim/get_entities", names).entities) == ["red_cube", "red_cube_1"]
+    state = EntityState()
+    state.pose.position.x, state.pose.position.z = 0.55, 0.2
+    clients.call(SetEntityState, "sim/set_entity_state", SetEntityState.Request(entity="red_cube", state=state))
+    clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=240))
+    ask = GetEntityState.Request(entity="red_cube")
+    pose = clients.call(GetEntityState, "sim/get_entity_state", ask).state.pose
+    assert (pose.position.x, pose.position.z) == pytest.approx((0.55, 0.0225), abs=0.02)
+    clients.call(DeleteEntity, "sim/delete_entity", DeleteEntity.Request(entity="red_cube"))
+    missing = clients.call(GetEntityState, "sim/get_entity_state", ask).result
+    assert missing.result == Result.RESULT_NOT_FOUND
+    clients.call(ResetSimulation, "sim/reset_simulation", ResetSimulation.Request())
+    entities = clients.call(GetEntities, "sim/get_entities", GetEntities.Request()).entities
+    assert list(entities) == ["red_cube", "green_cube", "blue_cube"]
+
+
+def test_an_unknown_renderer_leaves_the_sim_free(clients: Clients) -> None:
+    request = LoadScene.Request(episode_id="e", scene=to_msg(SMALL, SceneSpecMsg), renderer="rastr")
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
+    with pytest.raises(RoboximError, match="did you mean 'raster'"):
+        clients.call(LoadScene, "sim/load_scene", request)
+    assert load(clients, without_cameras(), "f").state.episode_id == "f"
