@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -27,8 +27,11 @@ def attach_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
 
 
-def join_run(run_id: str | None, domain: int | None) -> None:
+def join_run(run_id: str | None, domain: int | None) -> Sequence[str]:
     """Set the environment so that contexts of this process are in a run or a domain.
+
+    Returns:
+        Full names of nodes that the run is known to have.
 
     Raises:
         ConfigError: When there is no such run, or both are given.
@@ -36,22 +39,30 @@ def join_run(run_id: str | None, domain: int | None) -> None:
     from roboxim_ros.runs import activate_transport, find_run
 
     if domain is None:
-        find_run(run_id).join()
-        return
+        run = find_run(run_id)
+        run.join()
+        return run.nodes
     if run_id is not None:
         raise ConfigError("--run and --domain exclude each other")
     activate_transport()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
+    os.environ.pop("ROBOXIM_RUN", None)
+    return ()
 
 
 class Peer:
     """A node in a graph that somebody else runs."""
 
-    def __init__(self) -> None:
-        """Join the domain that the environment names."""
+    def __init__(self, expected: Sequence[str] = ()) -> None:
+        """Join the domain that the environment names.
+
+        Args:
+            expected: Full names of nodes that must be seen before the graph counts as known.
+        """
         from roboxim_ros.clients import Clients
         from roboxim_ros.host import NodeHost
 
+        self.expected = set(expected)
         self.host = NodeHost()
         self.clients = Clients(f"_roboxim_cli_{os.getpid()}", context=self.host.context)
         self.node = self.clients.node
@@ -92,7 +103,7 @@ class Peer:
             now = (self.nodes(hidden=True), self.topics(hidden=True), self.services(hidden=True))
             if now != seen:
                 seen, since = now, time.monotonic()
-            elif len(now[0]) > 1 and time.monotonic() - since > QUIET_S:
+            elif len(now[0]) > 1 and self.expected <= set(now[0]) and time.monotonic() - since > QUIET_S:
                 return
             time.sleep(0.01)
 
@@ -131,7 +142,7 @@ class Peer:
         name = absolute(name)
         types = self.look_for(
             lambda: listing(**({} if what == "action" else {"hidden": True})).get(name),
-            lambda: f"no {what} '{name}' in the graph; {one_of(listing(), name)}",
+            lambda: f"no {what} '{name}' in the graph; {one_of(filter(_is_own, listing()), name)}",
         )
         if len(types) > 1:
             raise ConfigError(f"{what} '{name}' has several types ({', '.join(types)}); give one of them")
@@ -168,6 +179,11 @@ def absolute(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
+def _is_own(name: str) -> bool:
+    """Tell a node's own services from those that every node has."""
+    return not name.endswith(("_parameters", "_parameter_types", "_parameters_atomically", "/get_type_description"))
+
+
 def _is_hidden(name: str) -> bool:
     return any(part.startswith("_") for part in name.split("/"))
 
@@ -179,8 +195,7 @@ def _named(pairs: Any, hidden: bool) -> dict[str, list[str]]:
 @contextmanager
 def attached(run_id: str | None, domain: int | None) -> Iterator[Peer]:
     """Join a run for as long as the block runs; see `attach_options`."""
-    join_run(run_id, domain)
-    peer = Peer()
+    peer = Peer(join_run(run_id, domain))
     try:
         yield peer
     finally:

@@ -80,6 +80,10 @@ class Graph:
         """Return a node."""
         return self.nodes[name]
 
+    def node_names(self) -> list[str]:
+        """Return the full names of the nodes."""
+        return [node.get_fully_qualified_name() for node in self.nodes.values()]
+
     def clients(self) -> Any:
         """Return blocking clients in the graph's namespace; a context manager (`roboxim_ros.clients.Clients`)."""
         from roboxim_ros.clients import Clients

@@ -86,6 +86,10 @@ class Supervisor:
         )
         self.children.append(Child(name, config, _start(config), time.monotonic()))
 
+    def node_names(self) -> list[str]:
+        """Return the full names of the nodes."""
+        return [f"{self.namespace}/{child.name}{'' if child.config.nodes else '/policy'}" for child in self.children]
+
     def wait_until_ready(self) -> None:
         """Wait until every node is in the graph.
 
@@ -95,7 +99,7 @@ class Supervisor:
         """
         from roboxim_bringup.attach import Peer, parameter_names
 
-        expected = {f"{child.config.namespace}/{_node_name(child)}": child for child in self.children}
+        expected = self.node_names()
         deadline = time.monotonic() + READY_S
         peer = Peer()
         try:
@@ -141,10 +145,6 @@ class Supervisor:
         stop(child.process for child in self.children)
 
 
-def _node_name(child: Child) -> str:
-    return child.name if child.config.nodes else f"{child.name}/policy"
-
-
 def _start(config: GraphConfig) -> subprocess.Popen[bytes]:
     from roboxim_core.config import to_json
 
@@ -152,8 +152,8 @@ def _start(config: GraphConfig) -> subprocess.Popen[bytes]:
 
 
 def _register(children: Sequence[Child]) -> None:
-    from roboxim_ros.runs import add_pids
+    from roboxim_ros.runs import extend_run
 
     run_id = os.environ.get("ROBOXIM_RUN")
     if run_id:
-        add_pids(run_id, [child.process.pid for child in children])
+        extend_run(run_id, pids=[child.process.pid for child in children])

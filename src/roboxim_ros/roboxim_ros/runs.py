@@ -156,6 +156,8 @@ class Run:
     """Processes; the first one started the run."""
     births: tuple[int, ...]
     """Start of each process in clock ticks since boot, against re-used process ids."""
+    nodes: tuple[str, ...] = ()
+    """Full names of nodes that are known to be there, so that a short look at the graph knows when it has seen all."""
 
     @property
     def live_pids(self) -> tuple[int, ...]:
@@ -234,23 +236,25 @@ def register_run(
     try:
         yield run
     finally:
-        remove_pid(run.id, os.getpid())
+        leave_run(run.id, os.getpid())
 
 
-def add_pids(run_id: str, pids: Sequence[int]) -> None:
-    """Note further processes of a run; those that have died are dropped."""
+def extend_run(run_id: str, *, pids: Sequence[int] = (), nodes: Sequence[str] = ()) -> None:
+    """Note further processes and nodes of a run; processes that have died are dropped."""
     with _lock():
         run = _read(_file(run_id))
         if run is not None:
+            run = dataclasses.replace(run, nodes=tuple(dict.fromkeys((*run.nodes, *nodes))))
             _write(_with_pids(run, [*run.live_pids, *pids]))
 
 
-def remove_pid(run_id: str, pid: int) -> None:
-    """Note the end of a process; the run goes with its last one."""
+def leave_run(run_id: str, pid: int, *, nodes: Sequence[str] = ()) -> None:
+    """Note the end of a process and its nodes; the run goes with its last process."""
     with _lock():
         run = _read(_file(run_id))
         if run is None:
             return
+        run = dataclasses.replace(run, nodes=tuple(node for node in run.nodes if node not in nodes))
         left = [other for other in run.live_pids if other != pid]
         if left:
             _write(_with_pids(run, left))

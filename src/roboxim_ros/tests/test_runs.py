@@ -76,8 +76,9 @@ def test_killed_run_is_forgotten_even_if_its_pid_is_used_again():
 def test_run_lives_as_long_as_one_of_its_processes():
     with subprocess.Popen(["sleep", "30"]) as child:
         with runs.register_run("node", domain=7) as run:
-            runs.add_pids(run.id, [child.pid])
+            runs.extend_run(run.id, pids=[child.pid], nodes=["/sim"])
         assert runs.find_run().pids == (child.pid,)
+        assert runs.find_run().nodes == ("/sim",)
         child.kill()
     assert runs.live_runs() == []
 

@@ -85,13 +85,13 @@ def play(
     if rate <= 0:
         raise click.UsageError("--rate must be greater than 0")
     reader = BagReader(path)
-    with membership("play", run_id, domain, open_network=False, namespace=namespace) as run:
+    with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:
         peer = Peer()
         try:
             publishers = _publishers(peer, reader, topics, namespace)
             while wait and not any(publisher.get_subscription_count() for publisher in publishers.values()):
                 time.sleep(0.05)
-            click.echo(f"playing {len(reader)} ticks of {reader.path} into {run}; Ctrl-C ends it")
+            click.echo(f"playing {len(reader)} ticks of {reader.path} into {member.where}; Ctrl-C ends it")
             sent = _play(reader, publishers, rate)
             _flush(publishers)
         finally:

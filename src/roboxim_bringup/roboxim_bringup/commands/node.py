@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import click
@@ -22,6 +25,10 @@ class _NodeGroup(click.Group):
         from roboxim_bringup.graph import NODES
 
         return _starter(cmd_name) if cmd_name in NODES else super().get_command(ctx, cmd_name)
+
+
+JOINABLE = ("up", "node", "policy", "play")
+"""Kinds of runs that a new node joins unasked; jobs such as ``generate`` come and go with their own nodes."""
 
 
 @click.group(cls=_NodeGroup)
@@ -102,53 +109,76 @@ def run_node(
     mine = {node: values for node, values in from_files.items() if node == label}
     common = from_files.get("", {})
     parameters = merge({label: dict(common)}, mine, parse_assignments(assignments, node=label))
-    with membership(label, run_id, domain, open_network, namespace) as run, NodeHost() as host:
+    with membership("node" if name else "policy", run_id, domain, open_network, namespace) as member, NodeHost() as host:
         graph = start_graph(
             host, namespace=namespace, parameters=parameters, nodes=(name,) if name else (), policies=policies
         )
-        node = next(iter(graph.nodes.values()))
-        click.echo(f"{node.get_fully_qualified_name()} serves in {run}; Ctrl-C ends it")
+        names = graph.node_names()
+        member.announce(names)
+        click.echo(f"{', '.join(names)} serves in {member.where}; Ctrl-C ends it")
         wait_for_stop(lambda: not host.alive())
         if not host.alive():
             raise RoboximError(f"node '{label}' has died; see the traceback above")
 
 
-@contextlib.contextmanager
-def membership(label: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str) -> Any:
-    """Join a run, or make one when none is alive; yields its description."""
-    import os
+@dataclass
+class Member:
+    """A process in a run."""
 
+    where: str
+    """The run or domain, for a person."""
+    run_id: str = ""
+    """The run; empty: none, just a domain."""
+    nodes: tuple[str, ...] = ()
+    """Nodes that it has announced."""
+
+    def announce(self, nodes: Sequence[str]) -> None:
+        """Tell the run's registry which nodes this process has, and that it has joined."""
+        from roboxim_ros.runs import extend_run
+
+        self.nodes = tuple(nodes)
+        if self.run_id:
+            extend_run(self.run_id, pids=[os.getpid()], nodes=nodes)
+
+
+@contextlib.contextmanager
+def membership(
+    kind: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str
+) -> Iterator[Member]:
+    """Join a run, or make one when none is alive.
+
+    Args:
+        kind: What a new run is called by.
+        run_id: Run to join; none: the only one.
+        domain: Domain to use, without a run.
+        open_network: Whether other hosts may reach a new run.
+        namespace: Namespace of the graph in a new run.
+
+    Raises:
+        ConfigError: When there is no such run, or several to choose from.
+    """
     from roboxim_bringup.attach import join_run
-    from roboxim_ros.runs import (
-        activate_transport,
-        add_pids,
-        find_run,
-        free_domain,
-        live_runs,
-        register_run,
-        remove_pid,
-    )
+    from roboxim_ros.runs import activate_transport, find_run, free_domain, leave_run, live_runs, register_run
 
     if domain is not None:
         join_run(run_id, domain)
-        if open_network:
-            activate_transport(open_network=True)
-        yield f"domain {domain}"
-    elif run_id or os.environ.get("ROBOXIM_RUN") or live_runs():
+        activate_transport(open_network or None)
+        yield Member(f"domain {domain}")
+    elif run_id or os.environ.get("ROBOXIM_RUN") or any(run.kind in JOINABLE for run in live_runs()):
         if open_network:
             raise click.UsageError("--open-network is for a new run; this one's network is decided already")
         run = find_run(run_id)
         run.join()
-        add_pids(run.id, [os.getpid()])
+        member = Member(f"run {run.id}", run.id)
         try:
-            yield f"run {run.id}"
+            yield member
         finally:
-            remove_pid(run.id, os.getpid())
+            leave_run(run.id, os.getpid(), nodes=member.nodes)
     else:
-        activate_transport(open_network=open_network)
-        with free_domain() as own, register_run("node", domain=own, namespaces=[namespace]) as run:
+        activate_transport(open_network)
+        with free_domain() as own, register_run(kind, domain=own, namespaces=[namespace]) as run:
             run.join()
-            yield f"run {run.id}"
+            yield Member(f"run {run.id}", run.id)
 
 
 @command.command("list")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import click
@@ -54,7 +54,7 @@ def command(
         start_detached(run_id)
         return
     from roboxim_bringup.parameters import merge, parse_assignments, parse_policy, read_params_files
-    from roboxim_ros.runs import activate_transport, free_domain, register_run
+    from roboxim_ros.runs import activate_transport, extend_run, free_domain, register_run
 
     namespace = namespace and absolute(namespace)
     parameters = merge(read_params_files(params_files, namespace=namespace), parse_assignments(assignments))
@@ -67,7 +67,8 @@ def command(
     ):
         run.join()
         start = _in_processes if processes else _in_process
-        with start(nodes or tuple(NODES), policies, namespace, parameters) as supervise:
+        with start(nodes or tuple(NODES), policies, namespace, parameters) as (node_names, supervise):
+            extend_run(run.id, nodes=node_names)
             click.echo(
                 f"run {run.id} is up in domain {run.domain}"
                 + (": every host of the network can reach it" if open_network else "")
@@ -82,30 +83,30 @@ def command(
 @contextlib.contextmanager
 def _in_process(
     nodes: Sequence[str], policies: Sequence[Any], namespace: str, parameters: dict[str, dict[str, Any]]
-) -> Iterator[Any]:
+) -> Iterator[tuple[list[str], Callable[[], bool]]]:
     from roboxim_bringup.graph import start_graph
     from roboxim_core.errors import RoboximError
     from roboxim_ros.host import NodeHost
 
     with NodeHost() as host:
-        start_graph(host, namespace=namespace, parameters=parameters, nodes=nodes, policies=policies)
+        graph = start_graph(host, namespace=namespace, parameters=parameters, nodes=nodes, policies=policies)
 
         def supervise() -> bool:
             if not host.alive():
                 raise RoboximError(f"node {', '.join(host.dead())} has died; see the traceback above")
             return False
 
-        yield supervise
+        yield graph.node_names(), supervise
 
 
 @contextlib.contextmanager
 def _in_processes(
     nodes: Sequence[str], policies: Sequence[Any], namespace: str, parameters: dict[str, dict[str, Any]]
-) -> Iterator[Any]:
+) -> Iterator[tuple[list[str], Callable[[], bool]]]:
     from roboxim_bringup.supervisor import Supervisor
 
     with Supervisor(nodes, policies, namespace=namespace, parameters=parameters) as supervisor:
         started = time.monotonic()
         supervisor.wait_until_ready()
         click.echo(f"{len(supervisor.children)} processes ready after {time.monotonic() - started:.1f} s")
-        yield supervisor.supervise
+        yield supervisor.node_names(), supervisor.supervise
