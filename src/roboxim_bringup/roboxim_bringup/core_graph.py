@@ -144,7 +144,7 @@ class CoreSim:
             "tf": tf_msg(stamp_ns, frames),
             "sim/state": to_msg(record, StateRecordMsg),
         }
-        checksums = {"joint_states": 0, "tf": 0, "sim/state": 0}
+        checksums = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0}
         if world.scene.cameras:
             self.images = self._renderer.render(
                 world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]

@@ -179,7 +179,7 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
     frames = []
     for tick in reader.ticks():
         if tick.seq % every == 0 or tick.seq == last:
-            images = [tick.images[name] for name in sorted(tick.images, reverse=True)]
+            images = [tick.images[name] for name in sorted(tick.images)]
             height = min(image.shape[0] for image in images)
             frames.append(np.concatenate([image[:height] for image in images], axis=1))
     return frames
