@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.errors import InvalidRequestError, one_of
-from roboxim_core.models.description import JointModel, ObjectModel, Shape
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import ObjectModel, Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import SceneSpec
@@ -213,28 +211,8 @@ def _posed_shapes(model: ObjectModel, state: EntityState) -> tuple[Shape | Point
     positions = dict(zip(state.joint_names, state.joint_positions, strict=True))
     return tuple(
         replace(shape, pose=pose @ shape.pose)
-        for name, pose in _link_poses(model, positions).items()
+        for name, pose in object_link_poses(model, positions).items()
         for link in model.links
         if link.name == name
         for shape in link.collision
     )
-
-
-def _link_poses(model: ObjectModel, positions: dict[str, float]) -> dict[str, Pose]:
-    poses = {model.links[0].name: IDENTITY}
-    waiting = list(model.joints)
-    while waiting:
-        ready = [joint for joint in waiting if joint.parent in poses]
-        if not ready:
-            raise InvalidRequestError(f"object '{model.id}': joints {[j.name for j in waiting]} hang on no link")
-        for joint in ready:
-            poses[joint.child] = poses[joint.parent] @ joint.pose @ _joint_motion(joint, positions.get(joint.name, 0.0))
-            waiting.remove(joint)
-    return poses
-
-
-def _joint_motion(joint: JointModel, position: float) -> Pose:
-    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.kind == "prismatic":
-        return Pose.from_arrays(axis * position)
-    return Pose.from_arrays((0.0, 0.0, 0.0), Rotation.from_rotvec(axis * position))
