@@ -154,7 +154,7 @@ class FakeEpisode:
         return out / self.close(recording, keep)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fake() -> Callable[..., FakeEpisode]:
     """Makes made-up episodes: ``fake(index=3, steps=8)``."""
     return FakeEpisode

@@ -1,0 +1,142 @@
+"""What stands beside an exported data set: its statistics, and how the usual loaders are told of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.rlds import ACTION_SIZE, STATE_SIZE, RldsFeatures
+from roboxim_core.tfrecord import decode_example, read_records
+
+STATISTICS_FILE = "dataset_statistics.json"
+ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
+DEAD = 1e-5
+"""A component whose standard deviation is below this [m, rad or opening] counts as dead."""
+
+
+def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, Any]:
+    """Read shards back and summarise their actions and states, in the format that OpenVLA and Octo cache.
+
+    Args:
+        shards: TFRecord files.
+        features: What their episodes hold.
+    """
+    actions, states = [], []
+    for shard in shards:
+        for payload in read_records(shard):
+            example: dict[str, Any] = decode_example(payload, ("steps/action", "steps/observation/state"))
+            actions.append(example["steps/action"].reshape(-1, ACTION_SIZE))
+            states.append(example["steps/observation/state"].reshape(-1, STATE_SIZE))
+    action, state = np.concatenate(actions), np.concatenate(states)
+    return {
+        "action": {**_summary(action), "mask": [True] * 6 + [False]},
+        "proprio": _summary(state),
+        "num_transitions": len(action),
+        "num_trajectories": len(actions),
+    }
+
+
+def _summary(values: npt.NDArray[np.float32]) -> dict[str, list[float]]:
+    wide = values.astype(np.float64)
+    found = {
+        "mean": wide.mean(axis=0),
+        "std": wide.std(axis=0),
+        "min": wide.min(axis=0),
+        "max": wide.max(axis=0),
+        "q01": np.quantile(wide, 0.01, axis=0),
+        "q99": np.quantile(wide, 0.99, axis=0),
+    }
+    return {name: value.tolist() for name, value in found.items()}
+
+
+def action_statistics(path: Path) -> dict[str, list[float]]:
+    """Return the statistics of an exported data set's actions by name (``mean``, ``std``, ``q01`` ...)."""
+    statistics: dict[str, list[float]] = json.loads((path / STATISTICS_FILE).read_text())["action"]
+    return statistics
+
+
+def dead_dimensions(statistics: dict[str, list[float]]) -> tuple[str, ...]:
+    """Name the components of the action that (nearly) never change."""
+    return tuple(name for name, std in zip(ACTION_NAMES, statistics["std"], strict=True) if std < DEAD)
+
+
+def loader_files(
+    name: str, version: str, features: RldsFeatures, semantics: ActionSemantics, statistics: dict[str, Any]
+) -> dict[str, str]:
+    """Return file name to text of what helps to load a data set."""
+    keys = sorted(features.images)
+    wrist = next((key for key in keys if "wrist" in key), None)
+    primary = "image" if "image" in keys else next(key for key in keys if key != wrist or len(keys) == 1)
+    return {
+        STATISTICS_FILE: json.dumps(statistics, indent=2) + "\n",
+        "openvla_register.py": _REGISTER.format(name=name, primary=primary, wrist=wrist),
+        "README.md": _README.format(
+            name=name,
+            version=version,
+            semantics=json.dumps(semantics.__dict__, indent=2),
+            episodes=statistics["num_trajectories"],
+            steps=statistics["num_transitions"],
+            dead=", ".join(dead_dimensions(statistics["action"])) or "none",
+            primary=primary,
+            wrist=wrist,
+        ),
+    }
+
+
+_REGISTER = '''"""Tells OpenVLA of the data set `{name}`: import this and call `register()` before training."""
+
+
+def register() -> None:
+    """Add the data set to OpenVLA's configurations; its actions need no transform."""
+    from prismatic.vla.datasets.rlds.oxe.configs import OXE_DATASET_CONFIGS, ActionEncoding, StateEncoding
+    from prismatic.vla.datasets.rlds.oxe.transforms import OXE_STANDARDIZATION_TRANSFORMS
+
+    OXE_DATASET_CONFIGS["{name}"] = {{
+        "image_obs_keys": {{"primary": {primary!r}, "secondary": None, "wrist": {wrist!r}}},
+        "depth_obs_keys": {{"primary": None, "secondary": None, "wrist": None}},
+        "state_obs_keys": ["state"],
+        "state_encoding": StateEncoding.POS_QUAT,
+        "action_encoding": ActionEncoding.EEF_POS,
+    }}
+    OXE_STANDARDIZATION_TRANSFORMS["{name}"] = lambda trajectory: trajectory
+'''
+
+_README = """# {name} {version}
+
+RLDS data set exported by RoboXim from its bags: {episodes} episodes and {steps} steps in the split `train`.
+
+```python
+import tensorflow_datasets as tfds
+builder = tfds.builder_from_directory("{name}/{version}")   # this folder
+```
+
+A step is the observation of a tick and the action that leads to the next one:
+`observation/{{image keys, state}}`, `action`, `language_instruction`, `reward`, `discount`, `is_first`, `is_last`,
+`is_terminal`. `state` is the position of the tool centre point in the base frame [m], its quaternion xyzw, and the
+gripper's opening. Deltas below 1e-5 were set to 0. Dead action components: {dead}.
+
+Meaning of the actions (in every episode's `episode_metadata/action_semantics` too):
+
+```json
+{semantics}
+```
+
+The gripper is absolute, 1 = open, 0 = closed: do not normalise it (mask `[True] * 6 + [False]`).
+`dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states.
+
+OpenVLA: `openvla_register.py`, action normalisation `BOUNDS_Q99`. Octo needs only arguments:
+
+```python
+dataset_kwargs = dict(
+    name="{name}", data_dir="...", image_obs_keys={{"primary": "{primary}", "wrist": {wrist!r}}},
+    proprio_obs_key="state", language_key="language_instruction",
+    action_normalization_mask=[True] * 6 + [False],
+)
+```
+"""
