@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.errors import InvalidRequestError
+from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 
@@ -56,6 +57,22 @@ class PolicyDescription:
         """
         if self.window < 1 or self.horizon < 1:
             raise InvalidRequestError(f"policy '{self.name}': window and horizon must be >= 1, got {self}")
+
+
+def proprio_of(state: StateRecord, pose_base_in_world: Pose = IDENTITY) -> ActionArray:
+    """Return a policy's proprioception of a state; what an export stores and what `Act` carries are this one.
+
+    Args:
+        state: The state record.
+        pose_base_in_world: Pose of the robot's base.
+
+    Returns:
+        float32, shape (8,): measured TCP position in the base frame [m], its quaternion xyzw, gripper opening.
+    """
+    tcp = state.robot.pose_tcp_measured
+    if pose_base_in_world != IDENTITY:
+        tcp = pose_base_in_world.inverse() @ tcp
+    return np.array([*tcp.position, *tcp.quat_xyzw, state.robot.gripper_opening], dtype=np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
