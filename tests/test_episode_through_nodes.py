@@ -1,0 +1,105 @@
+"""One episode through real nodes, services and bags, against the same episode through the cores."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from roboxim_interfaces.msg import RunConfig as RunConfigMsg
+from roboxim_interfaces.srv import LoadScene, RunEpisodes, Tick
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
+from roboxim_core.errors import RoboximError, SimError
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.check import check_bag
+from roboxim_ros.conversions import from_msg, to_msg
+
+pytestmark = pytest.mark.ros
+SMALL = {"purpose": "demo", "image_width": 64, "image_height": 64, "noise_translation_m": 0.003}
+
+
+@pytest.fixture
+def graph_parameters():
+    return {"sim": {"scene": ""}}
+
+
+def run(graph, config, indices=(0,)):
+    with graph.clients() as clients:
+        request = RunEpisodes.Request(config=to_msg(config, RunConfigMsg), indices=list(indices))
+        answer = clients.call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=100.0)
+    return [from_msg(result, EpisodeResult) for result in answer.results]
+
+
+def test_nodes_and_cores_record_the_same_episode_bit_for_bit(graph, tmp_path):
+    config = RunConfig(**SMALL, output_dir=str(tmp_path / "nodes"))
+    (result,) = run(graph, config)
+    assert result.outcome == "success", result
+    with CoreGraph(tmp_path / "cores") as cores:
+        direct = EpisodeRunner(cores.ports, RunConfig(**SMALL, output_dir=str(tmp_path / "cores"))).run_index(0)
+    assert direct.final_state_hash == result.final_state_hash
+    ours, theirs = BagReader(tmp_path / "nodes" / result.bag), BagReader(tmp_path / "cores" / direct.bag)
+    assert ours.info.scene == theirs.info.scene
+    assert ours.info.recorded == theirs.info.recorded
+    count = 0
+    for mine, other in zip(ours.ticks(), theirs.ticks(), strict=True):
+        assert mine.state == other.state
+        assert mine.step.action_label == other.step.action_label
+        assert mine.images.keys() == other.images.keys() == {"workspace", "wrist"}
+        for camera, image in mine.images.items():
+            assert np.array_equal(image, other.images[camera]), f"tick {mine.seq}, {camera}"
+        count += 1
+    assert count == result.last_seq + 1
+    report = check_bag(tmp_path / "nodes" / result.bag)
+    assert report.ok, report
+
+
+def test_noise_is_recorded_apart_from_the_label(graph, tmp_path):
+    (result,) = run(graph, RunConfig(**SMALL, output_dir=str(tmp_path)))
+    steps = [tick.step for tick in BagReader(tmp_path / result.bag).ticks()]
+    noisy = [step for step in steps if step.disturbance]
+    assert len(noisy) > 5
+    assert all(step.action_label != step.action_executed for step in noisy)
+    assert all(step.action_label == step.action_executed for step in steps if not step.disturbance and step.seq)
+    assert [step.phase for step in steps].count("settle") == 10
+
+
+def test_failed_attempts_are_set_apart_and_nothing_partial_stays(graph, tmp_path):
+    config = RunConfig(**SMALL, output_dir=str(tmp_path), keep="successful", max_steps=5)
+    (result,) = run(graph, config)
+    assert (result.outcome, result.reason) == ("failure", "not_grasped")
+    assert result.bag == "set_apart/demo-0-00000-0"
+    assert BagReader(tmp_path / result.bag).result.reason == "not_grasped"
+    assert not (tmp_path / "episodes").exists() or not list((tmp_path / "episodes").iterdir())
+    assert not list(Path(tmp_path, ".partial").glob("*"))
+
+
+def test_wrong_configuration_is_refused_with_its_reason(graph, tmp_path):
+    bad_task = "skill: pick_upp\n"
+    with pytest.raises(RoboximError, match="pick_up"):
+        run(graph, RunConfig(**SMALL, task_config=bad_task, output_dir=str(tmp_path)))
+    with pytest.raises(RoboximError, match="no camera 'ceiling'.*workspace"):
+        run(graph, RunConfig(**SMALL, cameras=("ceiling",), output_dir=str(tmp_path)))
+    with pytest.raises(RoboximError, match="nobody/describe_policy"):
+        run(graph, RunConfig(**SMALL, actor="nobody", output_dir=str(tmp_path)))
+    assert not list(tmp_path.rglob("*.mcap")), "nothing half-written is left"
+
+
+def test_the_holder_of_the_sim_alone_moves_it(graph):
+    from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+
+    from roboxim_core.specs import SceneSpec
+
+    scene = to_msg(SceneSpec(), SceneSpecMsg)
+    with graph.clients() as clients:
+        clients.call(LoadScene, "sim/load_scene", LoadScene.Request(episode_id="mine", scene=scene))
+        with pytest.raises(SimError, match="mine") as caught:
+            clients.call(Tick, "sim/tick", Tick.Request(episode_id="yours", seq=1))
+        assert caught.value.code.name == "LEASE_HELD"
+        with pytest.raises(SimError) as caught:
+            clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=2))
+        assert caught.value.code.name == "WRONG_SEQ"
+        with pytest.raises(RoboximError) as caught:
+            clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1, action=[float("nan")] * 7))
+        assert caught.value.code.name == "INVALID_ACTION"
+        answer = clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1))
+        assert answer.state.seq == 1
