@@ -83,6 +83,8 @@ class CollisionWorld:
     def _add_pairs(self, scene: PlanningScene) -> None:
         """Add the pairs of robot, obstacles and held bodies; the robot's own pairs follow its SRDF."""
         robot = self.robot.description
+        for name in set(scene.names) & set(self.robot.links):
+            raise InvalidRequestError(f"body '{name}' has the name of a robot link; give it another")
         gripper = set(robot.gripper.links)
         allowed = _Allowed(scene.allowed, set(self.robot.links), gripper, set(scene.names))
         touch = {held.body.name: set(held.touch_links or gripper) for held in scene.attached}
@@ -91,19 +93,16 @@ class CollisionWorld:
                 raise InvalidRequestError(
                     f"attached '{name}': no touch link '{link}'; {one_of(self.robot.links, link)}"
                 )
-        own = len(self.robot.geometry.geometryObjects)
         items = list(self._model.geometryObjects)
-        for i in range(own, len(items)):
-            name = self._names[items[i].name]
+        names = [self._names[item.name] for item in items]
+        fixed = [item.parentJoint == _WORLD_JOINT for item in items]
+        for i in range(len(self.robot.geometry.geometryObjects), len(items)):
+            spared = touch.get(names[i], set()) | set(touch) if names[i] in touch else set()
             for j in range(i):
-                other = self._names[items[j].name]
-                both_fixed = items[i].parentJoint == _WORLD_JOINT and items[j].parentJoint == _WORLD_JOINT
-                both_held = name in touch and other in touch
-                if both_fixed or both_held or other in touch.get(name, ()) or allowed(name, other):
-                    continue
-                self._model.addCollisionPair(pin.CollisionPair(j, i))
-        for pair in list(self._model.collisionPairs)[: len(self.robot.geometry.collisionPairs)]:
-            if allowed(self._names[items[pair.first].name], self._names[items[pair.second].name]):
+                if not (fixed[i] and fixed[j]) and names[j] not in spared and not allowed(names[i], names[j]):
+                    self._model.addCollisionPair(pin.CollisionPair(j, i))
+        for pair in list(self.robot.geometry.collisionPairs) if scene.allowed else ():
+            if allowed(names[pair.first], names[pair.second]):
                 self._model.removeCollisionPair(pair)
 
     def is_free(self, joints: npt.ArrayLike) -> bool:

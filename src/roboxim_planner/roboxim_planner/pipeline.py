@@ -6,7 +6,7 @@ seed; a deadline can only end a request (see `Watch`), never change its answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -471,12 +471,14 @@ class Planner:
             world = worlds.for_goals(begin, goals, padded=attempt < self.config.attempts - 1)
             reachable = np.array([q for q in goals if world.is_free(q)])
             seed = options.seed + 7919 * attempt
-            path = search(world, begin, reachable, seed=seed, config=self.config.search, watch=watch)
+            finer = self.config.search.check_step_m / (1 + attempt)
+            config = replace(self.config.search, check_step_m=finer)
+            path = search(world, begin, reachable, seed=seed, config=config, watch=watch)
             if path is None:
                 continue
             path = without_repeats(path)
             owner = owners[int(np.argmin(np.abs(goals - path[-1]).max(axis=1)))]
-            path = shorten(world, path, seed=seed, config=self.config.search, watch=watch)
+            path = shorten(world, path, seed=seed, config=config, watch=watch)
             motion, finding = self._time_and_verify(worlds.exact, world, path, options, watch)
             if motion is not None:
                 return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)

@@ -96,3 +96,8 @@ def test_edge_through_a_thin_wall_is_not_free(planner: Planner, walled: Planning
     assert world.is_free(right)
     assert not world.edge_is_free(left, right, 0.02)
     assert world.edge_is_free(left, left + 0.02, 0.02)
+
+
+def test_body_named_like_a_link_is_refused(planner: Planner) -> None:
+    with pytest.raises(InvalidRequestError, match="name of a robot link"):
+        CollisionWorld(planner.robot, PlanningScene(bodies=(box("panda_hand", (0.1, 0.1, 0.1)),)))
