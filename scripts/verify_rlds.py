@@ -1,0 +1,126 @@
+"""Read an exported data set with TensorFlow Datasets, as a training would, and check every step of it.
+
+Needs tensorflow and tensorflow-datasets and nothing of RoboXim: `make verify-rlds DATASET=FOLDER` makes such an
+environment. The exit code is 0 when everything is as it should be, 1 when not, 2 when there is no data set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import numpy as np
+import tensorflow_datasets as tfds
+
+SEMANTICS_KEYS = {"control", "frame", "rotation", "gripper", "rate_hz"}
+
+
+def find_dataset(path: Path) -> Path:
+    """Return the folder of the only data set at or below a path; exit with 2 when there is not exactly one."""
+    found = [p.parent for p in sorted(path.rglob("dataset_info.json")) if not p.parent.name.startswith(".")]
+    if len(found) != 1:
+        print(f"{path} holds {len(found)} data sets {[str(p) for p in found]}; name the folder of one", file=sys.stderr)
+        raise SystemExit(2)
+    return found[0]
+
+
+def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], images: dict[str, Any]) -> Iterator[str]:
+    """Yield what is wrong with an episode."""
+    if not steps:
+        yield "it has no steps"
+        return
+    metadata = {key: value.numpy() for key, value in episode["episode_metadata"].items()}
+    if not metadata["episode_id"]:
+        yield "it has no id"
+    missing = SEMANTICS_KEYS - set(json.loads(metadata["action_semantics"]))
+    if missing:
+        yield f"its action semantics lack {sorted(missing)}"
+    flags = [(bool(s["is_first"]), bool(s["is_last"]), bool(s["is_terminal"])) for s in steps]
+    last = len(steps) - 1
+    if flags != [(index == 0, index == last, index == last) for index in range(len(steps))]:
+        yield "is_first, is_last and is_terminal do not mark its ends"
+    instructions = {step["language_instruction"] for step in steps}
+    if len(instructions) != 1 or not next(iter(instructions)).decode().strip():
+        yield f"its instruction is not one text: {instructions}"
+    rewards = [float(step["reward"]) for step in steps]
+    if rewards != [0.0] * last + [float(metadata["success"])]:
+        yield f"its rewards do not say that success is {bool(metadata['success'])}: {rewards}"
+    for index, step in enumerate(steps):
+        yield from (f"step {index}: {problem}" for problem in step_problems(step, images))
+
+
+def step_problems(step: dict[str, Any], images: dict[str, Any]) -> Iterator[str]:
+    """Yield what is wrong with a step."""
+    arrays = {"action": (step["action"], 7), "state": (step["observation"]["state"], 8)}
+    for name, (value, size) in arrays.items():
+        if value.shape != (size,) or value.dtype != np.float32 or not np.isfinite(value).all():
+            yield f"{name} is {value.dtype} of shape {value.shape}, or not finite"
+            return
+    action, state = step["action"], step["observation"]["state"]
+    if np.abs(action[:3]).max() > 0.2 or np.abs(action[3:6]).max() > 1.0 or not 0 <= action[6] <= 1:
+        yield f"an action out of range: {action}"
+    if abs(np.linalg.norm(state[3:7]) - 1) > 1e-3 or not -0.01 <= state[7] <= 1.01:
+        yield f"a state out of range: {state}"
+    if float(step["discount"]) != 1.0:
+        yield f"discount {step['discount']}"
+    for key, shape in images.items():
+        image = step["observation"][key]
+        if image.shape != shape or image.dtype != np.uint8:
+            yield f"{key} is {image.dtype} of shape {image.shape}, expected uint8 of {shape}"
+        elif image.max() == image.min():
+            yield f"{key} is of a single colour"
+
+
+def verify(path: Path) -> int:
+    """Check a data set, print what it holds and what is wrong; return the number of problems."""
+    builder = tfds.builder_from_directory(path)
+    observation = builder.info.features["steps"]["observation"]
+    images = {key: feature.shape for key, feature in observation.items() if key != "state"}
+    print(f"{builder.info.full_name}: images {images}")
+    problems: list[str] = []
+    actions = []
+    for split in builder.info.splits:
+        episodes = lengths = 0
+        instructions = set()
+        for episode in builder.as_dataset(split=split):
+            steps = list(episode["steps"].as_numpy_iterator())
+            name = episode["episode_metadata"]["episode_id"].numpy().decode()
+            problems += [f"{split}/{name}: {problem}" for problem in episode_problems(episode, steps, images)]
+            actions += [step["action"] for step in steps]
+            instructions |= {step["language_instruction"].decode() for step in steps}
+            episodes, lengths = episodes + 1, lengths + len(steps)
+        expected = builder.info.splits[split].num_examples
+        if episodes != expected:
+            problems.append(f"{split}: {episodes} episodes, dataset_info.json says {expected}")
+        print(
+            f"{split}: {episodes} episodes, {lengths} steps, "
+            f"{len(instructions)} instructions {sorted(instructions)[:3]}"
+        )
+    if "train" not in builder.info.splits:
+        problems.append("there is no split 'train'")
+    if actions:
+        low, high = np.min(actions, axis=0), np.max(actions, axis=0)
+        print("actions: " + ", ".join(f"{a:.4g}..{b:.4g}" for a, b in zip(low, high, strict=True)))
+    for problem in problems[:20]:
+        print(f"PROBLEM {problem}")
+    print(f"{len(problems)} problems" if problems else "everything is as it should be")
+    return len(problems)
+
+
+def main() -> int:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path, help="the data set's folder, or one above it that holds only it")
+    return 1 if verify(find_dataset(parser.parse_args().dataset)) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
