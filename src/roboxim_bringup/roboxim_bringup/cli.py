@@ -34,6 +34,7 @@ class LazyGroup(click.Group):
             return None
         module = importlib.import_module(f"roboxim_bringup.commands.{cmd_name}")
         command: click.Command = module.command
+        _keep_lines(command)
         return command
 
     def resolve_command(
@@ -57,6 +58,14 @@ class LazyGroup(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def _keep_lines(command: click.Command) -> None:
+    """Turn a line ``\\b`` of a raw docstring into click's mark for a paragraph whose lines are kept."""
+    if command.help:
+        command.help = command.help.replace("\\b\n", "\b\n")
+    for sub in getattr(command, "commands", {}).values():
+        _keep_lines(sub)
 
 
 def short_help(name: str) -> str:

@@ -112,7 +112,7 @@ def hz(name: str, window: int, duration: float | None, run_id: str | None, domai
         return duration is not None and now - started >= duration
 
     with attached(run_id, domain) as peer:
-        _listen(peer, name, None, note, raw=True, until=None if duration is None else started + duration)
+        _listen(peer, name, None, note, fresh=True, until=None if duration is None else started + duration)
     if len(stamps) > 1:
         _print_rate(list(stamps))
     elif duration is not None:
@@ -196,14 +196,17 @@ def _listen(
     take: Any,
     *,
     once: bool = False,
-    raw: bool = False,
+    fresh: bool = False,
     timeout_s: float | None = None,
     until: float | None = None,
 ) -> None:
-    """Hand a topic's messages to ``take`` in this thread until it returns true, Ctrl-C, or the time is up."""
+    """Hand a topic's messages to ``take`` in this thread until it returns true, Ctrl-C, or the time is up.
+
+    ``fresh``: serialised, and only what is published from now on; for timing.
+    """
     import queue
 
-    from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     from roboxim_bringup.messages import look_up
     from roboxim_core.errors import RequestTimeoutError
@@ -215,9 +218,9 @@ def _listen(
         history=HistoryPolicy.KEEP_LAST,
         depth=100,
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=_durability(peer, absolute(name)),
+        durability=DurabilityPolicy.VOLATILE if fresh else _durability(peer, absolute(name)),
     )
-    subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=raw)
+    subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=fresh)
     peer.wake()
     heard = time.monotonic()
     stopped = threading.Event()

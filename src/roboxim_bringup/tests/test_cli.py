@@ -1,0 +1,244 @@
+"""The commands against a small graph in this process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from control_msgs.action import GripperCommand
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.action import ActionServer
+from rclpy.node import Node
+from roboxim_interfaces.srv import Tick
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from roboxim_bringup.cli import group
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_ros import qos
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain, register_run
+
+ISOLATED = """
+import sys
+from roboxim_bringup.cli import group
+try:
+    group.main({arguments!r}, standalone_mode=False)
+finally:
+    heavy = {{"rclpy", "numpy", "pybullet", "pinocchio", "jax", "yaml"}} & set(sys.modules)
+    assert not heavy, heavy
+"""
+
+
+class SmallNode(Node):
+    """One of everything."""
+
+    def __init__(self, context) -> None:
+        super().__init__("small", context=context)
+        self.declare_parameter("count", 3, ParameterDescriptor(
+            description="How many.", integer_range=[IntegerRange(from_value=1, to_value=9)]
+        ))  # fmt: skip
+        self.declare_parameter("name", "x", ParameterDescriptor(read_only=True))
+        self.add_on_set_parameters_callback(lambda _: SetParametersResult(successful=True))
+        self.create_service(SetBool, "flip", self._flip)
+        self.create_service(Tick, "tick", self._tick)
+        self.latched = self.create_publisher(String, "greeting", qos.LATCHED)
+        self.latched.publish(String(data="hello"))
+        self.steady = self.create_publisher(String, "steady", qos.STATE)
+        self.create_timer(0.02, lambda: self.steady.publish(String(data="tick")))
+        self.heard: list[str] = []
+        self.create_subscription(String, "ear", lambda msg: self.heard.append(msg.data), qos.STATE)
+        self.action = ActionServer(self, GripperCommand, "grip", self._grip, result_timeout=10)
+
+    def _flip(self, request, response):
+        response.success = not request.data
+        return response
+
+    def _tick(self, request, response):
+        response.error_code, response.error_msg = 303, "wrong seq; expected 4"
+        return response
+
+    def _grip(self, goal):
+        goal.publish_feedback(GripperCommand.Feedback(position=0.5))
+        if goal.request.command.position < 0:
+            goal.abort()
+        else:
+            goal.succeed()
+        return GripperCommand.Result(position=goal.request.command.position)
+
+
+@pytest.fixture
+def small(runtime):
+    with (
+        free_domain() as domain,
+        NodeHost(domain_id=domain) as host,
+        register_run("up", domain=domain, run_id="small-run"),
+    ):
+        yield host.add(SmallNode)
+
+
+def roboxim(*words: str) -> str:
+    """Run a command in this process and return its output; raises what it raises."""
+    result = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
+    return result.stdout
+
+
+def _isolated(*arguments: str) -> str:
+    code = ISOLATED.format(arguments=list(arguments))
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+def test_help_lists_every_command_and_imports_nothing_heavy():
+    text = _isolated("--help")
+    for name in group.list_commands(None):
+        assert f"  {name} " in text
+
+
+@pytest.mark.parametrize("name", group.list_commands(None))
+def test_every_command_has_help(name):
+    command = group.get_command(None, name)
+    text = roboxim(name, "--help")
+    assert command.help.splitlines()[0].split(".")[0].split(",")[0] in " ".join(text.split())
+    assert "\\b" not in text
+    for sub in getattr(command, "commands", {}).values():
+        assert sub.help, f"{name} {sub.name} has no help"
+
+
+def test_completion_script_of_each_shell():
+    for shell in ("bash", "zsh", "fish"):
+        assert "_ROBOXIM_COMPLETE" in _isolated("completion", shell)
+
+
+def test_unknown_command_gets_a_suggestion():
+    done = subprocess.run(
+        [sys.executable, "-m", "roboxim_bringup", "servce"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "did you mean 'service'" in done.stderr
+
+
+def test_without_a_run_the_error_says_how_to_start_one(runtime):
+    with pytest.raises(ConfigError, match="roboxim up"):
+        roboxim("service", "list")
+    with pytest.raises(ConfigError, match="roboxim up"):
+        roboxim("env")
+    assert "no run" in roboxim("runs")
+
+
+@pytest.mark.ros
+def test_services(small):
+    assert "/flip" in roboxim("service", "list").split()
+    assert "/flip [std_srvs/srv/SetBool]" in roboxim("service", "list", "-t")
+    assert roboxim("service", "type", "/flip").strip() == "std_srvs/srv/SetBool"
+    assert roboxim("service", "find", "std_srvs/SetBool").split() == ["/flip"]
+    assert yaml.safe_load(roboxim("service", "call", "/flip")) == {"success": True, "message": ""}
+    assert yaml.safe_load(roboxim("service", "call", "flip", "std_srvs/srv/SetBool", "{data: true}")) == {
+        "success": False,
+        "message": "",
+    }
+    with pytest.raises(RoboximError, match="wrong seq; expected 4") as error:
+        roboxim("service", "call", "/tick")
+    assert error.value.code == 303
+
+
+@pytest.mark.ros
+def test_wrong_calls_are_explained(small):
+    with pytest.raises(RoboximError, match="no service '/flop'.*did you mean '/flip'"):
+        roboxim("service", "call", "/flop")
+    with pytest.raises(ConfigError, match="unknown field 'date'.*data"):
+        roboxim("service", "call", "/flip", "{date: true}")
+    with pytest.raises(ConfigError, match="has type std_srvs/srv/SetBool, not std_srvs/srv/Empty"):
+        roboxim("service", "call", "/flip", "std_srvs/srv/Empty")
+    with pytest.raises(ConfigError, match="(?s)no live run 'other'.*small-run"):
+        roboxim("service", "call", "/flip", "--run", "other")
+
+
+@pytest.mark.ros
+def test_topics(small):
+    assert {"/greeting", "/steady"} <= set(roboxim("topic", "list").split())
+    assert roboxim("topic", "type", "/greeting").strip() == "std_msgs/msg/String"
+    assert roboxim("topic", "echo", "/greeting", "--once") == "{data: hello}\n---\n"
+    assert roboxim("topic", "echo", "/steady", "--once", "--field", "data") == "tick\n---\n"
+    assert "Publisher count: 1" in roboxim("topic", "info", "/steady")
+    assert "/small: reliable" in roboxim("topic", "info", "-v", "/steady")
+    rate = float(roboxim("topic", "hz", "/steady", "--duration", "1").split("average rate: ")[-1].split()[0])
+    assert 20 < rate < 80
+    roboxim("topic", "pub", "--once", "/ear", "std_msgs/msg/String", "{data: psst}")
+    assert small.heard == ["psst"]
+    with pytest.raises(RoboximError, match="no message"):
+        roboxim("topic", "echo", "/ear", "--once", "--timeout", "0.2")
+    with pytest.raises(ConfigError, match="no field 'date'"):
+        roboxim("topic", "echo", "/steady", "--once", "--field", "date")
+
+
+@pytest.mark.ros
+def test_parameters(small):
+    assert "  count" in roboxim("param", "list", "/small").splitlines()
+    assert roboxim("param", "get", "small", "count").strip() == "3"
+    roboxim("param", "set", "/small", "count", "4")
+    assert small.get_parameter("count").value == 4
+    with pytest.raises(ConfigError, match="count"):
+        roboxim("param", "set", "/small", "count", "10")
+    with pytest.raises(ConfigError, match="read-only"):
+        roboxim("param", "set", "/small", "name", "y")
+    with pytest.raises(ConfigError, match="no parameter 'cont'.*did you mean 'count'"):
+        roboxim("param", "get", "/small", "cont")
+    described = roboxim("param", "describe", "/small", "count")
+    assert "count (integer): 4" in described
+    assert "from 1 to 9" in described
+    assert "How many." in described
+    dumped = yaml.safe_load(roboxim("param", "dump", "/small"))
+    assert dumped["/small"]["ros__parameters"]["count"] == 4
+
+
+@pytest.mark.ros
+def test_actions(small):
+    assert roboxim("action", "list", "-t").strip() == "/grip [control_msgs/action/GripperCommand]"
+    assert "/small" in roboxim("action", "info", "/grip")
+    assert "position: 0.03" in roboxim("action", "send_goal", "/grip", "{command: {position: 0.03}}")
+    with pytest.raises(RoboximError, match="aborted"):
+        roboxim("action", "send_goal", "/grip", "{command: {position: -1}}")
+    with pytest.raises(ConfigError, match="unknown field 'command.pos'"):
+        roboxim("action", "send_goal", "/grip", "{command: {pos: 1}}")
+
+
+@pytest.mark.ros
+def test_nodes(small):
+    assert roboxim("node", "list").split() == ["/small"]
+    text = roboxim("node", "info", "/small")
+    assert "/flip: std_srvs/srv/SetBool" in text
+    assert "/grip: control_msgs/action/GripperCommand" in text
+    with pytest.raises(RoboximError, match="did you mean '/small'"):
+        roboxim("node", "info", "/smal")
+
+
+@pytest.mark.ros
+def test_env_lets_another_process_attach(small):
+    exports = roboxim("env")
+    script = f"{exports}\nexec {sys.executable} -m roboxim_bringup service call /flip"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "ROBOXIM_"))}
+    done = subprocess.run(
+        ["sh", "-c", script], capture_output=True, text=True, check=False, env=environment, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert yaml.safe_load(done.stdout)["success"] is True
+
+
+@pytest.mark.ros
+def test_runs_are_listed(small):
+    [run] = json.loads(roboxim("runs", "--json"))
+    assert (run["id"], run["pids"]) == ("small-run", [os.getpid()])
+    assert "small-run" in roboxim("runs")
+
+
+@pytest.mark.ros
+def test_doctor_looks_at_everything(runtime):
+    result = CliRunner().invoke(group, ["doctor", "--json"], standalone_mode=False)
+    found = {finding["name"]: finding for finding in json.loads(result.stdout)}
+    assert {"Python", "renderers", "graph", "shared memory", "compiler", "cores", "disk"} <= set(found)
+    assert found["graph"]["state"] == "ok"
