@@ -1,8 +1,8 @@
 """Share of random tabletop problems that the planner solves with a valid motion, and how long it takes.
 
 A problem: 3 to 10 boxes on a table, every third with a stick in the hand, from a random configuration to a random tcp
-pose; in every second one the direct joint line collides. Valid: the referee (``_referee.py``), which shares no code with
-the planner, finds no fault in the motion at a kilohertz. A problem without an answer counts as not valid.
+pose; in every second one the direct joint line collides. Valid: the referee (``_referee.py``), which shares no code
+with the planner, finds no fault in the motion at a kilohertz. A problem without an answer counts as not valid.
 """
 
 from __future__ import annotations
