@@ -51,16 +51,18 @@ class ProgressLine:
         elif error is None:
             self._line()
 
-    def update(self, done: int, note: str = "") -> None:
+    def update(self, done: int, note: str = "", *, total: int | None = None) -> None:
         """Show how far it is.
 
         Args:
             done: Units done.
             note: What there is to say, short.
+            total: Units in all, where it was not known before.
         """
         self._done, self._note = done, note
+        self._total = self._total if total is None else total
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, note=note)
+            self._bar.update(self._task, completed=done, total=self._total, note=note)
         elif time.monotonic() - self._last > LINE_PERIOD_S:
             self._line()
 

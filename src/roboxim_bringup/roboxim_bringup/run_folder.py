@@ -1,7 +1,7 @@
 """A run on disk: what was asked and which indices are done, so that Ctrl-C and a crash lose at most running episodes.
 
-``run.json`` holds the configuration, ``results.jsonl`` one finished result a line. Asking for the same run again goes on
-where it stopped; asking for another run in the same folder is refused.
+``run.json`` holds the configuration, ``results.jsonl`` one finished result a line. Asking for the same run again
+goes on where it stopped; asking for another run in the same folder is refused.
 """
 
 from __future__ import annotations

@@ -63,7 +63,8 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
     scale = SCALES["smoke" if smoke else "large" if large else "default"]
     renderer = renderer or _renderer()
     click.echo(
-        f"The main job, {scale.minutes} on 2 cores: {scale.demonstrations} demonstrations, {scale.steps} training steps, "
+        f"The main job, {scale.minutes} on 2 cores: {scale.demonstrations} demonstrations, {scale.steps} training "
+        "steps, "
         f"{scale.rollouts} rollouts.\nTo fit that time there are few demonstrations and images of {scale.size} px; the "
         "scenes vary in full: the cube anywhere in 20 x 30 cm at any yaw, the start anywhere in a 12 cm box."
     )
@@ -72,7 +73,7 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
     rollouts = str(scale.rollouts)
     started = time.monotonic()
     _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *common)
-    _step("export", "rlds", str(demos), str(dataset), "--resume")
+    _step("export", "rlds", str(demos), str(dataset))
     _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps), *scale.training)
     _step(
         "evaluate", "--policy", "bc", "--checkpoint", str(trained), "--policy", "random", "--out", str(evaluation),

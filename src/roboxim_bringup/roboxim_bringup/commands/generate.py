@@ -16,7 +16,7 @@ from roboxim_bringup.options import episode_options
     "--noise-mm",
     default=3.0,
     show_default=True,
-    help="Noise in free motions, standard deviation per axis and tick [mm].",
+    help="Noise in free motions, deviation per axis and tick [mm].",
 )
 @click.option("--noise-mrad", default=10.0, show_default=True, help="The same for rotations [mrad].")
 def command(

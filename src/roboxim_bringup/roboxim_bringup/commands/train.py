@@ -44,9 +44,8 @@ def behaviour_cloning(
     started = time.monotonic()
     with ProgressLine("reading demonstrations", 1) as bar:
         data = load_rlds(
-            dataset, image_sizes=settings.image_sizes, limit=limit, progress=lambda n, _: bar.update(0, f"{n}")
+            dataset, image_sizes=settings.image_sizes, limit=limit, progress=lambda n, total: bar.update(n, total=total)
         )
-        bar.update(1, f"{len(data)} samples")
     out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(data, settings, out)
     if trainer.step:
