@@ -314,7 +314,10 @@ def build_interfaces() -> Path:
         forget_removed_interfaces()
         scratch = TOOLS / "wheels" / "new"
         shutil.rmtree(scratch, ignore_errors=True)
-        command = (build_env.python, "-m", "build", "--wheel", "--no-isolation", "--skip-dependency-check", "--outdir", scratch)
+        command = (
+            *(build_env.python, "-m", "build", "--wheel", "--no-isolation", "--skip-dependency-check"),
+            *(f"--config-setting=build-dir={BUILD_DIR}", "--outdir", scratch),
+        )
         retry = BUILD_DIR.exists()
         try:
             run("interfaces", *command, INTERFACES)

@@ -13,20 +13,40 @@ foreach(_name IN ITEMS Python Python3)
   set(${_name}_EXECUTABLE "${Python3_EXECUTABLE}" CACHE FILEPATH "Python of the ROS wheels" FORCE)
 endforeach()
 
-# Before rosidl_generate_interfaces: leave out the C++ generators (the platform is Python: half of the compiling),
-# keep every C one; and drop include directories of the machine that built the wheels, which CMake would refuse.
+# Before rosidl_generate_interfaces: leave out the C++ generators (the platform is Python: half of the compiling) and
+# keep every C one.
 macro(ros_from_wheels_before_generate)
   list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
-  cmake_language(DEFER CALL ros_from_wheels_forget_foreign_includes "${CMAKE_CURRENT_SOURCE_DIR}")
 endmacro()
 
-function(ros_from_wheels_forget_foreign_includes directory)
-  get_property(_targets DIRECTORY "${directory}" PROPERTY IMPORTED_TARGETS)
+macro(ros_from_wheels_after_generate)
+  ros_from_wheels_forget_foreign_includes()
+  ros_from_wheels_compile_together()
+endmacro()
+
+# Drop the include directories of the machine that built the wheels, which CMake refuses because they do not exist.
+function(ros_from_wheels_forget_foreign_includes)
+  get_property(_targets DIRECTORY PROPERTY IMPORTED_TARGETS)
   foreach(_target IN LISTS _targets)
     get_target_property(_includes ${_target} INTERFACE_INCLUDE_DIRECTORIES)
     if(_includes)
       list(FILTER _includes EXCLUDE REGEX "^/opt/python/")
       set_property(TARGET ${_target} PROPERTY INTERFACE_INCLUDE_DIRECTORIES "${_includes}")
+    endif()
+  endforeach()
+endfunction()
+
+# One compiler run for sixteen generated files: most of such a file is what it includes. Descriptions of types stay
+# alone, for each has static data of the same names.
+function(ros_from_wheels_compile_together)
+  foreach(_part IN ITEMS rosidl_generator_c rosidl_generator_py rosidl_typesupport_c rosidl_typesupport_fastrtps_c
+          rosidl_typesupport_introspection_c)
+    set(_target ${PROJECT_NAME}__${_part})
+    set_target_properties(${_target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16)
+    get_target_property(_sources ${_target} SOURCES)
+    list(FILTER _sources INCLUDE REGEX "__description\\.c$")
+    if(_sources)
+      set_source_files_properties(${_sources} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
     endif()
   endforeach()
 endfunction()
