@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import zlib
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.msg import TickNotice
 from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, RestoreSnapshot, TakeSnapshot, Tick
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import EntityState, Resource, Result
@@ -94,9 +96,15 @@ def tick(clients: Clients, seq: int, episode_id: str = "e") -> StateRecord:
     return from_msg(answer.state, StateRecord)
 
 
+@functools.cache
+def action_client(clients: Clients, kind: Any, name: str) -> ActionClient:
+    """Kept until the node goes: destroying one while another thread spins its node breaks that thread."""
+    return ActionClient(clients.node, kind, name)
+
+
 def send_goal(clients: Clients, kind: Any, name: str, goal: Any) -> Any:
     """Send a goal and return its result, without cancelling."""
-    client = ActionClient(clients.node, kind, name)
+    client = action_client(clients, kind, name)
     done, box = threading.Event(), []
 
     def accepted(future: Any) -> None:
@@ -105,7 +113,6 @@ def send_goal(clients: Clients, kind: Any, name: str, goal: Any) -> Any:
     assert client.wait_for_server(10.0)
     client.send_goal_async(goal).add_done_callback(accepted)
     assert done.wait(20.0)
-    client.destroy()
     return box[0]
 
 
@@ -124,7 +131,7 @@ def test_ticks_through_the_node_are_the_worlds(clients: Clients) -> None:
 def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
     listener = Listener(clients)
     listener.listen(TickNotice, "sim/ticks")
-    for kind, topic in ((JointState, "joint_states"), (TFMessage, "tf")):
+    for kind, topic in ((Clock, "clock"), (JointState, "joint_states"), (TFMessage, "tf")):
         listener.listen(kind, topic)
     for camera in ("workspace", "wrist"):
         listener.listen(Image, f"camera/{camera}/image")
@@ -229,7 +236,7 @@ def test_a_cancelled_trajectory_stops_where_it_is(clients: Clients) -> None:
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.joint_names = [f"panda_joint{i}" for i in range(1, 8)]
     goal.trajectory.points = [_point(np.array(HOME) + [1.0, 0, 0, 0, 0, 0, 0], 200)]
-    client = ActionClient(clients.node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory")
+    client = action_client(clients, FollowJointTrajectory, "arm_controller/follow_joint_trajectory")
     assert client.wait_for_server(10.0)
     done, moving, box = threading.Event(), threading.Event(), []
 
@@ -240,7 +247,6 @@ def test_a_cancelled_trajectory_stops_where_it_is(clients: Clients) -> None:
 
     client.send_goal_async(goal, feedback_callback=lambda _: moving.set()).add_done_callback(accepted)
     assert done.wait(20.0)
-    client.destroy()
     assert box[0].status == 5
     assert load(clients, without_cameras(), "after").state.seq == 0
 
