@@ -6,11 +6,13 @@ same rays, and depth and segmentation mean the same.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +21,7 @@ from PIL import Image
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.rendering import CameraImages, RenderWorld, VisualPart
+from roboxim_core.rendering import CameraImages, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import check_mesh, check_request, textured
@@ -113,10 +115,7 @@ class TinyRenderer:
             )
         shape = pybullet.createVisualShape(
             pybullet.GEOM_MESH,
-            vertices=mesh.vertices.tolist(),
-            indices=mesh.faces.reshape(-1).tolist(),
-            normals=mesh.normals.tolist(),
-            uvs=[] if mesh.uv is None else mesh.uv.tolist(),
+            **_lists(mesh),
             rgbaColor=(*part.material.color, 1.0),
             specularColor=[0.4 * (1.0 - part.material.roughness)] * 3,
             physicsClientId=self._client,
@@ -166,6 +165,21 @@ class TinyRenderer:
             depth=metric if camera.depth else None,
             segmentation=np.where(uids < 0, 0, ids[uids]).astype(np.uint16) if camera.segmentation else None,
         )
+
+
+_LISTS: dict[bytes, dict[str, list[Any]]] = {}
+"""PyBullet never lets go of a list that it was given (7 MiB for each load of a scene), so equal meshes share theirs."""
+
+
+def _lists(mesh: TriangleMesh) -> dict[str, list[Any]]:
+    arrays = {"vertices": mesh.vertices, "indices": mesh.faces.reshape(-1), "normals": mesh.normals, "uvs": mesh.uv}
+    sha = hashlib.sha256()
+    for array in arrays.values():
+        sha.update(b"none" if array is None else b"%d" % array.size + array.tobytes())
+    key = sha.digest()
+    if key not in _LISTS:
+        _LISTS[key] = {name: [] if array is None else array.tolist() for name, array in arrays.items()}
+    return _LISTS[key]
 
 
 def _backdrop(rgb: npt.NDArray[np.uint8], nothing: npt.NDArray[np.bool_], look: LookSpec) -> npt.NDArray[np.uint8]:
