@@ -126,7 +126,8 @@ class PlannerNode(RoboximNode):
         self._tracker.scene_arrived(from_msg(msg, SceneSpec), info["source_timestamp"])
 
     def _on_state(self, msg: StateRecordMsg, info: dict[str, Any]) -> None:
-        self._tracker.state_arrived(from_msg(msg, StateRecord), info["source_timestamp"])
+        sent_ns = info["source_timestamp"]
+        self._tracker.state_arrived(msg.episode_id, int(msg.seq), lambda: from_msg(msg, StateRecord), sent_ns)
 
     def _one_at_a_time(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
         def guarded(request: Any, response: Any) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.models.library import ModelLibrary
@@ -12,6 +14,13 @@ from roboxim_planner.scene import PlanningScene
 
 LATEST = "latest"
 """Episode id by which a request means whatever revision is newest; for use by hand, not reproducible."""
+
+
+@dataclass(frozen=True)
+class _Tick:
+    episode_id: str
+    seq: int
+    read: Callable[[], StateRecord]
 
 
 class SceneTracker:
@@ -30,10 +39,10 @@ class SceneTracker:
         self._library = library
         self._changed = threading.Condition()
         self._scene: tuple[SceneSpec, int] | None = None
-        self._state: StateRecord | None = None
+        self._state: _Tick | None = None
         self._state_ns = 0
         self._needs_scene_after_ns = -1
-        self._built: tuple[StateRecord, PlanningScene] | None = None
+        self._built: tuple[_Tick, PlanningScene] | None = None
 
     def scene_arrived(self, scene: SceneSpec, sent_ns: int) -> None:
         """Take a scene.
@@ -48,14 +57,21 @@ class SceneTracker:
                 self._built = None
                 self._changed.notify_all()
 
-    def state_arrived(self, state: StateRecord, sent_ns: int) -> None:
-        """Take a state; arguments as `scene_arrived`."""
+    def state_arrived(self, episode_id: str, seq: int, read: Callable[[], StateRecord], sent_ns: int) -> None:
+        """Take a state.
+
+        Args:
+            episode_id: Its episode.
+            seq: Its tick.
+            read: Returns the state; called only when a request names this tick, since most ticks nobody asks about.
+            sent_ns: When it was sent, by the sender's clock [ns].
+        """
         with self._changed:
             if sent_ns < self._state_ns:
                 return
-            if self._state is not None and (state.episode_id != self._state.episode_id or state.seq == 0):
+            if self._state is not None and (episode_id != self._state.episode_id or seq == 0):
                 self._needs_scene_after_ns = self._state_ns
-            self._state, self._state_ns = state, sent_ns
+            self._state, self._state_ns = _Tick(episode_id, seq, read), sent_ns
             self._changed.notify_all()
 
     def revision(self, episode_id: str, seq: int, wait_s: float = 0.0) -> PlanningScene:
@@ -80,7 +96,7 @@ class SceneTracker:
             assert self._scene is not None
             assert self._state is not None
             if self._built is None or self._built[0] is not self._state:
-                built = PlanningScene.from_state(self._scene[0], self._state, self._library)
+                built = PlanningScene.from_state(self._scene[0], self._state.read(), self._library)
                 self._built = (self._state, built)
             return self._built[1]
 

@@ -1,4 +1,8 @@
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +44,40 @@ def test_same_seed_same_plan_whatever_came_before(
     first = bits(5)
     assert bits(6) != first
     assert bits(5) == first
+
+
+def test_threads_that_search_at_once_do_not_disturb_each_other(
+    tcp_down: Down, planner: Planner, walled: PlanningScene, left: np.ndarray
+) -> None:
+    goal = tcp_down(0.5, -0.3, 0.2)
+
+    def bits(one: Planner) -> list[bytes]:
+        plans = [one.plan_to_pose(walled, left, [goal], MotionOptions(seed=seed)) for seed in range(3)]
+        return [plan.sample(0.01).positions.tobytes() for plan in plans]
+
+    alone = bits(planner)
+    planners = [Planner(planner.robot.description) for _ in range(3)]
+    with ThreadPoolExecutor(3) as pool:
+        assert all(result == alone for result in pool.map(bits, planners))
+
+
+def test_another_process_makes_the_same_plan(
+    tcp_down: Down, planner: Planner, walled: PlanningScene, left: np.ndarray
+) -> None:
+    script = """
+import pickle, sys
+from roboxim_core.models.library import ModelLibrary
+from roboxim_planner.pipeline import Planner
+scene, start, goal = pickle.load(sys.stdin.buffer)
+plan = Planner(ModelLibrary().robot("panda")).plan_to_pose(scene, start, [goal])
+sys.stdout.write(plan.sample(0.01).positions.tobytes().hex())
+"""
+    goal = tcp_down(0.5, -0.3, 0.2)
+    request = pickle.dumps((walled, left, goal))
+    other = subprocess.run([sys.executable, "-c", script], input=request, capture_output=True, check=True)
+    plan = planner.plan_to_pose(walled, left, [goal])
+    assert plan.route == "sampled"
+    assert other.stdout.decode() == plan.sample(0.01).positions.tobytes().hex()
 
 
 def test_planted_obstacle_on_the_path_is_never_crossed(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:

@@ -62,9 +62,9 @@ def test_tracker_answers_for_exactly_the_revision() -> None:
         tracker.revision("e", 0)
     assert caught.value.code == ErrorCode.STALE_SCENE
     tracker.scene_arrived(spec(), 10)
-    tracker.state_arrived(state("e", 0), 11)
+    tracker.state_arrived("e", 0, lambda: state("e", 0), 11)
     assert tracker.revision("e", 0) is tracker.revision("latest", 0)
-    tracker.state_arrived(state("e", 1, x=0.7), 12)
+    tracker.state_arrived("e", 1, lambda: state("e", 1, x=0.7), 12)
     with pytest.raises(PlannerError, match="has episode 'e', tick 1"):
         tracker.revision("e", 0, wait_s=30.0)
     assert tracker.revision("e", 1).bodies[1].pose.position[0] == 0.7
@@ -73,8 +73,8 @@ def test_tracker_answers_for_exactly_the_revision() -> None:
 def test_tracker_never_pairs_an_old_scene_with_a_new_episode() -> None:
     tracker = SceneTracker(ModelLibrary())
     tracker.scene_arrived(spec(1.0), 10)
-    tracker.state_arrived(state("e1", 0), 11)
-    tracker.state_arrived(state("e2", 0), 21)
+    tracker.state_arrived("e1", 0, lambda: state("e1", 0), 11)
+    tracker.state_arrived("e2", 0, lambda: state("e2", 0), 21)
     with pytest.raises(PlannerError):
         tracker.revision("e2", 0)
     tracker.scene_arrived(spec(1.2), 20)
