@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 from scipy.spatial.transform import Rotation
 
@@ -92,7 +92,9 @@ def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[P
     return sorted(found, key=lambda pose: (round(distance(pose_tcp, pose)[1], 3), pose.position))
 
 
-def _symmetric_grasps(model: ObjectModel) -> Iterator[Pose]:
+@lru_cache(maxsize=64)
+def _symmetric_grasps(model: ObjectModel) -> tuple[Pose, ...]:
+    found: list[Pose] = []
     for grasp in model.grasps:
         seen: list[Pose] = []
         count = round(2 * math.pi / grasp.yaw_symmetry_rad) if grasp.yaw_symmetry_rad else 1
@@ -102,7 +104,8 @@ def _symmetric_grasps(model: ObjectModel) -> Iterator[Pose]:
                 pose = about_z @ grasp.pose @ Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", flip))
                 if all(distance(pose, other)[1] > 1e-3 or distance(pose, other)[0] > 1e-4 for other in seen):
                     seen.append(pose)
-        yield from seen
+        found += seen
+    return tuple(found)
 
 
 def shifted(pose: Pose, z_m: float) -> Pose:

@@ -135,7 +135,7 @@ class PickUp(Skill):
                 (
                     Stage(name="approach", pose=retreated(grasp, APPROACH_M), free=True),
                     Stage(name="descend", pose=grasp, speed=0.6, touching=grasp_touches),
-                    Stage(name="close", opening=0.0, duration_s=0.5),
+                    Stage(name="close", opening=0.0, duration_s=0.3),
                     Stage(
                         name="lift", pose=shifted(grasp, LIFT_M), opening=0.0, speed=0.6,
                         held=entity, held_in_tcp=held_in_tcp, touching=lift_touches,
