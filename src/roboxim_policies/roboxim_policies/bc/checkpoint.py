@@ -39,8 +39,10 @@ class Statistics:
     """Its standard deviation."""
     motion_scale: Floats
     """Root mean square of each component of the motion; 0 for one that never moves."""
+    target_mean: Floats
+    """Mean of the auxiliary targets."""
     target_scale: Floats
-    """Standard deviation of the auxiliary targets."""
+    """Their standard deviation."""
 
     def normalize_proprio(self, proprio: Floats) -> Floats:
         """Normalise proprioception of shape (..., n)."""

@@ -30,10 +30,10 @@ class BCConfig:
     the data set, 64 for one whose name has ``wrist`` in it. Cameras left out are not used."""
     chunk: int = 8
     """Actions predicted per observation."""
-    execute: int = 2
+    execute: int = 4
     """Actions executed before the policy looks again, 1..``chunk``."""
-    channels: int = 32
-    """Channels of the convolutions."""
+    channels: int = 48
+    """Channels of the convolutions; the first has two thirds of it."""
     keypoints: int = 32
     """Points that each camera's features are reduced to."""
     hidden: int = 256

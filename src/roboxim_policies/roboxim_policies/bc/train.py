@@ -58,6 +58,7 @@ def statistics(data: Demonstrations) -> Statistics:
         proprio_mean=data.proprio.mean(axis=0).astype(np.float32),
         proprio_scale=np.maximum(data.proprio.std(axis=0), 1e-2).astype(np.float32),
         motion_scale=np.where(np.abs(motion).max(axis=0) < DEAD_DELTA, 0.0, scale).astype(np.float32),
+        target_mean=data.targets.mean(axis=0).astype(np.float32),
         target_scale=np.maximum(data.targets.std(axis=0), 1e-2).astype(np.float32),
     )
 
@@ -82,13 +83,22 @@ class Trainer:
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
         self._optimizer = _optimizer(config)
-        network = Network(config, self.cameras, len(data.vocabulary), key=jax.random.key(config.seed))
-        self._state: Any = (network, self._optimizer.init(eqx.filter(network, eqx.is_array)), network)
+        self._state: Any = self._initial_state()
         self.step = 0
         if self.path.exists():
             self._resume(resume)
-        self._device = {name: jnp.asarray(images) for name, images in data.images.items()}
-        self._update = eqx.filter_jit(self._make_update(), donate="none")
+        self._samples = _Samples.of(data, self.stats, config)
+        self._update = eqx.filter_jit(self._make_update())
+
+    def _initial_state(self) -> Any:
+        """Return (network, optimiser state, averaged network), drawn in one compiled function: that is quicker."""
+
+        @eqx.filter_jit
+        def make(key: Array) -> Any:
+            network = Network(self.config, self.cameras, len(self.data.vocabulary), key=key)
+            return network, self._optimizer.init(eqx.filter(network, eqx.is_array)), network
+
+        return make(jax.random.key(self.config.seed))
 
     def _resume(self, resume: bool) -> None:
         if not resume:
@@ -136,7 +146,7 @@ class Trainer:
 
     def _one_step(self) -> dict[str, Array]:
         batch = jnp.asarray(self._batch_indices(self.step))
-        state, parts = self._update(self._state, self._device, batch, jnp.asarray(self.step))
+        state, parts = self._update(self._state, self._samples, batch, jnp.asarray(self.step))
         self._state, self.step = state, self.step + 1
         return parts
 
@@ -165,12 +175,11 @@ class Trainer:
 
     def _make_update(self) -> Callable[..., Any]:
         config, optimizer = self.config, self._optimizer
-        sample = _sampler(self.data, self.stats, config)
 
-        def update(state: Any, images: dict[str, Array], batch: Array, step: Array) -> Any:
+        def update(state: Any, samples: _Samples, batch: Array, step: Array) -> Any:
             network, optimizer_state, average = state
             key = jax.random.fold_in(jax.random.key(config.seed), step)
-            inputs, wanted = sample(images, batch, key)
+            inputs, wanted = samples.draw(batch, key, config)
             grad = eqx.filter_value_and_grad(_loss, has_aux=True)
             (_, parts), gradient = grad(network, inputs, wanted, config)
             changes, optimizer_state = optimizer.update(gradient, optimizer_state, eqx.filter(network, eqx.is_array))
@@ -191,35 +200,51 @@ def _optimizer(config: BCConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
 
 
-def _sampler(data: Demonstrations, stats: Statistics, config: BCConfig) -> Callable[..., Any]:
-    """Return the function that gathers, normalises and augments a batch inside the compiled step."""
-    proprio = jnp.asarray(stats.normalize_proprio(data.proprio))
-    safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
-    motion = jnp.asarray((data.actions[:, :6] / safe).astype(np.float32))
-    gripper = jnp.asarray((data.actions[:, 6] > 0.5).astype(np.float32))
-    targets = jnp.asarray(data.targets / stats.target_scale)
-    ends, words = jnp.asarray(data.ends), jnp.asarray(data.words)
-    noise = np.zeros_like(data.proprio)
-    noise[:, :3] = config.position_noise_m / stats.proprio_scale[:3]
-    noise[:, 3] = config.opening_noise * (1 - data.proprio[:, 3]) / stats.proprio_scale[3]
-    noise_of = jnp.asarray(noise)
+class _Samples(eqx.Module):
+    """The training data, normalised, as arguments of the compiled step."""
 
-    def sample(images: dict[str, Array], batch: Array, key: Array) -> Any:
-        keys = jax.random.split(key, len(images) + 1)
+    images: dict[str, Array]
+    proprio: Array
+    proprio_noise: Array
+    motion: Array
+    gripper: Array
+    targets: Array
+    ends: Array
+    words: Array
+
+    @staticmethod
+    def of(data: Demonstrations, stats: Statistics, config: BCConfig) -> _Samples:
+        """Normalise."""
+        noise = np.zeros_like(data.proprio)
+        noise[:, :3] = config.position_noise_m / stats.proprio_scale[:3]
+        noise[:, 3] = config.opening_noise * (1 - data.proprio[:, 3]) / stats.proprio_scale[3]
+        safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
+        return _Samples(
+            images={name: jnp.asarray(images) for name, images in data.images.items()},
+            proprio=jnp.asarray(stats.normalize_proprio(data.proprio)),
+            proprio_noise=jnp.asarray(noise),
+            motion=jnp.asarray((data.actions[:, :6] / safe).astype(np.float32)),
+            gripper=jnp.asarray((data.actions[:, 6] > 0.5).astype(np.float32)),
+            targets=jnp.asarray((data.targets - stats.target_mean) / stats.target_scale),
+            ends=jnp.asarray(data.ends),
+            words=jnp.asarray(data.words),
+        )
+
+    def draw(self, batch: Array, key: Array, config: BCConfig) -> Any:
+        """Return a batch's augmented inputs and what is wanted of them."""
+        keys = jax.random.split(key, len(self.images) + 1)
         seen = {}
-        for camera, image_key in zip(sorted(images), keys[1:], strict=True):
-            pixels = images[camera][batch].astype(jnp.float32) / 255.0 - 0.5
+        for camera, image_key in zip(sorted(self.images), keys[1:], strict=True):
+            pixels = self.images[camera][batch].astype(jnp.float32) / 255.0 - 0.5
             seen[camera] = _augment(pixels, image_key, config)
+        last = self.ends[batch][:, None]
         steps = batch[:, None] + jnp.arange(config.chunk)
-        last = ends[batch][:, None]
-        inside = (steps <= last).astype(jnp.float32)
+        inside = (steps <= last).astype(jnp.float32)  # after its end a demonstration stands still
         steps = jnp.minimum(steps, last)
-        where = proprio[batch] + noise_of[batch] * jax.random.normal(keys[0], (len(batch), proprio.shape[1]))
-        inputs = (seen, where, words[batch])
-        wanted = (motion[steps] * inside[..., None], gripper[steps], targets[batch])
-        return inputs, wanted
-
-    return sample
+        jitter = jax.random.normal(keys[0], (len(batch), self.proprio.shape[1]))
+        where = self.proprio[batch] + self.proprio_noise[batch] * jitter
+        wanted = (self.motion[steps] * inside[..., None], self.gripper[steps], self.targets[batch])
+        return (seen, where, self.words[batch]), wanted
 
 
 def _augment(pixels: Array, key: Array, config: BCConfig) -> Array:

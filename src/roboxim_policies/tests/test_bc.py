@@ -1,0 +1,160 @@
+"""Behaviour cloning learns, stops and resumes exactly, and never leaves half a checkpoint."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ConfigError
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_policies.bc.checkpoint import load_checkpoint
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble, proprio_features, word_indices
+from roboxim_policies.bc.policy import BCPolicy
+from roboxim_policies.bc.train import Trainer
+
+CONFIG = BCConfig(
+    steps=120, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2, channels=8, keypoints=8, hidden=32,
+    image_sizes={"workspace": 32, "wrist": 16}, brightness=0.05, checkpoint_every=50,
+)  # fmt: skip
+COLORS = {"red": (220, 30, 30), "blue": (30, 30, 220)}
+
+
+def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstration:
+    """A square of each colour in the picture; the action points along x to the named one, then the gripper closes."""
+    places = dict(zip(COLORS, rng.permutation([4, 22]), strict=True))
+    picture = np.full((32, 32, 3), 128, np.uint8)
+    for name, column in places.items():
+        row = rng.integers(2, 24)
+        picture[row : row + 6, column : column + 6] = COLORS[name]
+    direction = 1.0 if places[color] > 10 else -1.0
+    actions = np.zeros((steps, 7), np.float32)
+    actions[:, 0] = 0.02 * direction
+    actions[:, 6] = np.arange(steps) < steps - 2
+    proprio = np.zeros((steps, 8), np.float32)
+    proprio[:, 0] = 0.5 + np.cumsum(actions[:, 0])
+    proprio[:, 6] = 1.0
+    proprio[:, 7] = actions[:, 6]
+    images = {"workspace": np.stack([picture] * steps), "wrist": np.stack([picture[::2, ::2]] * steps)}
+    return Demonstration(images=images, proprio=proprio, actions=actions, instruction=f"Pick up the {color} cube")
+
+
+def data(count: int = 24) -> Demonstrations:
+    rng = np.random.default_rng(0)
+    return assemble(
+        [episode(rng, ("red", "blue")[i % 2]) for i in range(count)],
+        camera_sizes={"workspace": (32, 32), "wrist": (16, 16)},
+        semantics=ActionSemantics(),
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bc")
+    reports = []
+    Trainer(data(), CONFIG, folder).run(reports.append)
+    return folder, reports
+
+
+def first_action(policy: BCPolicy, demonstration: Demonstration, instruction: str) -> np.ndarray:
+    policy.reset(EpisodeStart(episode_id="e", instruction=instruction, seed=0))
+    images = {name: frames[0] for name, frames in demonstration.images.items()}
+    observation = Observation(seq=0, stamp_ns=0, images=images, proprio=demonstration.proprio[0])
+    answer = policy.act(
+        ObservationWindow(
+            instruction=instruction, observations=[observation], pad_mask=(True,), episode_id="e", seq=0
+        )
+    )
+    assert answer.shape == (2, 7)
+    return answer[0]
+
+
+def test_it_learns_to_follow_the_named_colour(trained):
+    folder, reports = trained
+    assert reports[-1].step == CONFIG.steps
+    assert reports[-1].loss < 0.3 * reports[0].loss
+    policy = BCPolicy(folder)
+    rng = np.random.default_rng(0)
+    right = 0
+    for i in range(24):
+        shown = episode(rng, ("red", "blue")[i % 2])
+        other = shown.instruction.replace("red", "x").replace("blue", "red").replace("x", "blue")
+        direction = np.sign(shown.actions[0, 0])
+        right += np.sign(first_action(policy, shown, shown.instruction)[0]) == direction
+        right += np.sign(first_action(policy, shown, other)[0]) == -direction
+    assert right >= 44  # of 48: the word decides
+
+
+def test_what_never_moves_stays_exactly_still(trained):
+    action = first_action(BCPolicy(trained[0]), episode(np.random.default_rng(5), "red"), "Pick up the red cube")
+    assert action[1:6].tolist() == [0.0] * 5
+    assert action[6] in (0.0, 1.0)
+
+
+def test_it_describes_what_it_was_trained_on(trained):
+    description = BCPolicy(trained[0], execute=3).describe()
+    assert [(c.name, c.width, c.height) for c in description.cameras] == [("workspace", 32, 32), ("wrist", 16, 16)]
+    assert description.horizon == 3
+    assert description.semantics == ActionSemantics()
+    assert description.version.startswith("step 120, ")
+    assert not description.privileged
+    with pytest.raises(ConfigError, match="1..4"):
+        BCPolicy(trained[0], execute=5)
+
+
+def test_an_interrupted_training_ends_in_the_same_bits(trained, tmp_path):
+    class Interrupt(KeyboardInterrupt):
+        pass
+
+    def interrupt(report):
+        if report.step >= 30:
+            raise Interrupt
+
+    with pytest.raises(Interrupt):
+        Trainer(data(), CONFIG, tmp_path).run(interrupt)
+    resumed = Trainer(data(), CONFIG, tmp_path)
+    assert resumed.step == 30
+    resumed.run()
+    whole, parts = load_checkpoint(trained[0]), load_checkpoint(tmp_path)
+    assert whole.digest == parts.digest
+    assert all(np.array_equal(a, b) for a, b in zip(whole.arrays, parts.arrays, strict=True))
+
+
+def test_another_configuration_or_data_set_is_not_resumed(trained):
+    for config, demonstrations in ((replace(CONFIG, seed=1), data()), (CONFIG, data(20))):
+        with pytest.raises(ConfigError, match="another"):
+            Trainer(demonstrations, config, trained[0])
+    with pytest.raises(ConfigError, match="exists"):
+        Trainer(data(), CONFIG, trained[0], resume=False)
+
+
+def test_a_failed_write_leaves_the_old_checkpoint_whole(trained, tmp_path, monkeypatch):
+    trainer = Trainer(data(), CONFIG, tmp_path)
+    trainer.run(until=10)
+    before = (tmp_path / "checkpoint.npz").read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("roboxim_policies.bc.checkpoint.os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        trainer.run(until=20)
+    assert (tmp_path / "checkpoint.npz").read_bytes() == before
+    assert load_checkpoint(tmp_path).step == 10
+
+
+def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
+    whole = (trained[0] / "checkpoint.npz").read_bytes()
+    (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ConfigError, match=r"half\.npz"):
+        BCPolicy(tmp_path / "half.npz")
+    with pytest.raises(ConfigError, match="roboxim train bc"):
+        BCPolicy(tmp_path / "absent")
+
+
+def test_words_and_yaw_are_read_as_meant():
+    assert word_indices("Pick up the RED cube, please!", ("cube", "red"), 4).tolist() == [2, 1, 0, 0]
+    down = np.array([0, 0, 0, 1, 0, 0, 0, 1], np.float32)
+    half_turn = np.array([0, 0, 0, 0, 1, 0, 0, 1], np.float32)  # about the vertical: the same for two fingers
+    assert np.allclose(proprio_features(down), proprio_features(half_turn), atol=1e-6)

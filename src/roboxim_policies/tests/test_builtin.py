@@ -1,0 +1,115 @@
+"""The policies without a network, and where recorded actions come from."""
+
+import json
+
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import to_json
+from roboxim_core.errors import ConfigError
+from roboxim_core.policies import EpisodeStart, ObservationWindow
+from roboxim_core.rlds import RldsEpisode, RldsFeatures, encode_image
+from roboxim_core.rlds_writer import RldsWriter
+from roboxim_policies import load_policy
+
+ACTIONS = np.random.default_rng(0).normal(scale=0.01, size=(5, 7)).astype(np.float32)
+
+
+def window(seq: int = 0) -> ObservationWindow:
+    return ObservationWindow(instruction="", observations=[], pad_mask=(), episode_id="e", seq=seq)
+
+
+def start(seed: int) -> EpisodeStart:
+    return EpisodeStart(episode_id="e", instruction="", seed=seed)
+
+
+def test_zero_holds_still():
+    assert load_policy("zero").act(window()).tolist() == [0, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("distribution", ["gaussian", "uniform"])
+def test_random_is_seeded_and_within_the_limits(distribution):
+    policy = load_policy("random", distribution=distribution, scale=1.0)
+    episodes = []
+    for seed in (1, 1, 2):
+        policy.reset(start(seed))
+        episodes.append(np.array([policy.act(window(k)) for k in range(200)]))
+    assert np.array_equal(episodes[0], episodes[1])
+    assert not np.array_equal(episodes[0], episodes[2])
+    limits = ActionSemantics()
+    lengths = np.linalg.norm(episodes[0][:, :3], axis=1)
+    assert 0.8 * limits.max_translation_m < lengths.max() <= limits.max_translation_m
+    assert np.linalg.norm(episodes[0][:, 3:6], axis=1).max() <= limits.max_rotation_rad
+    assert set(episodes[0][:, 6]) == {0.0, 1.0}
+
+
+def test_random_refuses_nonsense():
+    with pytest.raises(ConfigError, match="gaussian"):
+        load_policy("random", distribution="gausian")
+    with pytest.raises(ConfigError, match="scale"):
+        load_policy("random", scale=2.0)
+
+
+def replayed(policy) -> np.ndarray:
+    chunks = [policy.act(window(k)) for k in range(len(ACTIONS))]
+    assert [chunk.done for chunk in chunks] == [False] * (len(ACTIONS) - 1) + [True]
+    return np.concatenate([chunk.actions for chunk in chunks])
+
+
+def write_rlds(folder, semantics=ActionSemantics()):  # noqa: B008 - frozen
+    features = RldsFeatures(images={"image": (16, 16)}, encoding="png", metadata={"action_semantics": "text"})
+    frames = [encode_image(np.zeros((16, 16, 3), np.uint8), "png")] * len(ACTIONS)
+    with RldsWriter(folder, features, name="cubes", version="1.0.0", description="") as writer:
+        for split, sign in (("train", -1), ("val", 1)):
+            episode = RldsEpisode(
+                images={"image": frames}, state=np.zeros((len(ACTIONS), 8), np.float32), action=sign * ACTIONS,
+                instruction="Pick up the red cube", reward=np.zeros(len(ACTIONS), np.float32),
+                metadata={"action_semantics": to_json(semantics)},
+            )  # fmt: skip
+            writer.add(split, episode)
+
+
+def test_replay_repeats_actions_from_every_kind_of_file(tmp_path):
+    np.savez(tmp_path / "a.npz", actions=ACTIONS, other=np.zeros(3))
+    (tmp_path / "a.json").write_text(json.dumps({"actions": ACTIONS.tolist()}))
+    (tmp_path / "b.json").write_text(json.dumps(ACTIONS.tolist()))
+    for name in ("a.npz", "a.json", "b.json"):
+        assert np.array_equal(replayed(load_policy("replay", source=tmp_path / name)), ACTIONS)
+    assert np.array_equal(replayed(load_policy("replay", actions=ACTIONS)), ACTIONS)
+
+
+def test_replay_holds_after_the_end():
+    chunk = load_policy("replay", actions=ACTIONS).act(window(9))
+    assert chunk.done
+    assert chunk.actions[0].tolist() == [0, 0, 0, 0, 0, 0, pytest.approx(float(ACTIONS[-1, 6]))]
+
+
+def test_replay_of_an_rlds_export_keeps_its_semantics(tmp_path):
+    write_rlds(tmp_path, ActionSemantics(rate_hz=20.0))
+    policy = load_policy("replay", source=tmp_path, episode=1)
+    assert policy.describe().semantics.rate_hz == 20.0
+    assert np.array_equal(replayed(policy), ACTIONS)
+    assert np.array_equal(replayed(load_policy("replay", source=tmp_path, episode=0)), -ACTIONS)
+    with pytest.raises(ConfigError, match="there are 2"):
+        load_policy("replay", source=tmp_path, episode=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.txt", b"x"),
+        ("a.json", b"{"),
+        ("a.json", b"[[1, 2]]"),
+        ("a.json", b"[]"),
+        ("a.json", b"[[0, 0, NaN, 0, 0, 0, 1]]"),
+        ("a.npz", b"PK damaged"),
+        ("a.mcap", b"no bag"),
+    ],
+)
+def test_replay_names_the_file_that_it_cannot_read(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigError, match=name):
+        load_policy("replay", source=tmp_path / name)
+    with pytest.raises(ConfigError, match="no such"):
+        load_policy("replay", source=tmp_path / "absent.npz")
