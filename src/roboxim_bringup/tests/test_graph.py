@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import pytest
+from roboxim_interfaces.action import RunEpisodes
+from roboxim_interfaces.msg import RunConfig as RunConfigMsg
+
+from roboxim_bringup.graph import NODES, PolicyLaunch, node_class, start_graph
+from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.errors import ConfigError
+from roboxim_ros.actions import ActionCall
+from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def graph_parameters():
+    return {"sim": {"renderer": "tiny"}}
+
+
+def test_fixture_runs_an_episode_in_this_process(graph):
+    assert set(graph.nodes) == set(NODES)
+    config = RunConfig(run_seed=2, purpose="test", keep="none", image_width=32, image_height=32)
+    goal = RunEpisodes.Goal(config=to_msg(config, RunConfigMsg), indices=[0])
+    with graph.clients() as clients, ActionCall(clients, RunEpisodes, "evaluator/run_episodes") as action:
+        answer = action.run(goal, timeout_s=60)
+    assert (answer.status, answer.result.error_msg) == ("succeeded", "")
+    assert from_msg(answer.result.results[0], EpisodeResult).outcome == "success"
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_node_of_the_table_exists(name):
+    assert node_class(name).__name__.endswith("Node")
+
+
+def test_unknown_names_are_refused_with_a_suggestion():
+    with free_domain() as domain, NodeHost(domain_id=domain) as host:
+        with pytest.raises(ConfigError, match="did you mean 'sim'"):
+            start_graph(host, nodes=["simm"])
+        with pytest.raises(ConfigError, match="parameters for node 'simm'"):
+            start_graph(host, parameters={"simm": {}}, nodes=["recorder"])
+        with pytest.raises(ConfigError, match="no parameter 'renderr' of sim.*did you mean 'renderer'"):
+            start_graph(host, parameters={"sim": {"renderr": "tiny", "renderer": "tiny"}}, nodes=["sim"])
+
+
+def test_policy_of_a_graph_serves_in_its_namespace():
+    with free_domain() as domain, NodeHost(domain_id=domain) as host:
+        launch = PolicyLaunch(spec="random", namespace="mine", options={"scale": 0.1})
+        graph = start_graph(host, "/w0", nodes=(), policies=[launch])
+        services = {name for name, _ in graph["mine"].get_service_names_and_types()}
+        assert {"/w0/mine/act", "/w0/mine/describe_policy", "/w0/mine/reset_policy"} <= services
+        with pytest.raises(ConfigError, match="scale"):
+            start_graph(host, nodes=(), policies=[PolicyLaunch(spec="random", options={"scael": 1})])
