@@ -193,14 +193,19 @@ class ScenePoses:
         self._scene = scene
         self._arm = arm or ArmKinematics(library.robot(scene.robot.model))
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
+        self._last: tuple[RobotState, dict[str, Pose]] | None = None
         for camera in scene.cameras:
             self._check_parent(camera)
 
     def link_poses(self, robot: RobotState) -> dict[str, Pose]:
         """Return the pose of every robot link in the world."""
-        base = self._scene.robot.pose
-        poses = self._arm.link_poses(robot.joint_positions, robot.finger_positions)
-        return poses if base == IDENTITY else {link: base @ pose for link, pose in poses.items()}
+        if self._last is None or self._last[0] is not robot:
+            base = self._scene.robot.pose
+            poses = self._arm.link_poses(robot.joint_positions, robot.finger_positions)
+            if base != IDENTITY:
+                poses = {link: base @ pose for link, pose in poses.items()}
+            self._last = (robot, poses)
+        return self._last[1]
 
     def body_poses(self, record: StateRecord) -> dict[str, Pose]:
         """Return the pose of every moving body of `render_world` in the world, by key."""
