@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from string import Formatter
 from typing import Any
 
 from roboxim_core.config import from_plain, load_yaml, named_config, parse_yaml
@@ -115,6 +116,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     for name in config.reset:
         _require(source, data, ("reset", name), name, COMPONENTS)
     _check_objects(source, data, config, library or ModelLibrary())
+    _check_templates(source, data, config, skill.roles)
     parameters: Any = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
     given = _section(data, "reset")
     reset: dict[str, Any] = {}
@@ -147,6 +149,17 @@ def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLib
                 for value in choice.values or (choice.lower, choice.upper):
                     assert value is not None
                     allowed[name].check(f"{source} is not valid: {_at(data, where)}", name, value)
+
+
+def _check_templates(source: str, data: Any, config: TaskConfig, roles: Iterable[str]) -> None:
+    """Check that instructions speak of the skill's roles only."""
+    for template in config.templates.values if config.templates else ():
+        try:
+            named = [name for _, name, _, _ in Formatter().parse(str(template)) if name is not None]
+        except ValueError as error:
+            raise ConfigError(f"{source} is not valid: {_at(data, ('templates',))}: '{template}': {error}") from None
+        for name in named:
+            _require(source, data, ("templates",), name, roles)
 
 
 def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: Iterable[str]) -> None:

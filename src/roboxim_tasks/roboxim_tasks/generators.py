@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from roboxim_core.errors import ConfigError, ErrorCode, TaskError, one_of
+from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, TaskSpec
@@ -100,19 +100,10 @@ def generate_instruction(context: GenerationContext, objects: Mapping[str, Physi
     Args:
         context: What to draw from.
         objects: The task's objects by role.
-
-    Raises:
-        ConfigError: When a template names a role that the skill lacks.
     """
     assert context.config.templates is not None
     template = str(context.config.templates.draw(context.seed.rng("instruction"), context.seed.index))
-    try:
-        return template.format_map({role: description(thing) for role, thing in objects.items()})
-    except KeyError as error:
-        role = str(error.args[0])
-        raise ConfigError(f"template '{template}' names role '{role}'; {one_of(objects, role)}") from None
-    except (ValueError, IndexError) as error:
-        raise ConfigError(f"template '{template}' is not valid: {error}; write roles as {{target}}") from None
+    return template.format_map({role: description(thing) for role, thing in objects.items()})
 
 
 def generate_task(context: GenerationContext, *, arguments: Any) -> TaskSpec:

@@ -31,6 +31,8 @@ def test_every_shipped_task_loads_and_its_resolved_form_loads_again(path):
         ("parameters: {lift_m: high}", ["parameters", "lift_m", "number"]),
         ("reset: {cameras: {names: [wrist], shift_m: {workspace: {values: [[0, 0, 0]]}}}}", ["workspace", "wrist"]),
         ("templates: {values: ['Pick up the {target}'], lower: 1}", ["either values", "range"]),
+        ("rate_hz: 10\ntemplates: {values: ['Lift the {thing}']}", ["line 2", "templates", "'thing'", "target"]),
+        ("templates: {values: ['Lift the {target']}", ["line 1", "templates", "Lift the"]),
         ("a: [", ["line 1", "YAML"]),
         ("- a\n- b", ["mapping"]),
     ],

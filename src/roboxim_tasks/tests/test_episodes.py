@@ -1,5 +1,5 @@
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,10 +11,14 @@ from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+from roboxim_tasks.choices import Choice
+from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext, register
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.placement import footprint
 from roboxim_tasks.roles import description
+from roboxim_tasks.skills import SKILLS
 
 
 def test_an_episode_depends_on_its_seed_path_alone(draw):
@@ -162,3 +166,51 @@ def test_the_resolved_configuration_travels_with_the_episode(draw):
     d = draw(0)
     assert d.max_steps == 100
     assert d.config_json == to_json(load_task_config("pick_cube_distractors"))
+
+
+@pytest.mark.parametrize("name", sorted(COMPONENTS))
+def test_every_component_has_a_complete_default_and_draws_the_same_twice(name, library):
+    config = replace(load_task_config("pick_cube_distractors"), reset={name: COMPONENTS[name].Config()})
+    task = TaskSpec(
+        skill="pick_up", instruction="", objects={"target": PhysicalObject(entity="target", model="cube", name="cube")}
+    )
+    seed = SeedPath(run_seed=1, purpose="test", index=0)
+    arm = ArmKinematics(library.robot("panda"))
+
+    def reset():
+        context = ResetContext(seed=seed, config=config, task=task, library=library, arm=arm)
+        return COMPONENTS[name](config.reset[name]).reset(SceneSpec(), context)
+
+    assert reset() == reset()
+
+
+@pytest.mark.parametrize("name", sorted(SKILLS))
+def test_every_skill_fills_its_own_templates(name):
+    skill = SKILLS[name]
+    assert skill.templates
+    assert set(skill.components) <= set(COMPONENTS)
+    for template in skill.templates:
+        assert template.format_map(dict.fromkeys(skill.roles, "thing")) != template
+
+
+def test_a_component_of_one_s_own_is_one_class_and_one_key(draw):
+    @dataclass(frozen=True, kw_only=True)
+    class FrictionConfig:
+        friction: Choice = Choice(lower=0.5, upper=1.0)
+
+    class TableFriction(ResetComponent):
+        name = "table_friction"
+        Config = FrictionConfig
+
+        def reset(self, scene, context):
+            friction = self.config.friction.draw_number(context.rng(self.name), context.seed.index)
+            return replace(scene, table=replace(scene.table, friction=friction))
+
+    register(TableFriction)
+    try:
+        config = parse_task_config("reset: {table_friction: {friction: {lower: 0.6, upper: 0.7}}}")
+        assert 0.6 <= draw(0, config).scene.table.friction <= 0.7
+        with pytest.raises(ConfigError, match="frictions"):
+            parse_task_config("reset: {table_friction: {frictions: 1}}")
+    finally:
+        COMPONENTS._items.pop("table_friction")
