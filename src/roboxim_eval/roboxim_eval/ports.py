@@ -7,6 +7,7 @@ import threading
 import zlib
 from typing import Any
 
+import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -32,7 +33,7 @@ from roboxim_interfaces.srv import (
 from sensor_msgs.msg import Image
 from simulation_interfaces.srv import GetSimulatorFeatures
 
-from roboxim_core.actions import ActionArray, check_chunk
+from roboxim_core.actions import ACTION_SIZE, ActionArray
 from roboxim_core.episode import Draw, EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import (
     ErrorCode,
@@ -240,14 +241,14 @@ class ActorClient:
     def act(self, window: ObservationWindow) -> ActionChunk:
         """Return the next actions."""
         answer = self._call(Act, "act", act_request(window))
-        actions = check_chunk(list(answer.actions)).reshape(-1)
-        if answer.horizon < 1 or actions.size != 7 * answer.horizon:
+        if answer.horizon < 1 or len(answer.actions) != ACTION_SIZE * answer.horizon:
             raise PolicyError(
-                f"policy '{self._namespace}' answered horizon {answer.horizon} with {actions.size} numbers; "
-                "expected horizon x 7",
+                f"policy '{self._namespace}' answered horizon {answer.horizon} with {len(answer.actions)} numbers; "
+                f"expected horizon x {ACTION_SIZE}",
                 ErrorCode.INVALID_ACTION,
             )
-        return ActionChunk(actions=actions.reshape(answer.horizon, 7), done=answer.done, phases=tuple(answer.phases))
+        actions = np.asarray(answer.actions, np.float32).reshape(answer.horizon, ACTION_SIZE)
+        return ActionChunk(actions=actions, done=answer.done, phases=tuple(answer.phases))
 
     def _call(self, srv_type: Any, name: str, request: Any) -> Any:
         try:
