@@ -39,6 +39,8 @@ _QOS = [
         "avoid_ros_namespace_conventions": False,
     }
 ]
+_QOS_TEXT = yaml.safe_dump(_QOS, sort_keys=False)
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 @contextlib.contextmanager
@@ -85,7 +87,7 @@ class McapFile:
             "cdr",
             self._schema_ids[schema.name],
             {
-                "offered_qos_profiles": yaml.safe_dump(_QOS, sort_keys=False),
+                "offered_qos_profiles": _QOS_TEXT,
                 "topic_type_hash": schema.type_hash,
             },
         )
@@ -109,7 +111,7 @@ class McapFile:
             self._writer.add_metadata(METADATA, dict(metadata))
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
-        text = yaml.safe_dump(self._description(metadata), sort_keys=False, width=200)
+        text = yaml.dump(self._description(metadata), Dumper=_Dumper, sort_keys=False, width=200)
         (self.path.parent / "metadata.yaml").write_text(text)
 
     def abandon(self) -> None:

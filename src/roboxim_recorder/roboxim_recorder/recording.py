@@ -22,8 +22,8 @@ from roboxim_recorder.schemas import decode, message_schema, typestore
 from roboxim_ros.conversions import stamp_to_ns
 
 FLUSH_TICKS = 4
-"""Ticks per chunk. Two 256 x 256 cameras, 60 ticks, measured: one tick per chunk makes bags 40 % larger, ten save 5 %
-more and cost twice as much."""
+"""Ticks per chunk, what a SIGKILL can lose. Two 256 x 256 cameras, 53 ticks, measured: 7.2 MiB with one tick per chunk,
+4.6 with four, 4.3 with eight; at zstd's levels 1, 3 and 4: 6.8, 4.5, 4.4 MiB in 49, 72, 88 ms."""
 
 
 def stamp_of(message: Any) -> int | None:
