@@ -30,7 +30,7 @@ def world_of(shadow: bool) -> RenderWorld:
 def measure(renderer: Renderer, everything: bool, size: int, repeats: int) -> tuple[float, float]:
     """Return the median wall time and the mean processor time of a pair [ms]."""
     poses, cameras = example_poses(example_scene(size, depth=everything, segmentation=everything), LIBRARY)
-    wall = time_ms(lambda: renderer.render(poses, cameras), repeats)
+    wall = time_ms(lambda: renderer.render(poses, cameras), repeats, warm_up=1)
     start = time.process_time()
     for _ in range(repeats):
         renderer.render(poses, cameras)
@@ -42,7 +42,7 @@ def main() -> None:
     bench = Bench("render", __doc__)
     headline = float("nan")
     worlds = {shadow: world_of(shadow) for shadow in (True, False)}
-    for name, repeats in (("raster", 30 if bench.quick else 300), ("tiny", 3 if bench.quick else 30)):
+    for name, repeats in (("raster", 20 if bench.quick else 300), ("tiny", 2 if bench.quick else 30)):
         memory, start = rss_mib(), time.perf_counter()
         renderer = make_renderer(name)
         renderer.load(worlds[True])
@@ -61,8 +61,9 @@ def main() -> None:
                     wall_ms_per_pair=round(wall, 2),
                     cpu_ms_per_pair=round(cpu, 2),
                 )
-        load_ms = time_ms(lambda world=worlds[True], to=renderer: to.load(world), 5)
-        bench.row(renderer=name, images=f"start {ready_s:.2f} s, load {load_ms:.0f} ms, +{rss_mib() - memory:.0f} MiB")
+        load_ms = time_ms(lambda world=worlds[True], to=renderer: to.load(world), 5, warm_up=0)
+        grown = rss_mib() - memory
+        bench.row(renderer=name, start_s=round(ready_s, 2), load_ms=round(load_ms, 1), grown_mib=round(grown))
         renderer.close()
     bench.finish("raster, 256x256 pair of RGB + depth + segmentation, shadows", headline, "ms", at_most=20.0)
 
