@@ -354,8 +354,15 @@ class World:
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
+            InvalidRequestError: On a number that is not finite or an unknown joint.
         """
-        self._object(name).set_state(pose, linear_velocity, angular_velocity, joint_positions)
+        body = self._object(name)
+        if not np.isfinite([*linear_velocity, *angular_velocity, *(joint_positions or {}).values()]).all():
+            raise InvalidRequestError(f"the velocities and joint positions of '{name}' must be finite")
+        for joint in joint_positions or {}:
+            if joint not in body.joint_names:
+                raise InvalidRequestError(f"'{name}' has no joint '{joint}'; {one_of(body.joint_names, joint)}")
+        body.set_state(pose, linear_velocity, angular_velocity, joint_positions)
         return self._disturb()
 
     def spawn_entity(self, entity: EntitySpec) -> StateRecord:
@@ -467,11 +474,12 @@ class World:
             self._observer.after_step()
 
     def _read(self) -> StateRecord:
-        scene = self.scene
-        robot, joints = read_robot(
-            self._robot, self._controller.arm.model, self._controller.arm, self._command, scene.robot.pose
-        )
-        read = [body.read(*self._observer.extremes(body)) for body in self._objects]
+        arm = self._controller.arm
+        try:
+            robot, joints = read_robot(self._robot, arm.model, arm, self._command, self.scene.robot.pose)
+            read = [body.read(*self._observer.extremes(body)) for body in self._objects]
+        except InvalidRequestError as error:  # a pose that is not finite
+            raise SimError(f"the physics has blown up in tick {self._seq}: {error}", ErrorCode.SIM_FAULT) from None
         entities = tuple(entity for entity, _ in read)
         return StateRecord(
             episode_id=self._episode_id,

@@ -242,6 +242,11 @@ def test_the_door_refuses_and_the_world_stays(world: World) -> None:
     assert _code(lambda: world.follow_trajectory([1.0], [LIBRARY.robot("panda").home])) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.release("f")) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.set_entity_state("cub_0", Pose())) == ErrorCode.UNKNOWN_ENTITY
+    assert _code(lambda: world.set_entity_state("cube_0", joint_positions={"slide": 0.1})) == ErrorCode.INVALID_REQUEST
+    assert (
+        _code(lambda: world.set_entity_state("cube_0", Pose(), linear_velocity=(math.nan, 0.0, 0.0)))
+        == ErrorCode.INVALID_REQUEST
+    )
     bad_model = SceneSpec(entities=(EntitySpec(name="a", model="aple"),))
     bad_camera = SceneSpec(cameras=(CameraSpec(name="wrist", parent="hand"),))
     for scene in (bad_model, bad_camera):
