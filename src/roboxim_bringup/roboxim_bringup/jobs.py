@@ -85,6 +85,8 @@ def run_job(
     with RunFolder(job.config.output_dir).opened(job.identity) as folder:
         done = {result.index: result for result in folder.results() if result.index < job.episodes}
         missing = [index for index in range(job.episodes) if index not in done]
+        for index in missing:
+            folder.discard(index)
         if missing:
             with (
                 ProgressLine(title, job.episodes, len(done)) as bar,
@@ -96,7 +98,7 @@ def run_job(
                 ) as pool,
             ):
                 bar.update(len(done), "starting")
-                for result in pool.run(job.config, missing, on_progress=_reporter(bar)):
+                for result in pool.run(job.config, missing, on_progress=_reporter(bar), before_retry=folder.discard):
                     folder.append(result)
                     done[result.index] = result
                     bar.update(len(done), _tally(done.values()))

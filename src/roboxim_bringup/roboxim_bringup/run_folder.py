@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 from roboxim_core.config import from_json, to_json
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
+from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
@@ -88,6 +90,12 @@ class RunFolder:
             result = from_json(line, EpisodeResult, source=f"{path} line {number}")
             found[result.index] = result
         return [found[index] for index in sorted(found)]
+
+    def discard(self, index: int) -> None:
+        """Remove the bags of an index that has no result, partial or whole: a crash left them."""
+        for place in (*PLACES.values(), PARTIAL):
+            for bag in (self.path / place).glob(f"*-{index:05d}-*"):
+                shutil.rmtree(bag)
 
     def append(self, result: EpisodeResult) -> None:
         """Add a finished result; it is on the disk when this returns."""

@@ -65,6 +65,7 @@ class _Job:
     config: RunConfig
     index: int
     progress: Callable[[Progress], None]
+    before_retry: Callable[[int], None]
 
 
 class WorkerPool:
@@ -112,7 +113,12 @@ class WorkerPool:
             worker.start()
 
     def run(
-        self, config: RunConfig, indices: Iterable[int], *, on_progress: Callable[[Progress], None] = lambda _: None
+        self,
+        config: RunConfig,
+        indices: Iterable[int],
+        *,
+        on_progress: Callable[[Progress], None] = lambda _: None,
+        before_retry: Callable[[int], None] = lambda _: None,
     ) -> Iterator[EpisodeResult]:
         """Run episodes; yields each result as soon as it is there, in whatever order they finish.
 
@@ -122,13 +128,15 @@ class WorkerPool:
             config: How.
             indices: Which.
             on_progress: Called with what a worker does, in other threads.
+            before_retry: Called with an index whose worker died, before another one gets it, in other threads: to
+                remove what the dead one left.
 
         Raises:
             RoboximError: When the configuration is wrong, or a graph has a fault that a fresh worker does not cure.
         """
         pending = 0
         for index in indices:
-            self.jobs.put(_Job(config, index, on_progress))
+            self.jobs.put(_Job(config, index, on_progress, before_retry))
             pending += 1
         try:
             while pending:
@@ -217,6 +225,7 @@ class _Worker(threading.Thread):
                 note = f"worker {self.slot} died at index {job.index} ({death}); {again}"
                 job.progress(Progress(worker=self.slot, index=job.index, episode_id="", seq=0, note=note))
                 message = str(death)
+                job.before_retry(job.index)
         return EpisodeResult(
             episode_id=f"{job.config.purpose}-{job.config.run_seed}-{job.index:05d}",
             index=job.index,

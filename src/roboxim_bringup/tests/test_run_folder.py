@@ -54,3 +54,12 @@ def test_config_is_readable_by_people(tmp_path):
     with RunFolder(tmp_path / "run").opened({"seed": 0}):
         pass
     assert json.loads((tmp_path / "run" / "run.json").read_text()) == {"seed": 0}
+
+
+def test_bags_of_an_unfinished_index_are_discarded(tmp_path):
+    with RunFolder(tmp_path / "run").opened({"seed": 0}) as folder:
+        for place in ("episodes/demo-0-00003-0", "set_apart/demo-0-00003-1", ".partial/demo-0-00003-2"):
+            (folder.path / place).mkdir(parents=True)
+        (folder.path / "episodes" / "demo-0-00004-0").mkdir()
+        folder.discard(3)
+        assert [path.name for path in folder.path.glob("*/demo-*")] == ["demo-0-00004-0"]
