@@ -7,7 +7,6 @@ import tempfile
 import time
 
 from _harness import Bench
-
 from roboxim_bringup.jobs import Job, registered_run, run_job, task_text
 from roboxim_core.episode import EpisodeResult, RunConfig
 

@@ -1,7 +1,7 @@
 """What the node graph costs: an episode through the nodes against the same episode driven through the cores.
 
-Both draw, simulate, render two cameras, judge, act with the expert and write the same bag. The episodes are interleaved in
-one process on one machine; the headline is the ratio of the medians of wall time per tick.
+Both draw, simulate, render two cameras, judge, act with the expert and write the same bag. The episodes are
+interleaved in one process on one machine; the headline is the ratio of the medians of wall time per tick.
 """
 
 import os
@@ -11,7 +11,6 @@ from pathlib import Path
 from statistics import median
 
 from _harness import Bench
-
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.graph import start_graph
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig

@@ -23,7 +23,7 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         click.option("--task", default="pick_cube", show_default=True, help="Task of config/tasks, or a YAML file."),
         click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
         click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
-        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="The run's folder."),
+        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="Run's folder."),
         click.option(
             "--episodes", type=click.IntRange(1), default=episodes, show_default=True, help="Number of episodes."
         ),
