@@ -1,9 +1,9 @@
-"""Checks that a bag is whole, saves what can be read of a broken one, and tidies a run's folder after a crash."""
+"""Checks that a bag is whole, and saves what can be read of a broken one."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from roboxim_core.errors import ErrorCode, RecorderError, RoboximError
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, BagTick, damage, damaged, mcap_file
-from roboxim_recorder.bag_writer import PARTIAL, PLACES, McapFile, disk_errors
+from roboxim_recorder.bag_writer import McapFile, disk_errors
 from roboxim_recorder.schemas import MessageSchema
 
 
@@ -171,21 +171,3 @@ def list_bags(path: Path | str) -> list[Path]:
     if not bags:
         raise RecorderError(f"{folder} has no bags; expected folders that hold an .mcap file")
     return bags
-
-
-def tidy_run(output_dir: Path, finished: Iterable[str]) -> list[Path]:
-    """Remove what a crash left: partial bags, and bags whose result was not yet noted.
-
-    Args:
-        output_dir: The run's folder; nothing may be recording into it.
-        finished: Paths, relative to it, of the bags that finished results name.
-
-    Returns:
-        What was removed.
-    """
-    keep = {output_dir / name for name in finished if name}
-    bags = [p.parent for place in PLACES.values() for p in (output_dir / place).glob("*/*.mcap")]
-    removed = sorted(path for path in {*bags, *(output_dir / PARTIAL).glob("*")} if path not in keep)
-    for path in removed:
-        shutil.rmtree(path)
-    return removed

@@ -1,4 +1,4 @@
-"""Damage is found, named and repaired; a crashed run's folder is tidied."""
+"""Damage is found, named and repaired; a run's folder is listed and summarised."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rclpy.serialization import serialize_message
 
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag, list_bags, repair_bag, tidy_run
+from roboxim_recorder.check import check_bag, list_bags, repair_bag
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 
@@ -77,7 +77,7 @@ def test_a_killed_recorder_loses_at_most_four_ticks(tmp_path, fake):
     recording.drop()
 
 
-def test_a_runs_folder_is_listed_summarised_and_tidied(tmp_path, fake):
+def test_a_runs_folder_is_listed_and_summarised(tmp_path, fake):
     kept = [fake(index=i, instruction=f"Pick up {i % 2}").record(tmp_path) for i in range(3)]
     fake(index=7, outcome="failure").record(tmp_path, keep="set_apart")
     fake(index=8).open(tmp_path)
@@ -89,9 +89,6 @@ def test_a_runs_folder_is_listed_summarised_and_tidied(tmp_path, fake):
     assert summary.reasons == {"not_lifted": 1}
     assert "3 kept (success x3), 1 set apart" in summary.text
     assert "Pick up 0" in bag_info(kept[0])
-    removed = tidy_run(tmp_path, [f"episodes/{kept[0].name}", f"episodes/{kept[1].name}"])
-    assert [path.name for path in removed] == ["demo-0-00008-0", "demo-0-00002-0", "demo-0-00007-0"]
-    assert list_bags(tmp_path) == kept[:2]
 
 
 def test_a_folder_without_bags_is_named(tmp_path):
