@@ -379,6 +379,8 @@ class EpisodeRunner:
         self.config = config
         self.versions = versions or {}
         self.description = ports.actor.describe()
+        self.progress: tuple[str, int] = ("", 0)
+        """Id and tick of the running episode, for whoever watches."""
 
     def run_index(self, index: int, *, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
         """Run one index until an episode is kept or the attempts are used up.
@@ -440,6 +442,7 @@ class _Episode:
     def __init__(
         self, runner: EpisodeRunner, info: EpisodeInfo, seed: SeedPath, max_steps: int, cancelled: Callable[[], bool]
     ) -> None:
+        self.runner = runner
         self.ports = runner.ports
         self.config = runner.config
         self.description = runner.description
@@ -560,6 +563,7 @@ class _Episode:
 
     def _advance(self, executed: ActionArray) -> None:
         seq = self.state.seq + 1
+        self.runner.progress = (self.info.episode_id, seq)
         self.state = self.ports.sim.tick(self.info.episode_id, seq, executed)
         self.counts["clipped"] += self.state.clipped
         self.verdict = self.ports.judge.judge(self.state)

@@ -48,6 +48,7 @@ class EvaluatorNode(RoboximNode):
         super().__init__("evaluator", context=context, namespace=namespace, parameters=parameters)
         self._busy = threading.Lock()
         self._ports: RosPorts | None = None
+        self._runner: EpisodeRunner | None = None
         group = MutuallyExclusiveCallbackGroup()
         self.serve(RunEpisodesService, "evaluator/run_episodes", self._on_service, callback_group=group)
         self._action = ActionServer(
@@ -81,6 +82,8 @@ class EvaluatorNode(RoboximNode):
             nonlocal last
             if time.monotonic() - last > FEEDBACK_PERIOD_S:
                 last = time.monotonic()
+                if self._runner is not None:
+                    feedback.current, feedback.seq = self._runner.progress
                 goal.publish_feedback(feedback)
             return bool(goal.is_cancel_requested) or not self.context.ok()
 
@@ -104,13 +107,14 @@ class EvaluatorNode(RoboximNode):
         if not self._busy.acquire(blocking=False):
             raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")
         try:
-            runner = EpisodeRunner(self._make_ports(config), config, versions=versions())
+            self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions())
             for index in request.indices:
-                yield runner.run_index(int(index), cancelled=cancelled)
+                yield self._runner.run_index(int(index), cancelled=cancelled)
         except RoboximError:
             self._drop_ports()
             raise
         finally:
+            self._runner = None
             self._busy.release()
 
     def _make_ports(self, config: RunConfig) -> Ports:
