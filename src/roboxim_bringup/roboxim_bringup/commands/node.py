@@ -109,7 +109,10 @@ def run_node(
     mine = {node: values for node, values in from_files.items() if node == label}
     common = from_files.get("", {})
     parameters = merge({label: dict(common)}, mine, parse_assignments(assignments, node=label))
-    with membership("node" if name else "policy", run_id, domain, open_network, namespace) as member, NodeHost() as host:
+    with (
+        membership("node" if name else "policy", run_id, domain, open_network, namespace) as member,
+        NodeHost() as host,
+    ):
         graph = start_graph(
             host, namespace=namespace, parameters=parameters, nodes=(name,) if name else (), policies=policies
         )
