@@ -1,7 +1,8 @@
 """How often the expert succeeds at its first try, and whether its recorded actions do so again, open loop.
 
 Through the cores, without cameras, with the noise that demonstrations have. A replay rebuilds the episode's scene
-in a fresh world and executes the recorded actions; it counts when every state hash agrees and the judge says success again.
+in a fresh world and executes the recorded actions; it counts when all state hashes agree and the judge says success
+again.
 """
 
 import tempfile

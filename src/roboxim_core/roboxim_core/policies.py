@@ -86,7 +86,7 @@ class Observation:
     images: Mapping[str, RGBImage] = field(default_factory=dict)
     """Camera name to RGB image, uint8, shape (height, width, 3), read-only."""
     proprio: ActionArray = field(default_factory=lambda: np.zeros(8, np.float32))
-    """float32, shape (8,): measured TCP in the base frame, position [m] (3), quaternion xyzw (4); gripper opening (1)."""
+    """float32, shape (8,): measured TCP in the base, position [m] (3), quaternion xyzw (4); gripper opening (1)."""
     state: StateRecord | None = None
     """State record; only for a policy that declares ``privileged``."""
 

@@ -30,8 +30,8 @@ def command(
     roboxim generate --task pick_cube_distractors --distractors 1-3 --out runs/distractors
 
     An index whose episode fails is drawn again, so as many as asked are kept; failed attempts are set apart with their
-    reason in OUT/set_apart. Ctrl-C stops; the same command goes on. Noise is added to what is executed; what an imitator
-    should have done is recorded beside it.
+    reason in OUT/set_apart. Ctrl-C stops; the same command goes on. Noise is added to what is executed; what an
+    imitator should have done is recorded beside it.
     """
     from PIL import Image
 
