@@ -32,7 +32,7 @@ class ContactPair:
     body_b: str
     """Robot link or body."""
     depth: float
-    """Penetration [m], positive; padding counts as part of the obstacles."""
+    """Penetration [m], positive; with padding, by how much they are too near."""
     position: Vec3
     """A point of the contact in the world [m]."""
 
@@ -50,7 +50,7 @@ class CollisionWorld:
         Args:
             robot: The robot.
             scene: What is around it.
-            padding: By how much obstacles (not attached bodies) are grown [m].
+            padding: Distance below which two bodies count as touching [m].
 
         Raises:
             InvalidRequestError: On a hull without volume or an allowed contact of an unknown name.
@@ -63,22 +63,36 @@ class CollisionWorld:
         self._model = robot.geometry.copy()
         to_base = self._base.inverse()
         for body in scene.bodies:
-            self._add(body, _WORLD_JOINT, to_base * se3(body.pose), padding)
+            self._add(body, _WORLD_JOINT, to_base * se3(body.pose))
         tcp = robot.model.frames[robot.tcp_frame]
         for held in scene.attached:
-            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), 0.0)
+            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose))
         self._add_pairs(scene)
+        self.reach = robot.reach + self._overhang(tcp.parentJoint)
+        """Bound on how far any point of arm or held body can be from each joint's axis, shape (dof,) [m]."""
         self._data = self._model.createData()
+        if padding:
+            for request in self._data.collisionRequests:
+                request.security_margin = padding
         self._scratch = robot.model.createData()
         self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(robot.model, self._model, self._data)
 
-    def _add(self, body: Body, joint: int, placement: pin.SE3, padding: float) -> None:
+    def _add(self, body: Body, joint: int, placement: pin.SE3) -> None:
         for i, shape in enumerate(body.shapes):
-            item = pin.GeometryObject(
-                f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), make_shape(shape, padding)
-            )
+            item = pin.GeometryObject(f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), make_shape(shape))
             self._names[item.name] = body.name
             self._model.addGeometryObject(item)
+
+    def _overhang(self, joint: int) -> float:
+        """Return by how much held bodies stick out beyond the arm's own tip [m]."""
+        items = list(self._model.geometryObjects)
+        own = len(self.robot.geometry.geometryObjects)
+        far = [0.0]
+        for item in items[own:]:
+            if item.parentJoint == joint:
+                center = item.placement.act(item.geometry.aabb_center)
+                far.append(float(np.linalg.norm(center)) + item.geometry.aabb_radius)
+        return max(0.0, max(far) - float(self.robot.reach[-1]))
 
     def _add_pairs(self, scene: PlanningScene) -> None:
         """Add the pairs of robot, obstacles and held bodies; the robot's own pairs follow its SRDF."""
@@ -125,7 +139,7 @@ class CollisionWorld:
             names = tuple(self._names[self._model.geometryObjects[i].name] for i in (pair.first, pair.second))
             x, y, z = self._base.act(0.5 * (result.getNearestPoint1() + result.getNearestPoint2()))
             found = ContactPair(
-                body_a=names[0], body_b=names[1], depth=max(0.0, -result.min_distance),
+                body_a=names[0], body_b=names[1], depth=max(0.0, self.padding - result.min_distance),
                 position=(float(x), float(y), float(z)),
             )  # fmt: skip
             if names not in deepest or found.depth > deepest[names].depth:
@@ -152,22 +166,24 @@ class CollisionWorld:
             end: Arm configuration.
             step: Largest motion of any point of the arm between two checks [m].
         """
-        return self.path_is_free(self.densify(np.stack([start, end]), step)[1:])
+        return self.path_is_free(self.densify(np.stack([start, end]), step)[0][1:])
 
-    def densify(self, path: Array, step: float, max_joint_step: float = np.inf) -> Array:
+    def densify(self, path: Array, step: float) -> tuple[Array, npt.NDArray[np.intp]]:
         """Fill a path so that no point of the arm moves by more than ``step`` [m] between neighbours.
 
         Args:
             path: Arm configurations, shape (N, dof).
             step: Bound on the motion of the arm's points [m].
-            max_joint_step: Bound on the motion of a joint [rad].
+
+        Returns:
+            Arm configurations, shape (M, dof), and for each the index of the last point of ``path`` up to it.
         """
-        pieces = [path[:1]]
-        for a, b in zip(path[:-1], path[1:], strict=True):
-            delta = np.abs(b - a)
-            parts = int(np.ceil(max(delta @ self.robot.reach / step, delta.max() / max_joint_step, 1.0)))
-            pieces.append(a + (b - a) * (np.arange(1, parts + 1) / parts)[:, None])
-        return np.concatenate(pieces)
+        deltas = np.diff(path, axis=0)
+        parts = np.maximum(1, np.ceil(np.abs(deltas) @ self.reach / step)).astype(int)
+        owner = np.repeat(np.arange(len(parts)), parts)
+        within = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+        filled = path[owner] + deltas[owner] * (within / parts[owner])[:, None]
+        return np.concatenate([filled, path[-1:]]), np.append(owner, len(path) - 1)
 
 
 class _Allowed:

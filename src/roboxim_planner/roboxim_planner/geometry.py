@@ -14,12 +14,11 @@ from roboxim_core.models.description import Shape
 from roboxim_planner.scene import PointHull
 
 
-def make_shape(shape: Shape | PointHull, padding: float = 0.0) -> coal.ShapeBase:
+def make_shape(shape: Shape | PointHull) -> coal.ShapeBase:
     """Return a new coal shape.
 
     Args:
         shape: The shape; its pose is not used.
-        padding: By how much it is grown in every direction (corners rounded) [m].
 
     Raises:
         InvalidRequestError: When a hull's points span no volume or its file cannot be read.
@@ -34,8 +33,6 @@ def make_shape(shape: Shape | PointHull, padding: float = 0.0) -> coal.ShapeBase
         made = coal.Sphere(*shape.size)
     else:
         made = (coal.Cylinder if shape.kind == "cylinder" else coal.Capsule)(*shape.size)
-    if padding:
-        made.setSweptSphereRadius(padding)
     made.computeLocalAABB()
     return made
 

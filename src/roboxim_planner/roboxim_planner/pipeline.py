@@ -21,6 +21,7 @@ from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.paths import SearchConfig, Watch, search, shorten, without_repeats
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
+from roboxim_planner.sweep import FINE_STEP_M, MARGIN_M, Sweep
 from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
 from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
@@ -250,14 +251,14 @@ class Planner:
         limits = self.limits(options)
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start, collisions=not ignore_collisions)
-        world = None if ignore_collisions else worlds.exact
+        sweep = None if ignore_collisions else worlds
         to_base = scene.robot_pose.inverse()
         motions: list[Motion] = []
         at, done, reason = begin, 0.0, ""
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
             path = follow_line(self.robot, at, to_base @ waypoint)
-            free, why = self._free_part(world, path.joints)
+            free, why = self._free_part(sweep, path.joints)
             part = path.fraction * (free - 1) / max(1, len(path.joints) - 1)
             reason = why or path.reason
             motions.append(time_line(path.cut(free), limits))
@@ -268,7 +269,7 @@ class Planner:
         fraction = done / len(waypoints)
         watch("verify", 0)
         motion = MotionSequence(motions)
-        finding = verify_motion(world, self.robot, motion, limits)
+        finding = verify_motion(sweep, self.robot, motion, limits)
         if not finding.valid:
             raise PlannerError(f"the timed line is not valid: {finding}", ErrorCode.TRAJECTORY_INVALID)
         plan = Plan(motion=motion, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
@@ -320,9 +321,10 @@ class Planner:
             if array is not None and (array.shape != path.shape or not np.isfinite(array).all()):
                 raise InvalidRequestError(f"{name} must be finite and of the positions' shape {path.shape}")
             rates.append(array)
-        worlds = self._worlds(scene, options)
-        world = worlds.exact if options.padding_m is None else worlds.padded
-        return verify_samples(world, self.limits(options), path, clock, rates[0], rates[1])
+        sweep: Sweep = self._worlds(scene, MotionOptions())
+        if options.padding_m:
+            sweep = Sweep(self.robot, scene, padding=options.padding_m)
+        return verify_samples(sweep, self.limits(options), path, clock, rates[0], rates[1])
 
     def inverse_kinematics(
         self,
@@ -380,7 +382,7 @@ class Planner:
         """Return the geometry of a scene; the last ones are kept, since requests come in runs on one scene."""
         padding = self.config.padding_m if options.padding_m is None else options.padding_m
         for kept in self._kept:
-            if kept.padding == padding and kept.scene == scene:
+            if kept.search_padding == padding and kept.scene == scene:
                 return kept
         worlds = _Worlds(self.robot, scene, padding)
         self._kept = [worlds, *self._kept[:3]]
@@ -448,7 +450,7 @@ class Planner:
         if world is None or not world.edge_is_free(begin, goal, self.config.search.check_step_m):
             return None
         motion = time_path(path, np.zeros(0), self.limits(options), self.robot.kinematics.jacobian)
-        if not verify_motion(worlds.exact, self.robot, motion, self.limits(options), goal).valid:
+        if not verify_motion(worlds, self.robot, motion, self.limits(options), goal).valid:
             return None
         return Plan(motion=motion, route="direct", goal_index=owner, waypoints=path)
 
@@ -479,7 +481,7 @@ class Planner:
             path = without_repeats(path)
             owner = owners[int(np.argmin(np.abs(goals - path[-1]).max(axis=1)))]
             path = shorten(world, path, seed=seed, config=config, watch=watch)
-            motion, finding = self._time_and_verify(worlds.exact, world, path, options, watch)
+            motion, finding = self._time_and_verify(worlds, world, path, options, watch)
             if motion is not None:
                 return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
         if finding is not None:
@@ -490,7 +492,7 @@ class Planner:
         )
 
     def _time_and_verify(
-        self, exact: CollisionWorld, world: CollisionWorld, path: Array, options: MotionOptions, watch: Watch
+        self, sweep: Sweep, world: CollisionWorld, path: Array, options: MotionOptions, watch: Watch
     ) -> tuple[Motion | None, Finding]:
         """Time a path with blends, then with smaller ones, then stopping at its waypoints, until one is valid."""
         limits = self.limits(options)
@@ -500,7 +502,7 @@ class Planner:
             watch("timing", 0)
             motion = time_path(path, corners * shrink, limits, self.robot.kinematics.jacobian)
             watch("verify", 0)
-            finding = verify_motion(exact, self.robot, motion, limits, path[-1])
+            finding = verify_motion(sweep, self.robot, motion, limits, path[-1])
             if finding.valid:
                 return motion, finding
             if not corners.any():
@@ -521,14 +523,16 @@ class Planner:
         return corners
 
     @staticmethod
-    def _free_part(world: CollisionWorld | None, path: Array) -> tuple[int, str]:
-        """Return how many leading configurations of a path are free, and what stops it."""
-        if world is None:
+    def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:
+        """Return how many leading configurations of a path are free, also in between, and what stops it."""
+        if sweep is None:
             return len(path), ""
-        hit = world.first_collision(path)
+        samples, owner = sweep.exact.densify(path, FINE_STEP_M)
+        hit = sweep.first_hit(samples)
         if hit < 0:
             return len(path), ""
-        return max(1, hit), "; ".join(str(contact) for contact in world.contacts(path[hit])[:3])
+        said = "; ".join(str(contact) for contact in sweep.exact.contacts(samples[hit])[:3])
+        return max(1, int(owner[hit])), said
 
     def named_state(self, name: str) -> Array:
         """Return a named arm configuration of the robot.
@@ -542,23 +546,20 @@ class Planner:
         return np.array(states[name])
 
 
-class _Worlds:
-    """The scene with and without padding; built when first needed, since most requests need few of them."""
+class _Worlds(Sweep):
+    """The scene exactly and with the padding that searches keep."""
 
-    def __init__(self, robot: PlannerRobot, scene: PlanningScene, padding: float) -> None:
-        self.scene = scene
-        self.padding = padding
-        self._robot = robot
-
-    @cached_property
-    def exact(self) -> CollisionWorld:
-        return CollisionWorld(self._robot, self.scene)
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene, search_padding: float) -> None:
+        super().__init__(robot, scene)
+        self.search_padding = search_padding
 
     @cached_property
     def padded(self) -> CollisionWorld:
-        if self.padding == 0.0:
+        if self.search_padding == 0.0:
             return self.exact
-        return CollisionWorld(self._robot, self.scene, padding=self.padding)
+        if self.search_padding == MARGIN_M:
+            return self.guard
+        return CollisionWorld(self.robot, self.scene, padding=self.search_padding)
 
     def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
         """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""

@@ -1,7 +1,7 @@
 """The last word on a motion: the timed trajectory is sampled densely and every promise is checked on the samples.
 
-Nothing here trusts how the motion was made: collisions are checked by coal on the exact convex geometry without
-padding, limits at a millisecond's spacing, the end against the goal.
+Nothing here trusts how the motion was made: collisions are checked on the exact convex geometry (see `sweep`), limits
+at a millisecond's spacing, the end against the goal.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_planner.collision import CollisionWorld, ContactPair
+from roboxim_planner.collision import ContactPair
 from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.sweep import FINE_STEP_M, Sweep
 from roboxim_planner.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
 LIMIT_PERIOD_S = 1e-3
-MAX_JOINT_STEP_RAD = 0.01
-MAX_STEP_M = 0.01
 _SLACK = 1.0 + 1e-3
 
 
@@ -47,7 +46,7 @@ class Finding:
 
 
 def verify_motion(
-    world: CollisionWorld | None,
+    sweep: Sweep | None,
     robot: PlannerRobot,
     motion: Motion,
     limits: MotionLimits,
@@ -56,7 +55,7 @@ def verify_motion(
     """Check a timed motion.
 
     Args:
-        world: Robot and obstacles without padding; none: collisions are not checked.
+        sweep: Checks the robot among the obstacles; none: collisions are not checked.
         robot: The robot.
         motion: The motion.
         limits: What it must keep within.
@@ -69,17 +68,14 @@ def verify_motion(
         violations += (f"the motion ends {np.abs(q[-1] - goal).max():.2g} rad from its goal",)
     if float(np.abs(v[[0, -1]]).max()) > 1e-6:
         violations += ("the motion does not start and end at rest",)
-    if world is None:
+    hit = -1 if sweep is None else sweep.first_hit(q)
+    if sweep is None or hit < 0:
         return Finding(violations=violations)
-    chosen = _spaced(q, robot.reach)
-    hit = world.first_collision(q[chosen])
-    if hit < 0:
-        return Finding(violations=violations)
-    return Finding(contacts=world.contacts(q[chosen[hit]]), violations=violations, time_s=float(times[chosen[hit]]))
+    return Finding(contacts=sweep.exact.contacts(q[hit]), violations=violations, time_s=float(times[hit]))
 
 
 def verify_samples(
-    world: CollisionWorld,
+    sweep: Sweep,
     limits: MotionLimits,
     positions: Array,
     times: Array | None = None,
@@ -89,14 +85,14 @@ def verify_samples(
     """Check a joint path or sampled trajectory, straight lines between its points.
 
     Args:
-        world: Robot and obstacles.
+        sweep: Checks the robot among the obstacles.
         limits: What it must keep within.
         positions: Arm configurations, shape (N, dof), N >= 1 [rad].
         times: Times of the points, strictly increasing, shape (N,) [s]; none: a path without speed.
         velocities: Velocities at the points, shape (N, dof) [rad/s]; none: those between points follow from the times.
         accelerations: Accelerations at the points, shape (N, dof) [rad/s^2]; none: not checked.
     """
-    robot = world.robot
+    robot = sweep.robot
     if times is not None and velocities is None and len(positions) > 1:
         velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
         velocities = np.concatenate([velocities[:1], velocities])
@@ -105,29 +101,17 @@ def verify_samples(
     )
     inside = (positions >= robot.lower - 1e-6) & (positions <= robot.upper + 1e-6)
     first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
-    for i in range(len(positions)):
-        piece = world.densify(positions[max(0, i - 1) : i + 1], MAX_STEP_M, MAX_JOINT_STEP_RAD)
-        hit = world.first_collision(piece[-1:] if i == 0 else piece[1:])
-        if hit >= 0:
-            contacts = world.contacts(piece[-1] if i == 0 else piece[1 + hit])
-            index = max(0, i - 1) if hit < len(piece) - 2 else i
-            return Finding(
-                contacts=contacts,
-                violations=violations,
-                time_s=-1.0 if times is None else float(times[i]),
-                index=index if first < 0 else min(first, index),
-            )
-    return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
-
-
-def _spaced(q: Array, reach: Array) -> Array:
-    """Choose samples so that no joint and no point of the arm moves too far between two of them."""
-    moved = np.abs(np.diff(q, axis=0))
-    travel = np.concatenate(
-        [[0.0], np.cumsum(np.maximum(moved.max(axis=1) / MAX_JOINT_STEP_RAD, moved @ reach / MAX_STEP_M))]
+    samples, owner = sweep.exact.densify(positions, FINE_STEP_M)
+    hit = sweep.first_hit(samples)
+    if hit < 0:
+        return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
+    index = int(owner[hit])
+    return Finding(
+        contacts=sweep.exact.contacts(samples[hit]),
+        violations=violations,
+        time_s=-1.0 if times is None else float(times[index]),
+        index=index if first < 0 else min(first, index),
     )
-    marks = np.arange(0.0, travel[-1], 0.9)
-    return np.unique(np.append(np.searchsorted(travel, marks), len(q) - 1))
 
 
 def _limit_violations(

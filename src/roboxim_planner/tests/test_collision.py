@@ -9,6 +9,7 @@ from roboxim_core.poses import Pose
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.pipeline import Planner
 from roboxim_planner.scene import AllowedContact, Attached, Body, PlanningScene, PointHull, box
+from roboxim_planner.sweep import Sweep
 
 Down = Callable[..., Pose]
 EYE = tuple((float(i), float(j), float(k)) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1))
@@ -96,6 +97,18 @@ def test_edge_through_a_thin_wall_is_not_free(planner: Planner, walled: Planning
     assert world.is_free(right)
     assert not world.edge_is_free(left, right, 0.02)
     assert world.edge_is_free(left, left + 0.02, 0.02)
+
+
+def test_sweep_finds_what_lies_between_sparse_samples(planner: Planner, left: np.ndarray) -> None:
+    """A 2 mm needle in the way of the fingers; and the sweep's answer is that of checking every sample."""
+    right = left * [-1, 1, -1, 1, -1, 1, -1]
+    for x in (0.35, 0.45, 0.5):
+        needle = PlanningScene(bodies=(box("needle", (0.002, 0.002, 0.05), Pose(position=(x, 0.0, 0.2))),))
+        sweep = Sweep(planner.robot, needle)
+        samples = sweep.exact.densify(np.stack([left, right]), 0.001)[0]
+        assert sweep.first_hit(samples) == sweep.exact.first_collision(samples)
+        if x == 0.5:
+            assert sweep.first_hit(samples) > 0
 
 
 def test_body_named_like_a_link_is_refused(planner: Planner) -> None:

@@ -13,6 +13,7 @@ from roboxim_core.poses import Pose, distance
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner
 from roboxim_planner.scene import AllowedContact, PlanningScene, box
+from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import MotionLimits, PolynomialMotion
 from roboxim_planner.verify import verify_motion
 
@@ -103,7 +104,7 @@ def test_verifier_catches_a_collision_a_limit_and_a_missed_goal(
     slow = PolynomialMotion(np.array([0.0, 10.0]), _smooth(a, b, 10.0))
     fast = PolynomialMotion(np.array([0.0, 0.1]), _smooth(a, b, 0.1))
     limits = planner.limits(MotionOptions())
-    found = verify_motion(CollisionWorld(planner.robot, walled), planner.robot, slow, limits, b)
+    found = verify_motion(Sweep(planner.robot, walled), planner.robot, slow, limits, b)
     assert "wall" in str(found)
     assert 1.0 < found.time_s < 9.0
     assert "velocity of panda_joint1" in str(verify_motion(None, planner.robot, fast, limits, b))
