@@ -99,16 +99,16 @@ def test_edge_through_a_thin_wall_is_not_free(planner: Planner, walled: Planning
     assert world.edge_is_free(left, left + 0.02, 0.02)
 
 
-def test_sweep_finds_what_lies_between_sparse_samples(planner: Planner, left: np.ndarray) -> None:
-    """A 2 mm needle in the way of the fingers; and the sweep's answer is that of checking every sample."""
+@pytest.mark.parametrize("aside", [0.0, 0.03, 0.06, 0.2])
+def test_sweep_finds_what_lies_between_sparse_samples(planner: Planner, left: np.ndarray, aside: float) -> None:
+    """A 2 mm needle in or beside the way of the hand: the answer is that of checking every sample."""
     right = left * [-1, 1, -1, 1, -1, 1, -1]
-    for x in (0.35, 0.45, 0.5):
-        needle = PlanningScene(bodies=(box("needle", (0.002, 0.002, 0.05), Pose(position=(x, 0.0, 0.2))),))
-        sweep = Sweep(planner.robot, needle)
-        samples = sweep.exact.densify(np.stack([left, right]), 0.001)[0]
-        assert sweep.first_hit(samples) == sweep.exact.first_collision(samples)
-        if x == 0.5:
-            assert sweep.first_hit(samples) > 0
+    x, y, z = planner.robot.fk(0.5 * (left + right), "panda_hand").position
+    needle = box("needle", (0.002, 0.002, 0.002), Pose(position=(x + aside, y, z)))
+    sweep = Sweep(planner.robot, PlanningScene(bodies=(needle,)))
+    samples = sweep.exact.densify(np.stack([left, right]), 0.001)[0]
+    assert sweep.first_hit(samples) == sweep.exact.first_collision(samples)
+    assert (sweep.first_hit(samples) > 0) == (aside < 0.1)
 
 
 def test_body_named_like_a_link_is_refused(planner: Planner) -> None:
