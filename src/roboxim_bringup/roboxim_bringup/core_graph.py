@@ -24,13 +24,20 @@ from roboxim_core.actions import ActionArray, check_chunk
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, Policy, PolicyDescription
+from roboxim_core.policies import (
+    ActionChunk,
+    EpisodeStart,
+    Observation,
+    ObservationWindow,
+    Policy,
+    PolicyDescription,
+    proprio_of,
+)
 from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_eval.conversions import proprio_of
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.schemas import message_schema, typestore
 from roboxim_ros.conversions import fill_image, fill_stamp, to_msg
@@ -120,7 +127,12 @@ class CoreSim:
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
         """Return the tick's observation."""
         images = {name: self.images[name].rgb for name in cameras}
-        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state))
+        return Observation(
+            seq=state.seq,
+            stamp_ns=state.stamp_ns,
+            images=images,
+            proprio=proprio_of(state, self.world.scene.robot.pose),
+        )
 
     def release(self, episode_id: str) -> None:
         """Give the lease back."""

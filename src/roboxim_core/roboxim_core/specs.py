@@ -131,7 +131,7 @@ class LightSpec:
     """Colour of the light."""
     intensity: float = 2.3
     """Radiance factor; a white diffuse surface facing an unshadowed sun of 3.14 is about white. A lamp's is what
-    arrives    at the world's origin."""
+    arrives at the world's origin."""
     shadow: bool = True
     """Whether it casts shadows."""
 

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 from roboxim_interfaces.msg import CameraImage
 from roboxim_interfaces.msg import Observation as ObservationMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.srv import Act
 from sensor_msgs.msg import Image
 
-from roboxim_core.actions import ActionArray
 from roboxim_core.policies import Observation, ObservationWindow
-from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import fill_image, to_msg
-
-
-def proprio_of(state: StateRecord) -> ActionArray:
-    """Return a policy's proprioception of a state: measured TCP position, quaternion xyzw, gripper opening.
-
-    The robot's base is the world's origin in every shipped scene, so world and base frame agree.
-
-    Returns:
-        float32, shape (8,).
-    """
-    tcp = state.robot.pose_tcp_measured
-    return np.array([*tcp.position, *tcp.quat_xyzw, state.robot.gripper_opening], dtype=np.float32)
 
 
 def observation_to_msg(observation: Observation) -> ObservationMsg:

@@ -44,12 +44,20 @@ from roboxim_core.errors import (
     UnavailableError,
     raise_for_code,
 )
-from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policies import (
+    ActionChunk,
+    EpisodeStart,
+    Observation,
+    ObservationWindow,
+    PolicyDescription,
+    proprio_of,
+)
+from roboxim_core.poses import IDENTITY
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_eval.conversions import act_request, proprio_of
+from roboxim_eval.conversions import act_request
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
@@ -103,6 +111,7 @@ class SimClient:
         self._images: dict[str, dict[int, Image]] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._renderer = ""
+        self._base = IDENTITY
         clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.STATE)
 
     @property
@@ -127,6 +136,7 @@ class SimClient:
 
     def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
         """Rebuild the world and settle: tick 0."""
+        self._base = scene.robot.pose
         request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg))
         answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
@@ -166,7 +176,7 @@ class SimClient:
                     f"{MESSAGE_TIMEOUT_S:g} s; is the camera in the scene and its publisher alive?",
                     ErrorCode.OBSERVATION_MISSING,
                 )
-        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state))
+        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state, self._base))
 
     def _collect(self, state: StateRecord, cameras: tuple[str, ...], images: dict[str, Any]) -> bool:
         notice = self._notice
