@@ -41,10 +41,11 @@ docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)
 
 verify-rlds: setup ## read an exported data set with TensorFlow Datasets: DATASET=path
-	@$(BIN)/python scripts/environment.py verify-rlds
-	.tools/verify-rlds/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
+	@$(BIN)/python scripts/make_environment.py verify-rlds
+	.tools/verify-rlds-env/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
 
 colcon: setup ## build the tree with PyPI's colcon against the ROS wheels, into .tools/colcon/
+	@$(BIN)/python scripts/make_environment.py colcon
 	@$(BIN)/python scripts/colcon.py $(ARGS)
 
 lock: setup ## make the locks in requirements/ again from the pyproject.toml files

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -25,228 +25,48 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from pathlib import Path
+from typing import NoReturn
 
-ROOT = Path(__file__).resolve().parents[1]
-TOOLS = ROOT / ".tools"
-VENV = ROOT / ".venv"
-BUILD_ENV = TOOLS / "build-env"
-BUILD_DIR = TOOLS / "build" / "interfaces"
-LOGS = TOOLS / "logs"
-LOCKS = ROOT / "requirements"
-INTERFACES = ROOT / "src" / "roboxim_interfaces"
-UV = TOOLS / "uv" / "bin" / "uv"
-PYTHON = os.path.realpath(getattr(sys, "_base_executable", None) or sys.executable)
-
-# Of another ROS installation, another environment or ours: none of it may reach a build.
-FOREIGN_VARIABLES = (
-    "AMENT_PREFIX_PATH",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_PREFIX_PATH",
-    "CONDA_PREFIX",
-    "PYTHONHOME",
-    "PYTHONPATH",
-    "VIRTUAL_ENV",
+from environments import (
+    LOCKS,
+    PYTHON,
+    ROOT,
+    TOOLS,
+    UV,
+    Environment,
+    SetupError,
+    digest,
+    environment_key,
+    interrupted,
+    packages_key,
+    run,
+    say,
+    show_progress,
+    step,
+    uv_pip,
 )
+
+BUILD_DIR = TOOLS / "build" / "interfaces"
+INTERFACES = ROOT / "src" / "roboxim_interfaces"
+WHEELS_KEPT = 5  # of the interfaces, so that changing branches does not build them again
 GL_PACKAGES = ("libegl1", "libgl1-mesa-dri")
 
-
-class SetupError(Exception):
-    """A step failed; the message says what to do about it."""
-
-
-# --- the state of a result ------------------------------------------------------------------------------------------
-
-
-def digest(*parts: str | Path) -> str:
-    """Hash strings, and files by their content, into a key."""
-    total = hashlib.sha256()
-    for part in parts:
-        total.update(part.read_bytes() if isinstance(part, Path) else part.encode())
-        total.update(b"\0")
-    return total.hexdigest()
+venv = Environment(ROOT / ".venv")
+build_env = Environment(TOOLS / "build-env")
+started = time.monotonic()
 
 
 def interface_files() -> list[Path]:
     """List the files that the generated interfaces depend on."""
-    suffixes = {".msg", ".srv", ".action", ".cmake", ".xml", ".toml", ".txt"}
-    return sorted(path for path in INTERFACES.rglob("*") if path.suffix in suffixes and path.is_file())
+    files = (path for path in INTERFACES.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    others = (INTERFACES / "README.md", INTERFACES / "tests")
+    return sorted(path for path in files if not any(path.is_relative_to(other) for other in others))
 
 
 def interface_key() -> str:
     """Hash names and contents of the interface files, and what they are built with."""
     names = "\n".join(str(path.relative_to(INTERFACES)) for path in interface_files())
     return digest(names, *interface_files(), LOCKS / "build.lock", environment_key())
-
-
-def environment_key() -> str:
-    """Hash what makes an environment unusable when it changes: its interpreter and its place."""
-    return digest(PYTHON, sys.version, str(ROOT))
-
-
-def packages_key(lock: Path) -> str:
-    """Hash what an environment made from a lock depends on."""
-    return digest(lock, environment_key())
-
-
-class Environment:
-    """A virtual environment that knows which steps have been finished in it."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.python = path / "bin" / "python"
-        self._state = path / ".roboxim"
-
-    def has(self, step: str, key: str) -> bool:
-        """Tell whether the step was finished with this key, and nothing was interrupted since."""
-        stamp = self._state / step
-        if (self._state / "busy").exists() or not self.python.exists():
-            return False
-        return stamp.exists() and stamp.read_text() == key
-
-    @contextlib.contextmanager
-    def writing(self, step: str, key: str) -> Iterator[None]:
-        """Mark the environment as half made while its body runs, and the step as finished after it."""
-        (self._state / step).unlink(missing_ok=True)
-        (self._state / "busy").touch()
-        yield
-        (self._state / step).write_text(key)
-        (self._state / "busy").unlink()
-
-    def make(self, lock: Path) -> None:
-        """Make the environment anew, with exactly the packages of a lock.
-
-        Always anew: the ROS wheels register themselves under a second name that no lock knows, so bringing an existing
-        environment in line (`uv pip sync`) would remove half of ROS.
-        """
-        shutil.rmtree(self.path, ignore_errors=True)
-        run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", PYTHON, self.path)
-        self._state.mkdir()
-        with self.writing("packages", packages_key(lock)):
-            uv_pip(self, "install", "--require-hashes", "--no-deps", "--requirements", lock)
-
-
-venv = Environment(VENV)
-build_env = Environment(BUILD_ENV)
-
-
-# --- running commands and telling about it --------------------------------------------------------------------------
-
-started = time.monotonic()
-running: dict[str, tuple[float, Path | None]] = {}  # step -> when it began, the log it writes now
-current = threading.local()  # .step: the step that this thread is in
-print_lock = threading.Lock()
-
-
-def say(text: str) -> None:
-    """Print one line, clearing the status line of a terminal."""
-    with print_lock:
-        clear = "\r\033[K" if sys.stdout.isatty() else ""
-        print(f"{clear}{text}", flush=True)
-
-
-@contextlib.contextmanager
-def step(name: str) -> Iterator[None]:
-    """Announce a step, and its duration when it has finished."""
-    begun = time.monotonic()
-    current.step = name
-    running[name] = (begun, None)
-    say(f"  {name} ...")
-    try:
-        yield
-    finally:
-        running.pop(name, None)
-    say(f"  {name}: done in {time.monotonic() - begun:.1f} s")
-
-
-def show_progress(stop: threading.Event) -> None:
-    """Say what is running: every second in a terminal, every 20 s elsewhere."""
-    terminal = sys.stdout.isatty()
-    while not stop.wait(1.0 if terminal else 20.0):
-        status = " | ".join(describe(name) for name in list(running))
-        if not status:
-            continue
-        with print_lock:
-            if terminal:
-                width = shutil.get_terminal_size().columns - 1
-                print(f"\r\033[K  {status}"[: width + 4], end="", flush=True)
-            else:
-                print(f"    {status}", flush=True)
-
-
-def describe(name: str) -> str:
-    """Describe a running step by its age and the last line that it wrote."""
-    begun, log = running.get(name, (time.monotonic(), None))
-    line = last_line(log) if log else ""
-    return f"{name} {time.monotonic() - begun:.0f} s" + (f": {line}" if line else "")
-
-
-def last_line(log: Path) -> str:
-    """Return the last line of a growing log, shortened."""
-    with contextlib.suppress(OSError), log.open("rb") as file:
-        file.seek(max(0, log.stat().st_size - 2000))
-        lines = [line.strip() for line in file.read().decode(errors="replace").splitlines()]
-        return next((line for line in reversed(lines) if line), "")[:60]
-    return ""
-
-
-def clean_environment() -> dict[str, str]:
-    """Return the process environment without the traces of any ROS or Python environment."""
-    environment = {name: value for name, value in os.environ.items() if name not in FOREIGN_VARIABLES}
-    if environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
-        environment.pop("LD_LIBRARY_PATH", None)  # set by the ROS wheels of the environment that we were started from
-    return environment
-
-
-def run(name: str, *command: str | Path, cwd: Path = ROOT, extra: dict[str, str] | None = None) -> None:
-    """Run a command, its output going to a log that is shown when it fails.
-
-    Raises:
-        SetupError: the command failed.
-    """
-    log = LOGS / f"{name}.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
-    step_name = getattr(current, "step", None)
-    if step_name in running:
-        running[step_name] = (running[step_name][0], log)
-    with log.open("wb") as output:
-        result = subprocess.run(
-            [str(part) for part in command],
-            cwd=cwd,
-            env=clean_environment() | (extra or {}),
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            check=False,
-        )
-    if result.returncode != 0:
-        tail = "\n".join(line[:300] for line in log.read_text(errors="replace").splitlines()[-25:])
-        shown = " ".join(str(part) for part in command)
-        raise SetupError(f"{tail}\n\n`{shown}` failed; the whole output is in {log.relative_to(ROOT)}")
-
-
-def uv_pip(environment: Environment, *arguments: str | Path) -> None:
-    """Run `uv pip` on an environment, with the index and certificates that pip is configured with."""
-    command, *rest = arguments
-    name = f"{environment.path.name.lstrip('.')}-{command}"
-    run(name, UV, "pip", command, "--python", environment.python, *rest, extra=index_settings())
-
-
-def index_settings() -> dict[str, str]:
-    """Translate pip's index and certificate settings to uv's, unless uv has its own."""
-    result = subprocess.run([PYTHON, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False)
-    settings = {}
-    for line in result.stdout.splitlines():
-        key, _, value = line.partition("=")
-        settings[key.split(".")[-1]] = value.strip("'\"")
-    translated = {}
-    if "index-url" in settings and not {"UV_DEFAULT_INDEX", "UV_INDEX_URL"} & os.environ.keys():
-        translated["UV_DEFAULT_INDEX"] = settings["index-url"]
-    if "cert" in settings and "SSL_CERT_FILE" not in os.environ:
-        translated["SSL_CERT_FILE"] = settings["cert"]
-    return translated
-
-
-# --- the steps ------------------------------------------------------------------------------------------------------
 
 
 def require_build_tools() -> None:
@@ -268,7 +88,7 @@ def require_build_tools() -> None:
 
 def install_uv() -> None:
     """Install uv, the package installer, into `.tools/uv`."""
-    key = digest(LOCKS / "uv.txt", environment_key())
+    key = digest(LOCKS / "installer.lock", environment_key())
     stamp = TOOLS / "uv" / ".roboxim"
     if UV.exists() and stamp.exists() and stamp.read_text() == key:
         return
@@ -281,9 +101,12 @@ def install_uv() -> None:
             try:
                 run("pip", PYTHON, "-m", "venv", environment)
             except SetupError as error:
-                raise SetupError("Python has neither pip nor venv. On Debian or Ubuntu: apt install python3.11-venv") from error
+                raise SetupError(
+                    "Python has no pip and no venv; on Debian or Ubuntu: apt install python3.11-venv"
+                ) from error
             pip = [str(environment / "bin" / "python"), "-m", "pip"]
-        run("uv", *pip, "install", "--quiet", "--require-hashes", "--no-deps", "--target", TOOLS / "uv", "-r", LOCKS / "uv.txt")
+        pip += ["install", "--quiet", "--require-hashes", "--no-deps", "--target", str(TOOLS / "uv")]
+        run("uv", *pip, "--requirement", LOCKS / "installer.lock")
         stamp.write_text(key)
 
 
@@ -322,17 +145,18 @@ def build_interfaces() -> Path:
         try:
             run("interfaces", *command, INTERFACES)
         except SetupError:
-            if not retry:
+            if not retry or interrupted.is_set():
                 raise
             shutil.rmtree(BUILD_DIR, ignore_errors=True)  # what an earlier build left may be the cause
             run("interfaces", *command, INTERFACES)
-        shutil.rmtree(folder, ignore_errors=True)
         scratch.rename(folder)
+        for old in sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-WHEELS_KEPT]:
+            shutil.rmtree(old)
     return next(folder.glob("*.whl"))
 
 
 def forget_removed_interfaces() -> None:
-    """Throw the build folder away when an interface file is gone: what was generated from it would stay in the wheel."""
+    """Throw the build folder away when an interface file is gone: what came from it would stay in the wheel."""
     record = BUILD_DIR.with_suffix(".json")
     names = [str(path.relative_to(INTERFACES)) for path in interface_files()]
     known = json.loads(record.read_text()) if record.exists() else names
@@ -349,7 +173,7 @@ def install_ours(wheel: Path) -> None:
     if not venv.has("interfaces", interfaces):
         with venv.writing("interfaces", interfaces):
             uv_pip(venv, "install", "--offline", "--no-deps", "--reinstall", wheel)
-    if not venv.has("project", project) or not (VENV / "bin" / "roboxim").exists():
+    if not venv.has("project", project) or not (venv.path / "bin" / "roboxim").exists():
         with venv.writing("project", project):
             uv_pip(venv, "install", "--offline", "--no-deps", "--no-build-isolation", "--reinstall", "--editable", ROOT)
 
@@ -405,8 +229,15 @@ def set_up() -> None:
     install_ours(build_interfaces())
 
 
+def interrupt(number: int, frame: object) -> NoReturn:
+    """Stop at Ctrl-C: what runs has got the signal too, and nothing more is started."""
+    interrupted.set()
+    raise KeyboardInterrupt
+
+
 def main() -> int:
     """Set the checkout up and say how long it took."""
+    signal.signal(signal.SIGINT, interrupt)
     stop = threading.Event()
     progress = threading.Thread(target=show_progress, args=(stop,), daemon=True)
     try:

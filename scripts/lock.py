@@ -1,0 +1,64 @@
+"""Make the locks in `requirements/` from the requirements in the two pyproject.toml files.
+
+Each lock names every package with its version and the hashes of its files, and no index: it installs from wherever the
+machine gets its packages. Versions stay as they are locked unless a requirement says otherwise or `--upgrade` is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tomllib
+
+from environments import LOCKS, ROOT, UV, clean_environment, index_settings
+
+INTERFACES = ROOT / "src" / "roboxim_interfaces" / "pyproject.toml"
+
+
+def build_requirements() -> list[str]:
+    """Return what building the interfaces takes."""
+    return tomllib.loads(INTERFACES.read_text())["build-system"]["requires"]
+
+
+def group(name: str) -> list[str]:
+    """Return a dependency group of the root project."""
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"][name]
+
+
+def lock(name: str, requirements: list[str], *options: str) -> None:
+    """Resolve requirements into `requirements/NAME.lock`."""
+    command = [
+        *(UV, "pip", "compile", "--quiet", "--python-version", "3.11", "--generate-hashes"),
+        *("--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links"),
+        *("--output-file", LOCKS / f"{name}.lock", *options),
+        *(() if options and "pyproject.toml" in options else ("-",)),
+    ]
+    subprocess.run(
+        [str(part) for part in command],
+        cwd=ROOT,
+        env=clean_environment() | index_settings(),
+        input="\n".join(requirements),
+        text=True,
+        check=True,
+    )
+    text = (LOCKS / f"{name}.lock").read_text()
+    if "://" in text:
+        sys.exit(f"requirements/{name}.lock names a host; a lock must install from any index")
+    print(f"requirements/{name}.lock: {sum(line[:1].isalnum() for line in text.splitlines())} packages")
+
+
+def main() -> None:
+    """Make every lock."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--upgrade", action="store_true", help="take the newest versions that the requirements allow")
+    upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
+    lock("installer", group("installer"), *upgrade)
+    lock("dev", [], "pyproject.toml", "--group", "dev", "--no-emit-package", "roboxim-interfaces", *upgrade)
+    lock("build", build_requirements() + group("build"), *upgrade)
+    lock("colcon", build_requirements() + group("colcon"), *upgrade)
+    lock("verify-rlds", group("verify-rlds"), *upgrade)
+
+
+if __name__ == "__main__":
+    main()

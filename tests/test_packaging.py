@@ -1,0 +1,68 @@
+"""The same facts stated in several packaging files agree."""
+
+import re
+import tomllib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+INTERFACES = ROOT / "src" / "roboxim_interfaces"
+MANIFESTS = sorted(ROOT.glob("src/**/package.xml"))
+PYTHON_PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/*/setup.py"))
+
+
+def depends(manifest: Path, tag: str) -> set[str]:
+    """Return what a package.xml depends on by one kind of tag."""
+    return {element.text for element in ElementTree.parse(manifest).getroot().iter(tag) if element.text}
+
+
+def test_locks_install_from_any_index() -> None:
+    locks = list((ROOT / "requirements").glob("*.lock"))
+    assert locks
+    for lock in locks:
+        text = lock.read_text()
+        assert "://" not in text, lock
+        assert not re.search(r"^-", text, re.MULTILINE), lock
+        for requirement in re.split(r"\n(?! )", text.strip()):
+            assert re.match(r"[\w.-]+(\[[\w,-]+\])?==\S+", requirement), requirement
+            assert "--hash=sha256:" in requirement, requirement
+
+
+def test_root_installs_every_python_package() -> None:
+    built = PROJECT["tool"]["hatch"]["build"]
+    assert sorted(built["dev-mode-dirs"]) == [f"src/{name}" for name in PYTHON_PACKAGES]
+    assert sorted(built["targets"]["wheel"]["packages"]) == [f"src/{name}/{name}" for name in PYTHON_PACKAGES]
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_package_is_one_for_colcon_too(name: str) -> None:
+    folder = ROOT / "src" / name
+    assert (folder / "resource" / name).exists()
+    assert (folder / name / "__init__.py").exists()
+    assert not (folder / "pyproject.toml").exists(), "colcon would build it with that instead of setup.py"
+    setup = (folder / "setup.py").read_text()
+    assert f'name="{name}"' in setup
+    assert f'version="{PROJECT["project"]["version"]}"' in setup
+
+
+@pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda path: path.parent.name)
+def test_manifest_is_of_this_version(manifest: Path) -> None:
+    root = ElementTree.parse(manifest).getroot()
+    assert root.findtext("name") == manifest.parent.name
+    assert root.findtext("version") == PROJECT["project"]["version"]
+
+
+def test_interfaces_name_the_same_dependencies_everywhere() -> None:
+    cmake = re.search(r"DEPENDENCIES\s+([\w\s]+)\)", (INTERFACES / "CMakeLists.txt").read_text())
+    assert cmake is not None
+    packages = set(cmake[1].split())
+    assert depends(INTERFACES / "package.xml", "depend") == packages
+    standard = {path.name for path in (INTERFACES / "standard").iterdir()}
+    wheels = {f"ros-jazzy-{name.replace('_', '-')}" for name in packages - standard}
+    distribution = tomllib.loads((INTERFACES / "pyproject.toml").read_text())
+    required = {requirement.split("==")[0] for requirement in distribution["project"]["dependencies"]}
+    assert required == wheels
+    assert wheels <= {requirement.split("==")[0] for requirement in distribution["build-system"]["requires"]}
