@@ -133,7 +133,7 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
 def _load_class(spec: str) -> Callable[..., Policy]:
     where, _, name = spec.rpartition(":")
     module = _import_file(Path(where)) if where.endswith(".py") else _import_module(where)
-    found = getattr(module, name, None)
+    found: Callable[..., Policy] | None = getattr(module, name, None)
     if not callable(found):
         classes = [key for key, value in vars(module).items() if isinstance(value, type) and hasattr(value, "act")]
         raise ConfigError(f"no policy class '{name}' in '{where}'; {one_of(classes, name)}")

@@ -90,8 +90,8 @@ class GuardedPolicy:
     def _check_window(self, window: ObservationWindow) -> None:
         if window.episode_id != self._episode:
             raise InvalidRequestError(
-                f"{self._label} was not reset for episode '{window.episode_id}' (its episode: {self._episode or 'none'}); "
-                "call reset_policy first"
+                f"{self._label} was not reset for episode '{window.episode_id}' "
+                f"(its episode: {self._episode or 'none'}); call reset_policy first"
             )
         if not window.observations or len(window.pad_mask) != len(window.observations):
             raise InvalidRequestError(

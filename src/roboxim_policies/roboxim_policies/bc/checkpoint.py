@@ -74,7 +74,7 @@ class Checkpoint:
     digest: str
     """Hash of the averaged weights, 16 hexadecimal digits."""
     arrays: list[npt.NDArray[Any]]
-    """Arrays of (network, optimiser state, averaged network)."""
+    """Arrays of (weights, optimiser state, averaged weights), in this order."""
 
     @staticmethod
     def identity_of(config: BCConfig, data: Demonstrations) -> str:
@@ -107,7 +107,7 @@ def save_checkpoint(
 
     Args:
         path: Where to.
-        state: Tree of (network, optimiser state, averaged network).
+        state: Tree of (weights, optimiser state, averaged weights); the weights are vectors.
         step: Steps done.
         config: Configuration.
         data: The training data.
@@ -117,9 +117,6 @@ def save_checkpoint(
         OSError: When the disk is full.
     """
     arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(state)]
-    average = hashlib.blake2b(digest_size=8)
-    for leaf in jax.tree.leaves(state[2]):
-        average.update(np.asarray(leaf).tobytes())
     said = {
         "format": FORMAT,
         "step": step,
@@ -131,12 +128,12 @@ def save_checkpoint(
         "input_sizes": {name: int(images.shape[1]) for name, images in data.images.items()},
         "semantics": to_plain(data.semantics),
         "identity": Checkpoint.identity_of(config, data),
-        "digest": average.hexdigest(),
+        "digest": hashlib.blake2b(arrays[-1].tobytes(), digest_size=8).hexdigest(),
         "episodes": data.episodes,
     }
     buffer = io.BytesIO()
     named = {f"array_{index:04d}": array for index, array in enumerate(arrays)}
-    np.savez(buffer, said=np.array(json.dumps(said)), **named)
+    np.savez(buffer, allow_pickle=False, said=np.array(json.dumps(said)), **named)
     scratch = path.with_name(f".{path.name}.tmp")
     with scratch.open("wb") as file:
         file.write(buffer.getbuffer())

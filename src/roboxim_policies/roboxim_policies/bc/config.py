@@ -63,7 +63,8 @@ class BCConfig:
         Raises:
             ConfigError: On a value that cannot be trained with.
         """
-        for name in "steps batch chunk execute channels keypoints hidden word_size checkpoint_every".split():
+        counts = ("steps", "batch", "chunk", "execute", "channels", "keypoints", "hidden", "word_size")
+        for name in (*counts, "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be >= 1, got {getattr(self, name)}")
         if self.execute > self.chunk:

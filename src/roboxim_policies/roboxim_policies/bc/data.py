@@ -156,8 +156,8 @@ def assemble(
 def _targets(features: Floats, actions: Floats) -> Floats:
     """Return, per step, where the gripper is at its next event, relative to where it is now.
 
-    Events are its openings and closings and the end. A demonstration shows there what it was about: where the object is,
-    where it goes. Predicting that from every earlier image teaches the network to look there.
+    Events are its openings and closings and the end. A demonstration shows there what it was about: where the object
+    is, where it goes. Predicting that from every earlier image teaches the network to look there.
 
     Returns:
         Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5).

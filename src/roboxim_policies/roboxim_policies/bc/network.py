@@ -1,18 +1,22 @@
 """The network of behaviour cloning: small enough for minutes of training on two CPU cores.
 
 Each camera's image goes through three convolutions, of which the instruction scales and shifts the channels (FiLM), and
-is reduced to the image coordinates of a few learned points (spatial softmax): where things are, not what all looks like. A first head predicts where the gripper will be at its next event, an auxiliary task that makes the
-points follow the object that the instruction names; a second head gets that prediction too and outputs a chunk of actions.
+is reduced to the image coordinates of a few learned points (spatial softmax): where things are, not what all looks
+like. A first head predicts where the gripper will be at its next event, an auxiliary task that makes the points follow
+the object that the instruction names; a second head gets that prediction too and outputs a chunk of actions.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.flatten_util import ravel_pytree
 
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import PROPRIO_SIZE, TARGET_SIZE
@@ -23,17 +27,14 @@ POINT_VALUES = 2
 """Learned values per point besides its coordinates."""
 
 
-def _he(key: Array, shape: tuple[int, ...]) -> Array:
-    fan_in = 1
-    for size in shape[:-1]:
-        fan_in *= size
-    return jax.random.normal(key, shape) * jnp.sqrt(2.0 / fan_in)
+def _he(rng: np.random.Generator, shape: tuple[int, ...], scale: float = 1.0) -> Array:
+    """Draw weights; with NumPy, because compiling JAX's generator for every shape takes seconds."""
+    deviation = scale * math.sqrt(2.0 / math.prod(shape[:-1]))
+    return jnp.asarray(rng.normal(scale=deviation, size=shape), jnp.float32)
 
 
 def _convolve(x: Array, kernel: Array, stride: int) -> Array:
-    return jax.lax.conv_general_dilated(
-        x, kernel, (stride, stride), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
+    return jax.lax.conv_general_dilated(x, kernel, (stride, stride), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
 
 
 def _patches(image: Array) -> Array:
@@ -48,9 +49,9 @@ class Dense(eqx.Module):
     weight: Array
     bias: Array
 
-    def __init__(self, inputs: int, outputs: int, *, key: Array, scale: float = 1.0) -> None:
+    def __init__(self, inputs: int, outputs: int, *, rng: np.random.Generator, scale: float = 1.0) -> None:
         """Draw the weights."""
-        self.weight = scale * _he(key, (inputs, outputs))
+        self.weight = _he(rng, (inputs, outputs), scale)
         self.bias = jnp.zeros(outputs)
 
     def __call__(self, x: Array) -> Array:
@@ -61,8 +62,8 @@ class Dense(eqx.Module):
 class Encoder(eqx.Module):
     """An image to points: shape (B, side, side, 3) to (B, (2 + `POINT_VALUES`) * keypoints).
 
-    Non-obvious: the first layer works on patches of 4x4 pixels laid out as channels, which costs a CPU half of a strided
-    convolution. The grid of the last one is coarse, so each of its cells also says where in it the point lies.
+    Non-obvious: the first layer works on patches of 4x4 pixels laid out as channels, which costs a CPU half of a
+    strided convolution. The grid of the last one is coarse, so each of its cells also says where in it the point lies.
     """
 
     kernels: list[Array]
@@ -72,16 +73,15 @@ class Encoder(eqx.Module):
     values: Dense
     temperature: Array
 
-    def __init__(self, config: BCConfig, *, key: Array) -> None:
+    def __init__(self, config: BCConfig, *, rng: np.random.Generator) -> None:
         """Draw the weights."""
-        keys = jax.random.split(key, 6)
         first, c, k = 2 * config.channels // 3, config.channels, config.keypoints
         shapes = [(2, 2, 3 * PATCH**2, first), (3, 3, first, c), (3, 3, c, c)]
-        self.kernels = [_he(key, shape) for key, shape in zip(keys, shapes, strict=False)]
+        self.kernels = [_he(rng, shape) for shape in shapes]
         self.biases = [jnp.zeros(shape[-1]) for shape in shapes]
-        self.film = Dense(config.word_size, 4 * c, key=keys[3], scale=0.1)
-        self.points = Dense(c, k, key=keys[4])
-        self.values = Dense(c, k * (2 + POINT_VALUES), key=keys[5], scale=0.3)
+        self.film = Dense(config.word_size, 4 * c, rng=rng, scale=0.1)
+        self.points = Dense(c, k, rng=rng)
+        self.values = Dense(c, k * (2 + POINT_VALUES), rng=rng, scale=0.3)
         self.temperature = jnp.ones(k)
 
     def __call__(self, image: Array, instruction: Array) -> Array:
@@ -130,25 +130,26 @@ class Network(eqx.Module):
     action_head: Dense
     chunk: int = eqx.field(static=True)
 
-    def __init__(self, config: BCConfig, cameras: tuple[str, ...], vocabulary: int, *, key: Array) -> None:
+    def __init__(
+        self, config: BCConfig, cameras: tuple[str, ...], vocabulary: int, *, rng: np.random.Generator
+    ) -> None:
         """Draw the weights.
 
         Args:
             config: Sizes.
             cameras: Names of the cameras.
             vocabulary: Number of words.
-            key: Random key.
+            rng: Where the weights come from.
         """
-        keys = iter(jax.random.split(key, 8 + len(cameras)))
-        self.words = jax.random.normal(next(keys), (vocabulary + 1, config.word_size)).at[0].set(0.0)
-        self.encoders = {name: Encoder(config, key=next(keys)) for name in sorted(cameras)}
+        self.words = jnp.asarray(rng.normal(size=(vocabulary + 1, config.word_size)), jnp.float32)
+        self.encoders = {name: Encoder(config, rng=rng) for name in sorted(cameras)}
         features = (2 + POINT_VALUES) * config.keypoints * len(cameras) + PROPRIO_SIZE + config.word_size
         hidden = config.hidden
-        self.trunk = [Dense(features, hidden, key=next(keys)), Dense(hidden, hidden, key=next(keys))]
-        self.target_head = Dense(hidden, TARGET_SIZE, key=next(keys), scale=0.1)
+        self.trunk = [Dense(features, hidden, rng=rng), Dense(hidden, hidden, rng=rng)]
+        self.target_head = Dense(hidden, TARGET_SIZE, rng=rng, scale=0.1)
         inputs = hidden + TARGET_SIZE + PROPRIO_SIZE
-        self.action_trunk = [Dense(inputs, hidden, key=next(keys))]
-        self.action_head = Dense(hidden, config.chunk * 7, key=next(keys), scale=0.1)
+        self.action_trunk = [Dense(inputs, hidden, rng=rng)]
+        self.action_head = Dense(hidden, config.chunk * 7, rng=rng, scale=0.1)
         self.chunk = config.chunk
 
     def __call__(self, images: dict[str, Array], proprio: Array, words: Array) -> Prediction:
@@ -173,6 +174,20 @@ class Network(eqx.Module):
         return Prediction(motion=actions[..., :6], gripper=actions[..., 6], target=target)
 
 
-def parameters(network: Network) -> Any:
-    """Return the network's arrays as a tree."""
-    return eqx.filter(network, eqx.is_array)
+def make_network(
+    config: BCConfig, cameras: tuple[str, ...], vocabulary: int, seed: int
+) -> tuple[Array, Callable[[Array], Network]]:
+    """Draw a network's weights.
+
+    Args:
+        config: Sizes.
+        cameras: Names of the cameras.
+        vocabulary: Number of words.
+        seed: Seed of the weights.
+
+    Returns:
+        The weights as one vector, which an optimiser's step handles in one piece, and the function that makes a
+        network of such a vector.
+    """
+    network = Network(config, cameras, vocabulary, rng=np.random.default_rng(seed))
+    return ravel_pytree(network)

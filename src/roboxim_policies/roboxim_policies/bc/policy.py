@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,16 +14,16 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
-from roboxim_policies.bc.data import proprio_features, resize, word_indices
-from roboxim_policies.bc.network import Network, Prediction
+from roboxim_policies.bc.data import Floats, Images, proprio_features, resize, word_indices
+from roboxim_policies.bc.network import Prediction, make_network
 
 
 class BCPolicy(BasePolicy):
     """A behaviour-cloning policy from a checkpoint.
 
     Non-obvious: it asks for the image sizes of its training data and reduces them itself, the way its training did; an
-    image rendered smaller has other pixels. The network is compiled when it is loaded, so that the first action is not late.
-    Words that the training data never had are ignored.
+    image rendered smaller has other pixels. The network is compiled when it is loaded, so that the first action is not
+    late. Words that the training data never had are ignored.
     """
 
     name = "bc"
@@ -48,12 +48,12 @@ class BCPolicy(BasePolicy):
         )
         self.semantics = said.semantics
         self.version = f"step {said.step}, {said.digest}"
-        shape = eqx.filter_eval_shape(
-            Network, said.config, tuple(said.camera_sizes), len(said.vocabulary), key=jax.random.key(0)
-        )
-        count = len(jax.tree.leaves(shape))
-        network = jax.tree.unflatten(jax.tree.structure(shape), [jnp.asarray(a) for a in said.arrays[-count:]])
-        self._predict = eqx.filter_jit(lambda *inputs: network(*inputs))
+        weights, network_of = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
+        averaged = said.arrays[-1]
+        if weights.shape != averaged.shape:
+            raise ConfigError(f"{checkpoint}: its weights do not fit its configuration; it is of another version")
+        network = network_of(jnp.asarray(averaged))
+        self._predict = jax.jit(lambda *inputs: network(*inputs))
         self._words = self._encode("")
         self._infer({n: np.zeros((s, s, 3), np.uint8) for n, s in said.input_sizes.items()}, np.zeros(8, np.float32))
 
@@ -64,7 +64,7 @@ class BCPolicy(BasePolicy):
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""
         newest = window.newest
-        said = self._infer(dict(newest.images), newest.proprio)
+        said = self._infer(newest.images, newest.proprio)
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
         actions[:, 6] = np.asarray(said.gripper[0, : self.horizon]) > 0
@@ -73,7 +73,7 @@ class BCPolicy(BasePolicy):
     def _encode(self, instruction: str) -> jax.Array:
         return jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
 
-    def _infer(self, images: dict[str, np.ndarray], proprio: np.ndarray) -> Prediction:  # type: ignore[type-arg]
+    def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
         if not np.any(proprio[3:7]):
             proprio = np.array([*proprio[:3], 0, 0, 0, 1, proprio[7]], np.float32)
         pixels = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,12 @@ import numpy as np
 import optax
 from jax import Array
 
+from roboxim_core.config import from_json, to_json
 from roboxim_core.errors import ConfigError
 from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstrations
-from roboxim_policies.bc.network import Network, Prediction
+from roboxim_policies.bc.data import PROPRIO_SIZE, Demonstrations
+from roboxim_policies.bc.network import Network, Prediction, make_network
 
 DEAD_DELTA = 1e-5
 CHECKPOINT = "checkpoint.npz"
@@ -76,29 +78,19 @@ class Trainer:
             resume: Whether to go on from a checkpoint that is there.
 
         Raises:
-            ConfigError: When a checkpoint is there and not to be resumed, or belongs to another configuration or data set.
+            ConfigError: When a checkpoint is there and not to be resumed, or belongs to another configuration or data.
         """
         self.data, self.config, self.out = data, config, out
         self.path = out / CHECKPOINT
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
-        self._optimizer = _optimizer(config)
-        self._state: Any = self._initial_state()
+        weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
+        self._state: Any = (weights, _optimizer(config).init(weights), weights)
         self.step = 0
         if self.path.exists():
             self._resume(resume)
         self._samples = _Samples.of(data, self.stats, config)
-        self._update = eqx.filter_jit(self._make_update())
-
-    def _initial_state(self) -> Any:
-        """Return (network, optimiser state, averaged network), drawn in one compiled function: that is quicker."""
-
-        @eqx.filter_jit
-        def make(key: Array) -> Any:
-            network = Network(self.config, self.cameras, len(self.data.vocabulary), key=key)
-            return network, self._optimizer.init(eqx.filter(network, eqx.is_array)), network
-
-        return make(jax.random.key(self.config.seed))
+        self._update = _compiled_update(to_json(config), self.cameras, len(data.vocabulary))
 
     def _resume(self, resume: bool) -> None:
         if not resume:
@@ -132,7 +124,7 @@ class Trainer:
             while self.step < last:
                 parts = self._one_step()
                 if self.step == begun + 1:  # the first one compiles
-                    jax.block_until_ready(parts)
+                    parts["loss"].block_until_ready()
                     started, first = time.monotonic(), self.step
                 recent.append(parts)
                 if self.step % 10 == 0 or self.step == last:
@@ -145,8 +137,10 @@ class Trainer:
         return self.path
 
     def _one_step(self) -> dict[str, Array]:
-        batch = jnp.asarray(self._batch_indices(self.step))
-        state, parts = self._update(self._state, self._samples, batch, jnp.asarray(self.step))
+        parts: dict[str, Array]
+        batch = self._batch_indices(self.step)
+        draws = _augmentation(self.config, self.cameras, self.step, len(batch))
+        state, parts = self._update(self._state, self._samples, jnp.asarray(batch), draws, jnp.asarray(self.step))
         self._state, self.step = state, self.step + 1
         return parts
 
@@ -155,7 +149,7 @@ class Trainer:
         batch = min(self.config.batch, len(self.data))
         per_epoch = len(self.data) // batch
         epoch, piece = divmod(step, per_epoch)
-        rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(epoch,)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(0, epoch)))
         return rng.permutation(len(self.data))[piece * batch : (piece + 1) * batch]
 
     def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
@@ -169,28 +163,31 @@ class Trainer:
     def save(self) -> None:
         """Write the checkpoint."""
         self.out.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(
-            self.path, self._state, step=self.step, config=self.config, data=self.data, stats=self.stats
-        )
+        save_checkpoint(self.path, self._state, step=self.step, config=self.config, data=self.data, stats=self.stats)
 
-    def _make_update(self) -> Callable[..., Any]:
-        config, optimizer = self.config, self._optimizer
 
-        def update(state: Any, samples: _Samples, batch: Array, step: Array) -> Any:
-            network, optimizer_state, average = state
-            key = jax.random.fold_in(jax.random.key(config.seed), step)
-            inputs, wanted = samples.draw(batch, key, config)
-            grad = eqx.filter_value_and_grad(_loss, has_aux=True)
-            (_, parts), gradient = grad(network, inputs, wanted, config)
-            changes, optimizer_state = optimizer.update(gradient, optimizer_state, eqx.filter(network, eqx.is_array))
-            network = eqx.apply_updates(network, changes)
-            decay = jnp.minimum(config.ema_decay, (1.0 + step) / (10.0 + step))
-            average = jax.tree.map(
-                lambda a, n: decay * a + (1 - decay) * n if eqx.is_array(a) else a, average, network
-            )
-            return (network, optimizer_state, average), parts
+@lru_cache(maxsize=4)
+def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[..., Any]:
+    """Return the compiled training step; one of the same shape is compiled once per process."""
+    config = from_json(config_json, BCConfig)
+    optimizer = _optimizer(config)
+    _, network_of = make_network(config, cameras, vocabulary, config.seed)
 
-        return update
+    def update(state: Any, samples: _Samples, batch: Array, draws: dict[str, Array], step: Array) -> Any:
+        weights, optimizer_state, average = state
+        inputs, wanted = samples.draw(batch, draws, config)
+
+        def loss(weights: Array) -> tuple[Array, dict[str, Array]]:
+            return _loss(network_of(weights), inputs, wanted, config)
+
+        gradient, parts = jax.grad(loss, has_aux=True)(weights)
+        changes, optimizer_state = optimizer.update(gradient, optimizer_state, weights)
+        weights = weights + changes
+        decay = jnp.minimum(config.ema_decay, (1.0 + step) / (10.0 + step))
+        average = decay * average + (1 - decay) * weights
+        return (weights, optimizer_state, average), parts
+
+    return jax.jit(update)
 
 
 def _optimizer(config: BCConfig) -> optax.GradientTransformation:
@@ -230,37 +227,40 @@ class _Samples(eqx.Module):
             words=jnp.asarray(data.words),
         )
 
-    def draw(self, batch: Array, key: Array, config: BCConfig) -> Any:
+    def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> Any:
         """Return a batch's augmented inputs and what is wanted of them."""
-        keys = jax.random.split(key, len(self.images) + 1)
         seen = {}
-        for camera, image_key in zip(sorted(self.images), keys[1:], strict=True):
-            pixels = self.images[camera][batch].astype(jnp.float32) / 255.0 - 0.5
-            seen[camera] = _augment(pixels, image_key, config)
+        for camera, images in self.images.items():
+            pixels = images[batch].astype(jnp.float32) / 255.0
+            pixels = jnp.clip(pixels * draws[f"{camera}/gain"], 0, 1) - 0.5
+            seen[camera] = _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
         last = self.ends[batch][:, None]
         steps = batch[:, None] + jnp.arange(config.chunk)
         inside = (steps <= last).astype(jnp.float32)  # after its end a demonstration stands still
         steps = jnp.minimum(steps, last)
-        jitter = jax.random.normal(keys[0], (len(batch), self.proprio.shape[1]))
-        where = self.proprio[batch] + self.proprio_noise[batch] * jitter
+        where = self.proprio[batch] + self.proprio_noise[batch] * draws["proprio"]
         wanted = (self.motion[steps] * inside[..., None], self.gripper[steps], self.targets[batch])
         return (seen, where, self.words[batch]), wanted
 
 
-def _augment(pixels: Array, key: Array, config: BCConfig) -> Array:
-    shift_key, light_key, tint_key = jax.random.split(key, 3)
-    count, side = pixels.shape[:2]
-    if config.brightness > 0:
-        gain = 1 + config.brightness * jax.random.uniform(light_key, (count, 1, 1, 1), minval=-1, maxval=1)
-        tint = 1 + 0.2 * config.brightness * jax.random.uniform(tint_key, (count, 1, 1, 3), minval=-1, maxval=1)
-        pixels = jnp.clip((pixels + 0.5) * gain * tint, 0, 1) - 0.5
-    if config.shift_px > 0:
-        r = config.shift_px
-        padded = jnp.pad(pixels, ((0, 0), (r, r), (r, r), (0, 0)), mode="edge")
-        offsets = jax.random.randint(shift_key, (count, 2), 0, 2 * r + 1)
-        cut = jax.vmap(lambda image, o: jax.lax.dynamic_slice(image, (o[0], o[1], 0), (side, side, 3)))
-        pixels = cut(padded, offsets)
-    return pixels
+def _augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
+    """Draw a step's augmentation: a function of seed and step."""
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
+    draws = {"proprio": rng.normal(size=(batch, PROPRIO_SIZE))}
+    for camera in cameras:
+        light = 1 + config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 1))
+        draws[f"{camera}/gain"] = light * (1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3)))
+        draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2))
+    return {name: jnp.asarray(value, jnp.int32 if "shift" in name else jnp.float32) for name, value in draws.items()}
+
+
+def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
+    side = pixels.shape[1]
+    padded = jnp.pad(pixels, ((0, 0), (most, most), (most, most), (0, 0)), mode="edge")
+    cut: Callable[..., Array] = jax.vmap(
+        lambda image, offset: jax.lax.dynamic_slice(image, (offset[0], offset[1], 0), (side, side, 3))
+    )
+    return cut(padded, offsets)
 
 
 def _loss(network: Network, inputs: Any, wanted: Any, config: BCConfig) -> tuple[Array, dict[str, Array]]:
