@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import signal
 import sys
 from pathlib import Path
+from types import FrameType
 
 import click
 
@@ -61,7 +63,7 @@ class LazyGroup(click.Group):
 
 
 def _keep_lines(command: click.Command) -> None:
-    """Turn a line ``\\b`` of a raw docstring into click's mark for a paragraph whose lines are kept."""
+    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph whose lines are kept."""
     if command.help:
         command.help = command.help.replace("\\b\n", "\b\n")
     for sub in getattr(command, "commands", {}).values():
@@ -81,6 +83,11 @@ def group() -> None:
     """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
 
 
+def _terminate(number: int, _: FrameType | None) -> None:
+    """End like Ctrl-C does: goals are cancelled, workers ended, files closed."""
+    sys.exit(128 + number)
+
+
 def main() -> None:
     """Run the command line. Exit codes: 0, 1 for an error, 2 for a wrong usage or configuration, 130 for Ctrl-C."""
     parent = os.environ.pop("ROBOXIM_PARENT", None)
@@ -90,6 +97,7 @@ def main() -> None:
         die_with_parent(int(parent))
     from roboxim_core.errors import ConfigError, RoboximError
 
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         group.main(prog_name="roboxim", standalone_mode=False)
     except click.ClickException as error:

@@ -103,6 +103,7 @@ class EvaluatorNode(RoboximNode):
         return result
 
     def _run(self, request: Any, cancelled: Callable[[], bool]) -> Iterator[EpisodeResult]:
+        request.config.keep = request.config.keep or "all"
         config = from_msg(request.config, RunConfig)
         if not self._busy.acquire(blocking=False):
             raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")

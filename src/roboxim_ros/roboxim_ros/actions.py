@@ -83,7 +83,9 @@ class ActionCall:
         try:
             answer = self._wait(handle.get_result_async(), deadline, check)
         except BaseException:
-            handle.cancel_goal_async()
+            heard = threading.Event()
+            handle.cancel_goal_async().add_done_callback(lambda _: heard.set())
+            heard.wait(2.0)  # gone before the server has heard it, it would run on
             raise
         return GoalResult(status=_STATUS.get(answer.status, "aborted"), result=answer.result)
 
