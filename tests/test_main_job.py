@@ -1,0 +1,91 @@
+"""The main job through the command line: killed, interrupted, resumed, and the same bits all the same."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboxim_bringup.run_folder import RunFolder
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.check import check_bag, list_bags
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
+EPISODES = 6
+
+
+def roboxim(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "roboxim_bringup", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def generate(out, workers):
+    return roboxim("generate", "--episodes", EPISODES, "--workers", workers, "--size", 64, "--seed", 5, "--out", out)
+
+
+def worker_pids(parent):
+    children = Path(f"/proc/{parent}/task").glob("*/children")
+    pids = [int(pid) for path in children for pid in path.read_text().split()]
+    return [pid for pid in pids if b"roboxim_bringup.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def wait_for_results(out, count, process):
+    path = out / "results.jsonl"
+    waiting = threading.Event()
+    while process.poll() is None and not (path.exists() and len(path.read_text().splitlines()) >= count):
+        waiting.wait(0.1)
+
+
+def bits(out):
+    """Everything that must not depend on how a run went: state hashes and decoded images of every tick."""
+    found = {}
+    for bag in list_bags(out):
+        reader = BagReader(bag)
+        for tick in reader.ticks():
+            key = (reader.info.episode_id, tick.seq)
+            found[key] = (tick.state.state_hash, {name: image.tobytes() for name, image in tick.images.items()})
+    return found
+
+
+def test_killed_interrupted_and_resumed_runs_give_the_same_bits(tmp_path):
+    plain = generate(tmp_path / "plain", workers=1)
+    assert plain.wait(300) == 0, plain.stdout.read()
+
+    out = tmp_path / "rough"
+    rough = generate(out, workers=2)
+    wait_for_results(out, 1, rough)
+    os.kill(worker_pids(rough.pid)[0], signal.SIGKILL)
+    wait_for_results(out, 3, rough)
+    workers = worker_pids(rough.pid)
+    rough.send_signal(signal.SIGINT)
+    assert rough.wait(60) == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers), "no orphan is left"
+    done = len(RunFolder(out).results())
+    assert 3 <= done < EPISODES
+
+    resumed = generate(out, workers=2)
+    text, _ = resumed.communicate(timeout=300)
+    assert resumed.returncode == 0, text
+    assert f"{EPISODES} demonstrations" in text
+    assert all(check_bag(bag).ok for bag in list_bags(out))
+    assert not list((out / ".partial").glob("*"))
+    assert bits(out) == bits(tmp_path / "plain")
+
+
+def test_smoke_run_of_the_demo_makes_what_it_names(tmp_path):
+    process = roboxim("demo", "--smoke", "--out", tmp_path / "demo")
+    text, _ = process.communicate(timeout=500)
+    assert process.returncode == 0, text
+    named = re.findall(r"^  (/\S+): ", text, re.MULTILINE)
+    assert len(named) == 5
+    assert all(Path(path).exists() for path in named)
+    assert np.fromfile(named[0], np.uint8).size > 10_000
