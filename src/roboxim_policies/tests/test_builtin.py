@@ -113,3 +113,32 @@ def test_replay_names_the_file_that_it_cannot_read(tmp_path, name, content):
         load_policy("replay", source=tmp_path / name)
     with pytest.raises(ConfigError, match="no such"):
         load_policy("replay", source=tmp_path / "absent.npz")
+
+
+def write_bag(folder, seqs=(0, 1, 2, 3)):
+    """A bag with a start, actions and one settling tick; the executed action differs from the label."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    name = "roboxim_interfaces/msg/EpisodeStep"
+    text = "uint32 seq\nstring phase\nfloat64[] action_label\nfloat64[] action_executed\n"
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, name))
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/evaluator/step", name, typestore=store)
+        for seq in seqs:
+            action = ACTIONS[seq - 1].astype(float) if seq else np.zeros(0)
+            phase = "start" if seq == 0 else "settle" if seq == max(seqs) else "act"
+            step = store.types[name](seq=seq, phase=phase, action_label=action * 0, action_executed=action)
+            writer.write(connection, seq, store.serialize_cdr(step, name))
+
+
+def test_replay_of_a_bag_repeats_what_was_executed(tmp_path):
+    write_bag(tmp_path / "bag")
+    for source in (tmp_path / "bag", tmp_path / "bag" / "bag.mcap"):
+        policy = load_policy("replay", source=source)
+        assert np.array_equal(policy.act(window(0)).actions[0], ACTIONS[0])
+        assert policy.act(window(1)).done
+    write_bag(tmp_path / "gap", seqs=(0, 2, 3))
+    with pytest.raises(ConfigError, match="gaps"):
+        load_policy("replay", source=tmp_path / "gap")

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.config import digest, from_plain, to_plain
+from roboxim_core.config import digest, from_plain, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
@@ -85,7 +85,7 @@ class Checkpoint:
             content.update(np.ascontiguousarray(images[:: max(1, len(images) // 64)]).tobytes())
         content.update(data.actions.tobytes())
         content.update(data.proprio.tobytes())
-        content.update(" ".join(data.vocabulary).encode())
+        content.update(f"{data.vocabulary}{to_json(data.semantics)}".encode())
         return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
 
     def restore(self, state: Any) -> Any:

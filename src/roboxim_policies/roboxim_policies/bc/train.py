@@ -246,7 +246,7 @@ class _Samples(eqx.Module):
 def _augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
     """Draw a step's augmentation: a function of seed and step."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
-    draws = {"proprio": rng.normal(size=(batch, PROPRIO_SIZE))}
+    draws: dict[str, np.ndarray[Any, Any]] = {"proprio": rng.normal(size=(batch, PROPRIO_SIZE))}
     for camera in cameras:
         light = 1 + config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 1))
         draws[f"{camera}/gain"] = light * (1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3)))
