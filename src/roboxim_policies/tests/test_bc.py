@@ -15,9 +15,9 @@ from roboxim_policies.bc.policy import BCPolicy
 from roboxim_policies.bc.train import Trainer
 
 CONFIG = BCConfig(
-    steps=300,
-    learning_rate=3e-3, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2, channels=8, keypoints=8, hidden=32,
-    image_sizes={"workspace": 32, "wrist": 16}, brightness=0.05, checkpoint_every=100,
+    steps=300, learning_rate=3e-3, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2,
+    channels=8, keypoints=8, hidden=32, image_sizes={"workspace": 32, "wrist": 16}, brightness=0.05,
+    checkpoint_every=100,
 )  # fmt: skip
 COLORS = {"red": (220, 30, 30), "blue": (30, 30, 220)}
 
