@@ -6,8 +6,6 @@ from typing import Any
 
 import yaml
 
-from roboxim_core.config import parse_yaml
-
 
 def parse(text: str, *, source: str) -> Any:
     """Parse YAML 1.2 into dicts, lists and scalars.
@@ -19,6 +17,8 @@ def parse(text: str, *, source: str) -> Any:
     Raises:
         ConfigError: When it is not YAML, with the line.
     """
+    from roboxim_core.config import parse_yaml  # here: it takes a quarter of a second that most commands save
+
     return plain(parse_yaml(text, source=source))
 
 
