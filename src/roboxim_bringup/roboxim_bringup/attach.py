@@ -19,12 +19,22 @@ QUIET_S = 0.25
 """The graph counts as known when nothing new has been heard for so long: one announcement period [s]."""
 
 
+def _complete_runs(*_: Any) -> list[str]:
+    from roboxim_ros.runs import live_runs
+
+    return [run.id for run in live_runs()]
+
+
+run_option = click.option(
+    "--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.",
+    shell_complete=_complete_runs,
+)  # fmt: skip
+
+
 def attach_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--run`` and ``--domain`` to a command; pass both to `attached`."""
     command = click.option("--domain", type=click.IntRange(0, 232), help="ROS domain, instead of a run's.")(command)
-    return click.option("--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.")(
-        command
-    )
+    return run_option(command)
 
 
 def join_run(run_id: str | None, domain: int | None) -> Sequence[str]:

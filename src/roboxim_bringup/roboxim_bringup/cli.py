@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 import click
+from click.shell_completion import CompletionItem
 
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
@@ -49,6 +50,12 @@ class LazyGroup(click.Group):
 
             ctx.fail(f"no command '{name}'; {one_of(self.list_commands(ctx), name)}")
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete a subcommand's name without importing any."""
+        names = [name for name in self.list_commands(ctx) if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [*(CompletionItem(name, help=short_help(name)) for name in names), *options]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the subcommands by section, without importing them."""

@@ -114,6 +114,23 @@ def test_completion_script_of_each_shell():
         assert "_ROBOXIM_COMPLETE" in _isolated("completion", shell)
 
 
+def test_completion_offers_commands_subcommands_and_runs(runtime):
+    def complete(*words):
+        environment = {
+            **os.environ, "_ROBOXIM_COMPLETE": "bash_complete", "COMP_WORDS": " ".join(("roboxim", *words)),
+            "COMP_CWORD": str(len(words)),
+        }  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", "roboxim_bringup"], env=environment, capture_output=True, text=True, check=False
+        )
+        return {line.split(",")[1] for line in done.stdout.splitlines()}
+
+    assert complete("ser") == {"service"}
+    assert {"call", "list", "type"} <= complete("service", "")
+    with register_run("up", domain=3, run_id="mine"):
+        assert complete("env", "--run", "") == {"mine"}
+
+
 def test_unknown_command_gets_a_suggestion():
     done = subprocess.run(
         [sys.executable, "-m", "roboxim_bringup", "servce"], capture_output=True, text=True, check=False

@@ -8,11 +8,13 @@ import time
 
 import click
 
+from roboxim_bringup.attach import run_option
+
 GRACE_S = 15.0
 
 
 @click.command()
-@click.option("--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.")
+@run_option
 @click.option("--all", "every", is_flag=True, help="End all runs of this user.")
 def command(run_id: str | None, every: bool) -> None:
     """End a run: its first process is asked to end, and ends the others."""

@@ -6,9 +6,11 @@ import shlex
 
 import click
 
+from roboxim_bringup.attach import run_option
+
 
 @click.command()
-@click.option("--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.")
+@run_option
 @click.option("--shell", type=click.Choice(["sh", "fish"]), default="sh", show_default=True, help="For which shell.")
 def command(run_id: str | None, shell: str) -> None:
     r"""Print shell exports that let your own nodes, or a genuine ros2, take part in a run.
