@@ -422,7 +422,8 @@ class EpisodeRunner:
         info = EpisodeInfo(
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
-            renderer=self.ports.sim.renderer, versions=self.versions,
+            renderer=self.ports.sim.renderer,
+            versions={**self.versions, f"policy {self.description.name}": self.description.version or "unnamed"},
             config_json=f'{{"run":{to_json(self.config)},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip
