@@ -72,7 +72,7 @@ def _scalar(value: Any, kind: Any) -> Any:
     exact = bool if isinstance(value, bool) else next((k for k in (str, int, float) if isinstance(value, k)), None)
     if exact is int and int not in kinds:
         exact = float
-    if exact in kinds:  # YAML's numbers and strings are subclasses that remember their spelling
+    if exact is not None and exact in kinds:  # YAML's numbers and strings are subclasses that remember their spelling
         return exact(value)
     raise ValueError(f"expected {' or '.join(k.__name__ for k in kinds)}, got {value!r}")
 

@@ -104,7 +104,9 @@ def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0,
     forward = np.asarray(target, dtype=float) - origin
     right = np.cross(forward, np.asarray(up, dtype=float))
     if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9:
-        raise InvalidRequestError(f"look_at needs a target apart from eye and not along up; eye {eye}, target {target}")
+        raise InvalidRequestError(
+            f"look_at needs a target apart from eye and not along up; eye {eye!r}, target {target!r}"
+        )
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)

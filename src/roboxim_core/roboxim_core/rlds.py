@@ -53,9 +53,7 @@ class RldsFeatures:
             raise InvalidRequestError(f"unknown image encoding '{self.encoding}'; expected one of: jpeg, png")
         for key, kind in self.metadata.items():
             if kind not in META_TYPES:
-                raise InvalidRequestError(
-                    f"metadata '{key}': unknown type '{kind}'; {one_of(META_TYPES, kind)}"
-                )
+                raise InvalidRequestError(f"metadata '{key}': unknown type '{kind}'; {one_of(META_TYPES, kind)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,8 +196,7 @@ def features_to_json(features: RldsFeatures) -> dict[str, Any]:
         "is_terminal": _tensor("bool", (), "last step"),
     }
     metadata = {
-        key: _text("") if kind == "text" else _tensor(kind, (), "")
-        for key, kind in sorted(features.metadata.items())
+        key: _text("") if kind == "text" else _tensor(kind, (), "") for key, kind in sorted(features.metadata.items())
     }
     sequence = {
         "pythonClassName": _CLASS + "dataset_feature.Dataset",
@@ -272,9 +269,7 @@ class RldsReader:
                 yield decode_episode(payload, self.features)
                 count += 1
             if count != length:
-                raise RecorderError(
-                    f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED
-                )
+                raise RecorderError(f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED)
 
 
 def _records(path: Path) -> Iterator[bytes]:

@@ -55,9 +55,7 @@ class RldsWriter:
         """
         if not name.isidentifier() or name != name.lower():
             raise InvalidRequestError(f"a data set's name must be lower case with underscores, got '{name}'")
-        if [part for part in version.split(".") if part.isdigit()] != version.split(".") or version.count(
-            "."
-        ) != 2:
+        if [part for part in version.split(".") if part.isdigit()] != version.split(".") or version.count(".") != 2:
             raise InvalidRequestError(f"a data set's version must be like 1.0.0, got '{version}'")
         self.path = folder / name / version
         if self.path.exists() and not overwrite:
@@ -132,9 +130,7 @@ class RldsWriter:
         """
         self.finish_shards()
         if not self._journal["shards"]:
-            raise RecorderError(
-                "a data set needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED
-            )
+            raise RecorderError("a data set needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED)
         splits = []
         for split, shards in sorted(self._journal["shards"].items()):
             for index, shard in enumerate(shards):
@@ -171,9 +167,7 @@ class RldsWriter:
         """Return the writer."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         """Complete the data set unless an error is on its way or it was completed."""
         if kind is None and self._partial.exists():
             self.complete()

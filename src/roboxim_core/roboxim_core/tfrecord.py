@@ -57,9 +57,7 @@ def read_records(path: Path) -> Iterator[bytes]:
 
 
 def _damaged(path: Path, index: int) -> RecorderError:
-    return RecorderError(
-        f"{path}: record {index} is damaged; export the data set again", ErrorCode.BAG_DAMAGED
-    )
+    return RecorderError(f"{path}: record {index} is damaged; export the data set again", ErrorCode.BAG_DAMAGED)
 
 
 def _varint(value: int) -> bytes:
@@ -90,8 +88,7 @@ def _encode_feature(feature: Feature) -> bytes:
 def encode_example(features: Mapping[str, Feature]) -> bytes:
     """Serialise an Example, keys sorted, so that equal features give equal bytes."""
     entries = (
-        _message(1, _message(1, key.encode()) + _message(2, _encode_feature(features[key])))
-        for key in sorted(features)
+        _message(1, _message(1, key.encode()) + _message(2, _encode_feature(features[key]))) for key in sorted(features)
     )
     return _message(1, b"".join(entries))
 

@@ -23,9 +23,7 @@ FEATURES = RldsFeatures(
 def make_episode(index: int, steps: int = 5) -> RldsEpisode:
     rng = np.random.default_rng(index)
     return RldsEpisode(
-        images={
-            "image": [encode_image(rng.integers(0, 255, (16, 24, 3), np.uint8), "png") for _ in range(steps)]
-        },
+        images={"image": [encode_image(rng.integers(0, 255, (16, 24, 3), np.uint8), "png") for _ in range(steps)]},
         state=rng.normal(size=(steps, 8)).astype(np.float32),
         action=rng.normal(size=(steps, 7)).astype(np.float32),
         instruction=f"Pick up cube {index}",

@@ -134,11 +134,8 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
     rate: SuccessRate = rate_of(run.results)
     steps = [result.steps for result in run.results if result.outcome == "success"]
     inference = [1000 * result.inference_s / result.steps for result in run.results if result.steps]
-    films = [
-        {"result": result, "film": webp_film(run.films[result.episode_id])}
-        for result in sorted(run.results, key=lambda r: (r.outcome == "success", r.index))
-        if run.films.get(result.episode_id)
-    ]
+    shown = [result for result in run.results if run.films.get(result.episode_id)]
+    films = {result.episode_id: webp_film(run.films[result.episode_id]) for result in shown}
     return {
         "policy": run.policy,
         "rate": rate,
@@ -146,6 +143,6 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
         "reasons": failure_reasons(run.results),
         "median_steps": int(np.median(steps)) if steps else None,
         "inference_ms": float(np.median(inference)) if inference else None,
-        "failures": [film for film in films if film["result"].outcome != "success"],
-        "successes": [film for film in films if film["result"].outcome == "success"],
+        "failures": [(result, films[result.episode_id]) for result in shown if result.outcome != "success"],
+        "successes": [(result, films[result.episode_id]) for result in shown if result.outcome == "success"],
     }
