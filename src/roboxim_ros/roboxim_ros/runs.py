@@ -25,6 +25,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import domain_coordinator
 
@@ -198,7 +199,7 @@ def _write(run: Run) -> None:
 
 def _read(path: Path) -> Run | None:
     try:
-        data = json.loads(path.read_text())
+        data: dict[str, Any] = json.loads(path.read_text())
         return Run(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
     except (OSError, ValueError, TypeError):  # gone, or of another version
         return None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,47 +23,43 @@ def command(bags: tuple[Path, ...], namespace: str, run_id: str | None, domain: 
     """
     join_run(run_id, domain)
     from roboxim_core.errors import ErrorCode, SimError
-    from roboxim_eval.ports import SimClient, TaskClient
-    from roboxim_recorder.bag import BagReader
     from roboxim_recorder.check import list_bags
-    from roboxim_recorder.replay import replay
     from roboxim_ros.clients import Clients
     from roboxim_ros.host import NodeHost
 
     paths = [bag for given in bags for bag in ([given] if given.is_file() else list_bags(given))]
-    diverged = 0
     name = f"_replay_{os.getpid()}"
     with NodeHost() as host, Clients(name, context=host.context, namespace=namespace) as clients:
-        sim, tasks = SimClient(clients), TaskClient(clients)
-        for path in paths:
-            reader = BagReader(path)
-            verdicts = []
-
-            def judge(state, reader=reader, verdicts=verdicts) -> None:  # type: ignore[no-untyped-def]
-                first = not verdicts
-                verdicts.append(tasks.start(state.episode_id, reader.info.task, state) if first else tasks.judge(state))
-
-            with click.progressbar(length=len(reader), label=reader.info.episode_id, file=_stderr()) as bar:
-
-                def on_tick(state, judge=judge, bar=bar) -> None:  # type: ignore[no-untyped-def]
-                    judge(state)
-                    bar.update(1)
-
-                report = replay(reader, sim, on_tick=on_tick)
-            outcome = "success" if verdicts[-1].success else f"no success ({verdicts[-1].reason or 'unfinished'})"
-            if report.same:
-                click.echo(f"{path}: {report.ticks} of {report.ticks} ticks are the same, bit for bit; {outcome}")
-            else:
-                diverged += 1
-                click.echo(
-                    f"{path}: diverges at tick {report.diverged_at}: {report.difference} "
-                    f"(recorded {report.recorded_hash}, replayed {report.replayed_hash})"
-                )
+        diverged = [path for path in paths if not _is_same(path, clients)]
     if diverged:
-        raise SimError(f"{diverged} of {len(paths)} episodes diverged from their recording", ErrorCode.DIVERGED)
+        raise SimError(f"{len(diverged)} of {len(paths)} episodes diverged from their recording", ErrorCode.DIVERGED)
 
 
-def _stderr():  # type: ignore[no-untyped-def]
-    import sys
+def _is_same(path: Path, clients: Any) -> bool:
+    """Replay one bag, say what came of it, and tell whether every bit is the same."""
+    from roboxim_core.verdicts import Verdict
+    from roboxim_eval.ports import SimClient, TaskClient
+    from roboxim_recorder.bag import BagReader
+    from roboxim_recorder.replay import replay
 
-    return sys.stderr
+    reader, tasks = BagReader(path), TaskClient(clients)
+    verdict = Verdict()
+
+    with click.progressbar(length=len(reader), label=reader.info.episode_id, file=sys.stderr) as bar:
+
+        def judge(state: Any) -> None:
+            nonlocal verdict
+            starts = state.seq == 0
+            verdict = tasks.start(state.episode_id, reader.info.task, state) if starts else tasks.judge(state)
+            bar.update(1)
+
+        report = replay(reader, SimClient(clients), on_tick=judge)
+    if report.same:
+        outcome = "success" if verdict.success else f"no success ({verdict.reason or 'unfinished'})"
+        click.echo(f"{path}: {report.ticks} of {report.ticks} ticks are the same, bit for bit; {outcome}")
+    else:
+        click.echo(
+            f"{path}: diverges at tick {report.diverged_at}: {report.difference} "
+            f"(recorded {report.recorded_hash}, replayed {report.replayed_hash})"
+        )
+    return report.same
