@@ -1,0 +1,187 @@
+"""What the episode loop is given, tells the recorder, and returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.verdicts import Verdict
+
+KEEP_RULES = ("successful", "all", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """How episodes are run."""
+
+    run_seed: int = 0
+    """Seed of the run."""
+    purpose: str = "eval"
+    """``demo``, ``eval``, ``train`` or ``test``."""
+    actor: str = "expert"
+    """Namespace of the policy, e.g. ``expert`` or ``policy``."""
+    task_config: str = ""
+    """Task configuration as YAML text; empty: the task node's default."""
+    cameras: tuple[str, ...] = ()
+    """Names of the cameras to keep of the scene; empty: all."""
+    image_width: int = 0
+    """Overrides the cameras' width [px]; 0: as configured."""
+    image_height: int = 0
+    """Overrides the cameras' height [px]; 0: as configured."""
+    depth: bool = False
+    """Whether the cameras also give depth."""
+    segmentation: bool = False
+    """Whether the cameras also give segmentation."""
+    rate_hz: float = 0.0
+    """Control rate [Hz]; 0: as the scene has it."""
+    window: int = 0
+    """Observations per request; 0: what the policy wants."""
+    execute: int = 0
+    """Actions executed per request; 0: the policy's horizon."""
+    max_steps: int = 0
+    """Actions after which an episode has failed; 0: as the skill is configured."""
+    stop_on_success: bool = True
+    """Whether to stop at the first success."""
+    settle_ticks: int = 10
+    """Hold actions after the end, before the final verdict; recorded, not exported."""
+    keep: str = "all"
+    """``successful``: others are set apart with their reason; ``all``; ``none``: record nothing."""
+    max_attempts: int = 1
+    """Attempts per index until an episode is kept."""
+    policy_timeout_s: float = 30.0
+    """Longest wait for a policy's answer [s]."""
+    noise_translation_m: float = 0.0
+    """Standard deviation of the noise injected into free motions, per axis and tick [m]."""
+    noise_rotation_rad: float = 0.0
+    """The same for rotations [rad]."""
+    output_dir: str = ""
+    """Folder for bags, absolute; empty: record nothing."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a negative number or an unknown keep rule.
+        """
+        if self.keep not in KEEP_RULES:
+            raise InvalidRequestError(f"unknown keep rule '{self.keep}'; {one_of(KEEP_RULES, self.keep)}")
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value >= 0:
+                raise InvalidRequestError(f"{name} must be >= 0, got {value}")
+
+    @property
+    def records(self) -> bool:
+        """Whether bags are written."""
+        return bool(self.output_dir) and self.keep != "none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """What the task node drew for an episode."""
+
+    task: TaskSpec
+    """The task."""
+    scene: SceneSpec
+    """The scene."""
+    max_steps: int
+    """Actions after which the skill has failed."""
+    config_json: str = "{}"
+    """Resolved task configuration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeInfo:
+    """Everything that makes an episode again; opens its bag."""
+
+    episode_id: str
+    """Unique id."""
+    run_seed: int
+    """Seed of the run."""
+    purpose: str
+    """Purpose."""
+    index: int
+    """Index in the run."""
+    attempt: int
+    """Attempt at this index."""
+    task: TaskSpec
+    """The task."""
+    scene: SceneSpec
+    """The scene."""
+    semantics: ActionSemantics
+    """Meaning of the actions."""
+    actor: str
+    """Name of the policy that acts."""
+    renderer: str = ""
+    """Renderer and device."""
+    config_json: str = "{}"
+    """Resolved configuration."""
+    versions: dict[str, str] = field(default_factory=dict)
+    """Package to version, model to hash."""
+    recorded: dict[str, str] = field(default_factory=dict)
+    """Recorded parameter to JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeStep:
+    """What the loop adds to a tick."""
+
+    episode_id: str
+    """Episode."""
+    seq: int
+    """Tick that this step led to."""
+    stamp_ns: int
+    """Its stamp [ns]."""
+    action_label: tuple[float, ...] = ()
+    """What an imitator should have output."""
+    action_executed: tuple[float, ...] = ()
+    """What the controller integrated."""
+    phase: str = "act"
+    """``start``, ``act`` or ``settle``."""
+    disturbance: bool = False
+    """Whether noise was injected."""
+    verdict: Verdict = Verdict()
+    """Verdict at this tick."""
+    inference_s: float = 0.0
+    """Wall time of the policy's request that this action came from [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeResult:
+    """How an episode ended."""
+
+    episode_id: str
+    """Episode."""
+    index: int
+    """Index in the run."""
+    attempt: int = 0
+    """Attempt at this index."""
+    outcome: str = "failure"
+    """``success``, ``failure`` (not solved) or ``error`` (a misbehaving policy)."""
+    reason: str = ""
+    """Snake-case reason when not a success."""
+    message: str = ""
+    """Details for a person."""
+    steps: int = 0
+    """Actions taken, without settling."""
+    last_seq: int = 0
+    """Last tick, settling included."""
+    success_ever: bool = False
+    """Whether it was solved at any tick."""
+    verdict: Verdict = Verdict()
+    """Final verdict."""
+    clipped: int = 0
+    """Actions that were clipped."""
+    instruction: str = ""
+    """The instruction."""
+    skill: str = ""
+    """The skill."""
+    bag: str = ""
+    """Bag, relative to the output folder; empty: none."""
+    wall_s: float = 0.0
+    """Wall time of the episode [s]."""
+    inference_s: float = 0.0
+    """Wall time in the policy [s]."""
+    final_state_hash: str = ""
+    """State hash of the last tick."""
