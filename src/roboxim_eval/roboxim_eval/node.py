@@ -23,6 +23,8 @@ from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 
 FEEDBACK_PERIOD_S = 0.2
+ENDING_S = 10.0
+"""Longest wait for a cancelled run to end its tick, before the next one is refused [s]."""
 VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
 
 
@@ -47,6 +49,7 @@ class EvaluatorNode(RoboximNode):
         """Make the node; see `RoboximNode`."""
         super().__init__("evaluator", context=context, namespace=namespace, parameters=parameters)
         self._busy = threading.Lock()
+        self._goal: ServerGoalHandle | None = None
         self._ports: RosPorts | None = None
         self._runner: EpisodeRunner | None = None
         group = MutuallyExclusiveCallbackGroup()
@@ -88,7 +91,7 @@ class EvaluatorNode(RoboximNode):
             return bool(goal.is_cancel_requested) or not self.context.ok()
 
         with self.answering("evaluator/run_episodes", result):
-            for episode in self._run(goal.request, tick):
+            for episode in self._run(goal.request, tick, goal):
                 message = to_msg(episode, EpisodeResultMsg)
                 result.results = [*result.results, message]
                 feedback.done, feedback.finished, feedback.current = len(result.results), [message], episode.episode_id
@@ -102,20 +105,26 @@ class EvaluatorNode(RoboximNode):
             goal.succeed()
         return result
 
-    def _run(self, request: Any, cancelled: Callable[[], bool]) -> Iterator[EpisodeResult]:
+    def _run(
+        self, request: Any, cancelled: Callable[[], bool], goal: ServerGoalHandle | None = None
+    ) -> Iterator[EpisodeResult]:
         request.config.keep = request.config.keep or "all"
         config = from_msg(request.config, RunConfig)
-        if not self._busy.acquire(blocking=False):
+        ending = (running := self._goal) is not None and running.is_cancel_requested
+        if not self._busy.acquire(timeout=ENDING_S if ending else 0):
             raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")
+        self._goal = goal
         try:
             self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions())
             for index in request.indices:
                 yield self._runner.run_index(int(index), cancelled=cancelled)
-        except RoboximError:
-            self._drop_ports()
+        except RoboximError as error:
+            if error.code != ErrorCode.CANCELLED:
+                self._drop_ports()
             raise
         finally:
             self._runner = None
+            self._goal = None
             self._busy.release()
 
     def _make_ports(self, config: RunConfig) -> Ports:

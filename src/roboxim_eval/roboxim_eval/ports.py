@@ -41,6 +41,7 @@ from roboxim_core.errors import (
     PolicyError,
     RequestTimeoutError,
     RoboximError,
+    SimError,
     UnavailableError,
     raise_for_code,
 )
@@ -103,9 +104,15 @@ class TaskClient:
 class SimClient:
     """The simulator, through its services; images through its topics."""
 
-    def __init__(self, clients: Clients) -> None:
-        """Subscribe to the sim's ticks."""
+    def __init__(self, clients: Clients, holder: str = "") -> None:
+        """Subscribe to the sim's ticks.
+
+        Args:
+            clients: The clients.
+            holder: Who takes the sim's lease; it takes over what one of that name held when it died. Empty: nobody.
+        """
         self._clients = clients
+        self._holder = holder
         self._arrived = threading.Condition()
         self._notice: TickNotice | None = None
         self._images: dict[str, dict[int, Image]] = {}
@@ -137,7 +144,7 @@ class SimClient:
     def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
         """Rebuild the world and settle: tick 0."""
         self._base = scene.robot.pose
-        request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg))
+        request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder)
         answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
 
@@ -148,12 +155,12 @@ class SimClient:
         return from_msg(answer.state, StateRecord)
 
     def release(self, episode_id: str) -> None:
-        """Give the lease back; a sim that has died has none to give."""
+        """Give the lease back; a sim that has died, or that another holds, has none to take."""
         try:
             self._clients.call(
                 ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request(episode_id=episode_id), timeout_s=5.0
             )
-        except (RequestTimeoutError, UnavailableError) as error:
+        except (RequestTimeoutError, UnavailableError, SimError) as error:
             self._clients.node.get_logger().warning(f"could not release '{episode_id}': {error}")
 
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
@@ -354,7 +361,7 @@ class RosPorts:
         """
         self.clients = Clients("evaluator_clients", context=context, namespace=namespace)
         self.tasks = TaskClient(self.clients)
-        self.sim = SimClient(self.clients)
+        self.sim = SimClient(self.clients, holder="evaluator")
         self.recorder = RecorderClient(self.clients, "")
 
     def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[ActorClient, RecorderClient]:

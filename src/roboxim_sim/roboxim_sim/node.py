@@ -69,6 +69,7 @@ class SimNode(RoboximNode):
         self._renderer_name = self.config.renderer
         self._renderers: dict[tuple[str, str], Renderer] = {}
         self._re_rendered: tuple[str, SceneSpec] | None = None
+        self._holder = ""
         self._clock_out = self.create_publisher(Clock, "clock", qos.STATE)
         self._joints_out = self.create_publisher(JointState, "joint_states", qos.STATE)
         self._tf_out = self.create_publisher(TFMessage, "tf", qos.STATE)
@@ -194,8 +195,9 @@ class SimNode(RoboximNode):
     # ---------------------------------------------------------------- services
 
     def _on_load_scene(self, request: LoadScene.Request, response: LoadScene.Response) -> None:
-        self._refuse_foreign(request.episode_id)
+        self._refuse_foreign(request.episode_id, request.holder)
         response.state = self.load(from_msg(request.scene, SceneSpec), request.episode_id, request.renderer)
+        self._holder = request.holder
         response.renderer = self._renderer_text()
 
     def _on_tick(self, request: Tick.Request, response: Tick.Response) -> None:
@@ -215,6 +217,7 @@ class SimNode(RoboximNode):
             self._renderer(self._renderer_name, "live")
         record = self.world.restore(snapshot, request.episode_id)
         response.state = self._publish_or_release(record)
+        self._holder = ""
 
     def _on_render_state(self, request: RenderState.Request, response: RenderState.Response) -> None:
         scene, state = from_msg(request.scene, SceneSpec), from_msg(request.state, StateRecord)
@@ -233,9 +236,13 @@ class SimNode(RoboximNode):
             response.images.append(CameraImage(camera=camera.name, image=msg["image"]))
         response.renderer = f"{renderer.name} ({renderer.device})"
 
-    def _refuse_foreign(self, episode_id: str) -> None:
+    def _refuse_foreign(self, episode_id: str, holder: str = "") -> None:
+        """Refuse another episode while one holds the sim, unless it is the same holder's.
+
+        A holder runs one episode at a time: if it loads another, it has died with the first and was started again.
+        """
         held = self.world.episode_id
-        if held and held != episode_id:
+        if held and held != episode_id and not (holder and holder == self._holder):
             raise SimError(
                 f"episode '{held}' holds the sim; release it first (sim/release_episode, with an empty episode_id if "
                 "its holder has died)",

@@ -181,6 +181,22 @@ def test_snapshot_travels_and_restores(clients: Clients) -> None:
     assert tick(clients, 4).seq == 4
 
 
+def test_a_holder_that_was_started_again_takes_over_what_it_held(clients: Clients) -> None:
+    scene = to_msg(without_cameras(), SceneSpecMsg)
+    clients.call(LoadScene, "sim/load_scene", LoadScene.Request(episode_id="first", scene=scene, holder="me"))
+    for holder in ("", "you"):
+        request = LoadScene.Request(episode_id="second", scene=scene, holder=holder)
+        with pytest.raises(RoboximError, match="'first' holds the sim"):
+            clients.call(LoadScene, "sim/load_scene", request)
+    clients.call(LoadScene, "sim/load_scene", LoadScene.Request(episode_id="second", scene=scene, holder="me"))
+    assert tick(clients, 1, "second").seq == 1
+    load(clients, without_cameras(), "second")
+    request = LoadScene.Request(episode_id="third", scene=scene, holder="me")
+    with pytest.raises(RoboximError, match="'second' holds the sim"):
+        clients.call(LoadScene, "sim/load_scene", request)
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
+
+
 def test_the_lease_keeps_others_out(clients: Clients) -> None:
     load(clients, without_cameras(), "mine")
 
@@ -191,6 +207,8 @@ def test_the_lease_keeps_others_out(clients: Clients) -> None:
 
     assert code(lambda: tick(clients, 1, "yours")) == ErrorCode.LEASE_HELD
     other = LoadScene.Request(episode_id="yours", scene=to_msg(without_cameras(), SceneSpecMsg))
+    assert code(lambda: clients.call(LoadScene, "sim/load_scene", other)) == ErrorCode.LEASE_HELD
+    other.holder = "evaluator"
     assert code(lambda: clients.call(LoadScene, "sim/load_scene", other)) == ErrorCode.LEASE_HELD
     assert code(lambda: tick(clients, 7, "mine")) == ErrorCode.WRONG_SEQ
     step = clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=5)).result
