@@ -12,7 +12,7 @@ help: ## list these commands
 	  awk -F ':.*## ' '{ printf "  make %-13s %s\n", $$1, $$2 }'
 
 setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... chooses the Python 3.11
-	@PYTHON="$(PYTHON)" sh scripts/setup.sh
+	@PYTHON="$(PYTHON)" sh scripts/set_up.sh
 
 demo: setup ## the main job: generate, record, export, train, evaluate; ARGS="..." adds options
 	@$(BIN)/roboxim demo $(ARGS)

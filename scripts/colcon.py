@@ -33,6 +33,10 @@ def main() -> int:
     environment = clean_environment() | {
         "AMENT_PREFIX_PATH": str(PREFIX),
         "CMAKE_PREFIX_PATH": str(PREFIX),
+        "LD_LIBRARY_PATH": str(PREFIX / "lib"),
+        # As the wheel does: compile for a demonstration, and generate what changed.
+        "PYTHONPATH": str(ROOT / "src" / "roboxim_interfaces" / "cmake" / "generate_once"),
+        "ROBOXIM_GENERATOR_CACHE": str(WORKSPACE / "generated"),
         "PATH": f"{PREFIX / 'bin'}:{clean_environment()['PATH']}",
     }
     packages = sorted(path.parent.name for path in ROOT.glob("src/**/package.xml"))
@@ -42,7 +46,8 @@ def main() -> int:
         *("--build-base", WORKSPACE / "build", "--install-base", WORKSPACE / "install"),
         *("--event-handlers", "console_cohesion+", "--packages-select", *packages),
         *("--cmake-args", "-DROBOXIM_ROS_FROM_WHEELS=ON", f"-DPython3_EXECUTABLE={PREFIX / 'bin' / 'python'}"),
-        *("-DCMAKE_BUILD_TYPE=Release", "-GNinja", *sys.argv[1:]),
+        *("-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_C_FLAGS_RELEASE=-O1", "-DCMAKE_CXX_FLAGS_RELEASE=-O1"),
+        *("-GNinja", *sys.argv[1:]),
     ]
     WORKSPACE.mkdir(parents=True, exist_ok=True)
     built = subprocess.run([str(part) for part in command], env=environment, check=False)

@@ -1,6 +1,6 @@
 """Environments that know whether they are whole, and commands whose output is shown when they fail.
 
-What `setup.py` and the scripts for other environments share. Nothing here is imported by RoboXim itself: it runs before
+What `set_up.py` and the scripts for other environments share. RoboXim itself imports nothing from here: this runs before
 there is anything to import.
 """
 

@@ -4,7 +4,7 @@ set -eu
 here=$(dirname "$0")
 for python in ${PYTHON:-python3.11 python3 python}; do
     if "$python" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null; then
-        exec "$python" "$here/setup.py" "$@"
+        exec "$python" "$here/set_up.py" "$@"
     fi
 done
 cat >&2 <<'MESSAGE'

@@ -141,14 +141,11 @@ def build_interfaces() -> Path:
             *(build_env.python, "-m", "build", "--wheel", "--no-isolation", "--skip-dependency-check"),
             *(f"--config-setting=build-dir={BUILD_DIR}", "--outdir", scratch),
         )
-        retry = BUILD_DIR.exists()
         try:
             run("interfaces", *command, INTERFACES)
-        except SetupError:
-            if not retry or interrupted.is_set():
-                raise
-            shutil.rmtree(BUILD_DIR, ignore_errors=True)  # what an earlier build left may be the cause
-            run("interfaces", *command, INTERFACES)
+        except SetupError as error:
+            hint = "" if interrupted.is_set() else "\nIf no interface file is wrong: make clean, then make setup again."
+            raise SetupError(f"{error}{hint}") from error
         scratch.rename(folder)
         for old in sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-WHEELS_KEPT]:
             shutil.rmtree(old)
