@@ -1,6 +1,6 @@
 """Environments that know whether they are whole, and commands whose output is shown when they fail.
 
-What `set_up.py` and the scripts for other environments share. RoboXim itself imports nothing from here: this runs before
+What `set_up.py` and the scripts for other environments share. RoboXim imports nothing from here: this runs before
 there is anything to import.
 """
 
