@@ -134,8 +134,9 @@ def task_text(task: str, *, distractors: str = "", colors: str = "") -> str:
 
     path = named_config("tasks", task)
     text = path.read_text()
+    parse_task_config(text)
     if distractors or colors:
-        data = yaml.safe_load(text)
+        data = yaml.safe_load(text) or {}
         if distractors:
             found = re.fullmatch(r"(\d+)(?:-(\d+))?", distractors)
             if not found:
@@ -143,10 +144,10 @@ def task_text(task: str, *, distractors: str = "", colors: str = "") -> str:
             low = int(found[1])
             data.setdefault("distractors", {}).update(minimum=low, maximum=int(found[2] or low))
         if colors:
-            modifiers = data["objects"]["target"].setdefault("modifiers", {})
-            modifiers["color"] = {"values": [color.strip() for color in colors.split(",")]}
+            target = data.setdefault("objects", {}).setdefault("target", {})
+            target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
         text = yaml.safe_dump(data, sort_keys=False)
-    parse_task_config(text)
+        parse_task_config(text)
     return text
 
 

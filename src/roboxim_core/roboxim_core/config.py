@@ -11,16 +11,17 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import cattrs
 import numpy as np
+from cattrs.errors import AttributeValidationNote
 from cattrs.gen import make_dict_structure_fn
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 
@@ -38,6 +39,8 @@ def _converter() -> cattrs.Converter:
     def number(value: Any, _: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
             raise ValueError(f"expected a number, got {value!r}")
+        if not np.isfinite(value):
+            raise ValueError(f"expected a finite number, got {value}")
         return float(value)
 
     def integer(value: Any, _: Any) -> int:
@@ -60,11 +63,45 @@ def _converter() -> cattrs.Converter:
     converter.register_structure_hook_func(_is_scalar_union, _scalar)
     converter.register_structure_hook(Path, lambda value, _: Path(value))
     converter.register_unstructure_hook(Path, str)
-    converter.register_structure_hook_factory(
-        dataclasses.is_dataclass,
-        lambda cls: make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True),
-    )
+    converter.register_structure_hook_factory(dataclasses.is_dataclass, lambda cls: _dataclass_hook(cls, converter))
     return converter
+
+
+def _origin(kind: Any) -> Any:
+    """Return ``tuple``, ``dict`` and the like of a type, also of one that may be None."""
+    kinds = [arm for arm in get_args(kind) if arm is not type(None)]
+    optional = get_origin(kind) in (Union, type(str | int)) and len(kinds) == 1
+    return get_origin(kinds[0] if optional else kind)
+
+
+def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
+    """Return what builds a dataclass, after a check that lists and mappings are where they belong.
+
+    Without it a string would be taken for the list of its letters.
+    """
+    build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
+    origins = {name: _origin(kind) for name, kind in get_type_hints(cls).items()}
+
+    def structure(value: Any, _: Any) -> Any:
+        if not isinstance(value, Mapping):
+            raise ValueError(f"expected a mapping with keys of {', '.join(origins)}; got {value!r}")
+        misfits = []
+        for name in value:
+            origin, given = origins.get(name), value[name]
+            if given is None:
+                continue
+            if origin in (tuple, list) and (isinstance(given, str | Mapping) or not isinstance(given, Iterable)):
+                misfits.append((name, f"expected a list, got {given!r}"))
+            elif origin in (dict, Mapping) and not isinstance(given, Mapping):
+                misfits.append((name, f"expected a mapping, got {given!r}"))
+        if misfits:
+            errors = [ValueError(text) for _, text in misfits]
+            for error, (name, _) in zip(errors, misfits, strict=True):
+                error.__notes__ = [AttributeValidationNote(name, name, None)]
+            raise cattrs.ClassValidationError(f"while structuring {cls.__name__}", errors, cls)
+        return build(value, cls)
+
+    return structure
 
 
 def _scalar(value: Any, kind: Any) -> Any:
@@ -167,6 +204,8 @@ def parse_yaml(text: str, *, source: str = "YAML") -> Any:
     except MarkedYAMLError as error:
         line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from None
+    except YAMLError as error:
+        raise ConfigError(f"{source}: not valid YAML: {error}") from None
 
 
 def load_config(path: Path | str, cls: type[T]) -> T:

@@ -56,7 +56,9 @@ class PolicyDescription:
             InvalidRequestError: On a window or horizon below 1.
         """
         if self.window < 1 or self.horizon < 1:
-            raise InvalidRequestError(f"policy '{self.name}': window and horizon must be >= 1, got {self}")
+            raise InvalidRequestError(
+                f"policy '{self.name}': window and horizon must be >= 1, got {self.window} and {self.horizon}"
+            )
 
 
 def proprio_of(state: StateRecord, pose_base_in_world: Pose = IDENTITY) -> ActionArray:

@@ -67,6 +67,23 @@ def test_wrong_yaml_names_key_line_and_choices():
     assert "control_rate_hz (line 4): expected a number, got 'fast'" in message
 
 
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("cameras: workspace", r"cameras \(line 1\): expected a list, got 'workspace'"),
+        ("cameras: [workspace]", "expected a mapping with keys of name, .*got 'workspace'"),
+        ("[1, 2]", "expected a mapping with keys of"),
+        ("{entities: [{name: a, model: cube, modifiers: [red]}]}", "modifiers.*expected a mapping"),
+        ("robot: {joint_positions: 3}", "joint_positions.*expected a list, got 3"),
+        ("control_rate_hz: .nan", "control_rate_hz.*finite"),
+        ("\0", "not valid YAML"),
+    ],
+)
+def test_values_of_a_wrong_kind_are_named_and_never_taken_apart(text, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        from_plain(parse_yaml(text), SceneSpec, source="scene.yaml")
+
+
 def test_broken_yaml_names_the_line():
     with pytest.raises(ConfigError, match="line 3"):
         parse_yaml("a: 1\nb: [1, 2\nc: 3")

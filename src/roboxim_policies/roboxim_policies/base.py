@@ -17,8 +17,10 @@ import importlib.util
 import inspect
 import os
 import sys
+import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,7 +28,7 @@ from typing import Any
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.errors import ConfigError, UnavailableError, one_of
+from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, one_of
 from roboxim_core.policies import (
     ActionChunk,
     CameraRequirement,
@@ -111,6 +113,7 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
     Raises:
         ConfigError: When there is no such policy, or it does not take these arguments; the message says which there
             are.
+        PolicyError: When its module or its constructor raises, saying where.
     """
     # The shipped policies register themselves on import.
     importlib.import_module("roboxim_policies.builtin")
@@ -121,7 +124,8 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
         raise ConfigError(
             f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
         ) from None
-    policy = make(**kwargs)
+    with _blaming(f"policy '{spec}' cannot be made"):
+        policy = make(**kwargs)
     missing = [name for name in ("describe", "reset", "act") if not callable(getattr(policy, name, None))]
     if missing:
         raise ConfigError(
@@ -145,14 +149,15 @@ def _load_class(spec: str) -> Callable[..., Policy]:
 def _import_module(name: str) -> ModuleType:
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            raise UnavailableError(f"policy module '{name}' needs '{error.name}', which is not installed") from error
-        raise ConfigError(
-            f"no module '{name}'; give a module on the path or in {os.getcwd()}, or a path/to/file.py:Class"
-        ) from None
+    with _blaming(f"policy module '{name}' cannot be imported"):
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+                raise
+            raise ConfigError(
+                f"no module '{name}'; give a module on the path or in {os.getcwd()}, or a path/to/file.py:Class"
+            ) from None
 
 
 def _import_file(path: Path) -> ModuleType:
@@ -163,5 +168,21 @@ def _import_file(path: Path) -> ModuleType:
         raise ConfigError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(module_spec)
     sys.modules.setdefault(path.stem, module)
-    module_spec.loader.exec_module(module)
+    with _blaming(f"policy file {path} cannot be imported"):
+        module_spec.loader.exec_module(module)
     return module
+
+
+@contextmanager
+def _blaming(what: str) -> Iterator[None]:
+    """Turn what a user's code raises, ``SystemExit`` included, into an error that says where it was raised."""
+    try:
+        yield
+    except RoboximError:
+        raise
+    except ModuleNotFoundError as error:
+        raise UnavailableError(f"{what}: it needs '{error.name}', which is not installed") from error
+    except (Exception, SystemExit) as error:
+        *_, last = traceback.extract_tb(error.__traceback__)
+        where = "" if isinstance(error, SyntaxError) else f" (raised at {last.filename}:{last.lineno})"
+        raise PolicyError(f"{what}: {type(error).__name__}: {str(error) or 'no message'}{where}") from error

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError, UnavailableError
 from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
 from roboxim_core.poses import IDENTITY
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
@@ -174,3 +174,25 @@ def test_a_policy_is_loaded_from_a_module_and_from_a_file(tmp_path, monkeypatch)
         load_policy("no_such_module:Mine")
     with pytest.raises(ConfigError, match="did you mean 'random'"):
         load_policy("randm")
+
+
+@pytest.mark.parametrize(
+    ("code", "complaint"),
+    [
+        ("def broken(:", "cannot be imported: SyntaxError.*line 1"),
+        ("import no_such_library", "it needs 'no_such_library', which is not installed"),
+        ("raise SystemExit(2)", r"cannot be imported: SystemExit: 2 \(raised at .*theirs.py:1\)"),
+        (
+            "class Theirs:\n    def __init__(self):\n        raise RuntimeError('weights are gone')",
+            r"cannot be made: RuntimeError: weights are gone \(raised at .*theirs.py:3\)",
+        ),
+    ],
+)
+def test_a_policy_that_cannot_be_made_says_where(tmp_path, code, complaint):
+    from roboxim_policies import load_policy
+
+    path = tmp_path / "theirs.py"
+    path.write_text(code)
+    with pytest.raises((PolicyError, UnavailableError), match=complaint):
+        load_policy(f"{path}:Theirs")
+    sys.modules.pop("theirs", None)

@@ -1,0 +1,297 @@
+"""What goes wrong, through the nodes: each fault has its name, costs at most its episode, and leaves no trace."""
+
+import errno
+import re
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from roboxim_interfaces.action import RunEpisodes as RunEpisodesAction
+from roboxim_interfaces.msg import RunConfig as RunConfigMsg
+from roboxim_interfaces.srv import RunEpisodes
+from sensor_msgs.msg import Image
+
+from roboxim_bringup.graph import start_graph
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.seeds import SeedPath
+from roboxim_eval import ports
+from roboxim_policies import BasePolicy
+from roboxim_policies.node import PolicyNode
+from roboxim_recorder.bag_writer import McapFile
+from roboxim_recorder.check import check_bag
+from roboxim_ros.actions import ActionCall
+from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain
+
+pytestmark = pytest.mark.ros
+STILL = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
+SMALL = {"purpose": "test", "actor": "policy", "image_width": 32, "image_height": 32, "max_steps": 3, "settle_ticks": 0}
+
+
+class Scripted(BasePolicy):
+    """Answers what a test tells it to."""
+
+    cameras = ("workspace", "wrist")
+
+    def act(self, window):
+        return self.answer(window)
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """One graph for all tests of this file: what a fault leaves behind would show in the next test."""
+    with free_domain() as domain, NodeHost(domain_id=domain) as host:
+        graph = start_graph(host, parameters={"sim": {"scene": "", "renderer": "tiny"}})
+        policy = Scripted()
+        node = host.add(lambda context: PolicyNode(policy, context=context, namespace="policy"))
+        with graph.clients() as clients:
+            yield graph, clients, policy, node
+
+
+@pytest.fixture
+def policy(shared):
+    _, _, policy, node = shared
+    policy.answer = lambda window: STILL
+    declared = node.guard.description
+    yield policy
+    node.guard.description = declared
+
+
+@pytest.fixture
+def graph(shared, policy):
+    return shared[0]
+
+
+@pytest.fixture
+def run(shared, policy):
+    def call(indices=(0,), **config):
+        request = RunEpisodes.Request(
+            config=to_msg(RunConfig(**{**SMALL, **config}), RunConfigMsg), indices=list(indices)
+        )
+        answer = shared[1].call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=60.0)
+        return [from_msg(result, EpisodeResult) for result in answer.results]
+
+    return call
+
+
+def seed():
+    return SeedPath(run_seed=0, purpose="test", index=9)
+
+
+def refused(call):
+    """Return the code and message that a call ends with."""
+    with pytest.raises(RoboximError) as caught:
+        call()
+    return caught.value.code, str(caught.value)
+
+
+def raise_(error):
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason", "message"),
+    [
+        (lambda: raise_(KeyError("weights")), "policy_fault", "KeyError in act at tick 0.*weights"),
+        (lambda: raise_(SystemExit(3)), "policy_fault", "SystemExit"),
+        (lambda: np.full(7, np.nan), "invalid_action", "finite, got nan at step 0, component 0"),
+        (lambda: np.zeros(6), "invalid_action", r"shape \(horizon, 7\), got \(6,\)"),
+        (lambda: np.zeros((0, 7)), "invalid_action", "shape"),
+        (lambda: np.zeros((2, 7)), "invalid_action", "2 actions, but it declares horizon 1"),
+        (lambda: "up", "invalid_action", "not numbers"),
+        (lambda: None, "invalid_action", "shape|numbers|finite"),
+        (lambda: time.sleep(0.6), "policy_late", "did not answer within 0.3 s"),
+    ],
+)
+def test_what_a_policy_does_wrong_fails_its_episode_by_reason(run, policy, tmp_path, answer, reason, message):
+    policy.answer = lambda window: answer() if "-00000-" in window.episode_id else STILL
+    first, second = run((0, 1), output_dir=str(tmp_path), policy_timeout_s=0.3 if reason == "policy_late" else 5.0)
+    assert (first.outcome, first.reason) == ("error", reason)
+    assert re.search(message, first.message), first.message
+    if reason != "policy_late":  # it is still busy then
+        assert (second.outcome, second.steps) == ("failure", 3)
+    assert all(check_bag(tmp_path / result.bag).ok for result in (first, second))
+
+
+@pytest.mark.parametrize(
+    "semantics", [ActionSemantics(gripper="absolute_open_0_closed_1"), ActionSemantics(rate_hz=5.0)]
+)
+def test_a_policy_of_other_semantics_is_refused_before_the_first_step(run, shared, tmp_path, semantics):
+    guard = shared[3].guard
+    guard.description = replace(guard.description, semantics=semantics)
+    code, message = refused(lambda: run(output_dir=str(tmp_path)))
+    assert code == ErrorCode.SEMANTICS_MISMATCH
+    assert "gripper: 'absolute_open_0_closed_1'" in message or "rate_hz: 5.0 against 10.0" in message
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("older_frame", [False, True])
+def test_an_image_that_does_not_come_is_missing_by_name_and_never_an_older_frame(
+    graph, policy, run, monkeypatch, older_frame
+):
+    monkeypatch.setattr(ports, "MESSAGE_TIMEOUT_S", 0.5)
+    publisher = graph["sim"]._camera_publisher
+    policy.answer = lambda window: np.array([0, 0, 0.02, 0, 0, 0, 1])
+    sent = []
+
+    class Faulty:
+        """From tick 2 on publishes nothing, or tick 1's pixels under the later ticks' stamps."""
+
+        def publish(self, message):
+            sent.append(message)
+            if len(sent) > 2 and older_frame:
+                message = Image(
+                    **{name: getattr(message, name) for name in ("header", "height", "width", "encoding", "step")}
+                )
+                message.data = sent[1].data
+            if len(sent) <= 2 or older_frame:
+                publisher("camera/wrist/image", None).publish(message)
+
+    monkeypatch.setattr(
+        graph["sim"],
+        "_camera_publisher",
+        lambda topic, kind: Faulty() if topic == "camera/wrist/image" else publisher(topic, kind),
+    )
+    code, message = refused(lambda: run(max_steps=5))
+    assert code == ErrorCode.OBSERVATION_MISSING
+    assert "tick 2" in message
+    assert "wrist" in message
+    assert "workspace" not in message
+    monkeypatch.undo()
+    policy.answer = lambda window: STILL
+    assert run()[0].steps == 3, "the sim is free again"
+
+
+@pytest.mark.parametrize("where", ["write", "finish"])
+def test_a_full_disk_ends_the_run_and_leaves_nothing_half_written(run, tmp_path, monkeypatch, where):
+    original, calls = getattr(McapFile, where), []
+
+    def full(self, *arguments):
+        calls.append(arguments)
+        if len(calls) > (30 if where == "write" else 1):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return original(self, *arguments)
+
+    monkeypatch.setattr(McapFile, where, full)
+    code, message = refused(lambda: run((0, 1), output_dir=str(tmp_path)))
+    assert code == ErrorCode.DISK
+    assert "free some space" in message
+    kept = list((tmp_path / "episodes").glob("*"))
+    assert all(check_bag(bag).ok for bag in kept)
+    assert not list((tmp_path / ".partial").iterdir())
+    monkeypatch.undo()
+    missing = [index for index in (0, 1) if not any(f"-{index:05d}-" in bag.name for bag in kept)]
+    assert len(missing) == (2 if where == "write" else 1)
+    for result in run(missing, output_dir=str(tmp_path)):
+        assert check_bag(tmp_path / result.bag).ok
+
+
+def test_a_cancel_ends_the_run_within_a_tick_and_another_may_follow(shared, policy, run, tmp_path):
+    graph, clients, _, _ = shared
+    seen, reached = [], threading.Event()
+
+    def slow(window):
+        seen.append(window.seq)
+        if window.seq == 2:
+            reached.set()
+        time.sleep(0.05)
+        return STILL
+
+    policy.answer = slow
+
+    class Stop(Exception):
+        pass
+
+    def check():
+        if reached.is_set():
+            raise Stop
+
+    config = RunConfig(**{**SMALL, "max_steps": 1000, "output_dir": str(tmp_path)})
+    goal = RunEpisodesAction.Goal(config=to_msg(config, RunConfigMsg), indices=[0, 1])
+    with ActionCall(clients, RunEpisodesAction, "evaluator/run_episodes") as action:
+        with pytest.raises(Stop):
+            action.run(goal, check=check)
+        last = seen[-1]
+        policy.answer = lambda window: STILL
+        assert run()[0].steps == 3, "the evaluator is free at once"
+    assert last <= 8
+    assert not list(tmp_path.rglob("*.mcap")), "the bag of a cancelled episode is dropped"
+
+
+def test_a_second_run_at_a_time_is_refused_and_does_not_disturb_the_first(shared, policy, run):
+    _, clients, _, _ = shared
+    refusals = []
+
+    def meanwhile(window):
+        if window.seq == 1:
+            request = RunEpisodes.Request(config=to_msg(RunConfig(**SMALL), RunConfigMsg), indices=[5])
+            with ActionCall(clients, RunEpisodesAction, "evaluator/run_episodes") as action:
+                answer = action.run(RunEpisodesAction.Goal(config=request.config, indices=[5]), timeout_s=20.0)
+            refusals.append((answer.status, answer.result.error_msg))
+        return STILL
+
+    policy.answer = meanwhile
+    (result,) = run()
+    assert (result.outcome, result.steps) == ("failure", 3), result
+    assert [status for status, _ in refusals] == ["aborted"]
+    assert "running episodes already; wait for them or cancel them" in refusals[0][1]
+
+
+def test_odd_requests(run, tmp_path):
+    assert run(()) == []
+    (result,) = run(max_steps=2**32 - 1, actor="expert", settle_ticks=5)
+    assert result.outcome == "success"
+    code, message = refused(lambda: run(rate_hz=7.0, actor="expert"))
+    assert code == ErrorCode.INVALID_REQUEST
+    assert "must divide the physics rate of 240 Hz, got 7" in message
+    code, message = refused(lambda: run(output_dir="somewhere/relative"))
+    assert code == ErrorCode.INVALID_REQUEST
+    assert "absolute" in message
+    (tmp_path / "file").write_text("in the way")
+    code, message = refused(lambda: run(output_dir=str(tmp_path / "file")))
+    assert code == ErrorCode.DISK
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"),
+    [
+        ("skill: [pick_up", "YAML"),
+        ("just words", "mapping"),
+        ("skill: pick_upp", "did you mean 'pick_up'"),
+        ("{skill: pick_up, objects: {target: {models: {values: [cubee]}}}}", "did you mean 'cube'"),
+        (
+            "{skill: pick_up, objects: {target: {models: {values: [cube]}, modifiers: {color: {values: [mauve]}}}}}",
+            "mauve.*red",
+        ),
+    ],
+)
+def test_a_wrong_task_configuration_is_refused_by_name(run, task, expected):
+    code, message = refused(lambda: run(task_config=task))
+    assert code in (ErrorCode.INVALID_CONFIG, ErrorCode.UNKNOWN_SKILL, ErrorCode.UNKNOWN_MODEL)
+    assert re.search(expected, message), message
+
+
+def test_an_evaluator_that_died_does_not_lock_out_its_successor(shared, policy, run):
+    graph, clients, _, _ = shared
+    client = ports.RosPorts(graph.host.context, graph.namespace)
+    try:
+        client.sim.load("dead", client.tasks.draw(seed(), "").scene)
+    finally:
+        client.close()
+    assert run()[0].steps == 3
+
+
+def test_a_lease_of_somebody_else_is_respected(shared, run):
+    graph, clients, _, _ = shared
+    sim = ports.SimClient(clients)
+    sim.load("a user's", ports.TaskClient(clients).draw(seed(), "").scene)
+    code, message = refused(run)
+    assert code == ErrorCode.LEASE_HELD
+    assert "release it first" in message
+    sim.release("a user's")
+    assert run()[0].steps == 3
