@@ -41,6 +41,7 @@ docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)
 
 verify-rlds: setup ## read an exported data set with TensorFlow Datasets: DATASET=path
+	@test -n "$(DATASET)" || { echo "Which data set? make verify-rlds DATASET=folder"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py verify-rlds
 	.tools/verify-rlds-env/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
 

@@ -189,7 +189,9 @@ def install_gl() -> None:
     if not missing:
         return
     command = f"apt-get install -y --no-install-recommends {' '.join(missing)}"
-    if os.geteuid() == 0 and shutil.which("apt-get") and not os.environ.get("ROBOXIM_NO_APT"):
+    failed = TOOLS / "no-system-libraries"  # tried in vain: not again until `make clean-all`
+    may = os.geteuid() == 0 and shutil.which("apt-get") and not os.environ.get("ROBOXIM_NO_APT")
+    if may and not failed.exists():
         try:
             with step("system libraries"):
                 quiet = {"DEBIAN_FRONTEND": "noninteractive"}
@@ -198,7 +200,8 @@ def install_gl() -> None:
             return
         except SetupError as error:
             say(f"  {error}")
-    say(f"  Cameras fall back to PyBullet's own renderer until this is run as root: {command}")
+            failed.touch()
+    say(f"  Without these, cameras may fall back to PyBullet's own renderer. As root: {command}")
 
 
 @contextlib.contextmanager
