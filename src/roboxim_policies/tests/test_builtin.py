@@ -1,6 +1,8 @@
 """The policies without a network, and where recorded actions come from."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -142,3 +144,9 @@ def test_replay_of_a_bag_repeats_what_was_executed(tmp_path):
     write_bag(tmp_path / "gap", seqs=(0, 2, 3))
     with pytest.raises(ConfigError, match="gaps"):
         load_policy("replay", source=tmp_path / "gap")
+
+
+def test_only_bc_imports_jax():
+    code = "import sys; from roboxim_policies import load_policy; import roboxim_policies.bc.data; "
+    code += "load_policy('zero'); sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -85,8 +85,8 @@ class Trainer:
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
         weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
-        self._state: Any = (weights, _optimizer(config).init(weights), weights)
-        self.step = 0
+        # State and step are one value, so that an interruption never falls between them.
+        self._at: tuple[Any, int] = ((weights, _optimizer(config).init(weights), weights), 0)
         if self.path.exists():
             self._resume(resume)
         self._samples = _Samples.of(data, self.stats, config)
@@ -100,8 +100,12 @@ class Trainer:
             raise ConfigError(
                 f"{self.path} belongs to another configuration or data set; choose another folder or the same settings"
             )
-        self._state = found.restore(self._state)
-        self.step = found.step
+        self._at = found.restore(self._at[0]), found.step
+
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self._at[1]
 
     def _identity(self) -> str:
         return Checkpoint.identity_of(self.config, self.data)
@@ -138,10 +142,11 @@ class Trainer:
 
     def _one_step(self) -> dict[str, Array]:
         parts: dict[str, Array]
-        batch = self._batch_indices(self.step)
-        draws = _augmentation(self.config, self.cameras, self.step, len(batch))
-        state, parts = self._update(self._state, self._samples, jnp.asarray(batch), draws, jnp.asarray(self.step))
-        self._state, self.step = state, self.step + 1
+        state, step = self._at
+        batch = self._batch_indices(step)
+        draws = _augmentation(self.config, self.cameras, step, len(batch))
+        state, parts = self._update(state, self._samples, jnp.asarray(batch), draws, jnp.asarray(step))
+        self._at = state, step + 1
         return parts
 
     def _batch_indices(self, step: int) -> np.ndarray[Any, Any]:
@@ -162,8 +167,9 @@ class Trainer:
 
     def save(self) -> None:
         """Write the checkpoint."""
+        state, step = self._at
         self.out.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(self.path, self._state, step=self.step, config=self.config, data=self.data, stats=self.stats)
+        save_checkpoint(self.path, state, step=step, config=self.config, data=self.data, stats=self.stats)
 
 
 @lru_cache(maxsize=4)
