@@ -1,10 +1,15 @@
 """What goes wrong, through the nodes: each fault has its name, costs at most its episode, and leaves no trace."""
 
 import errno
+import os
 import re
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,7 +18,8 @@ from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.srv import RunEpisodes
 from sensor_msgs.msg import Image
 
-from roboxim_bringup.graph import start_graph
+from roboxim_bringup.graph import NODES, PolicyLaunch, start_graph
+from roboxim_bringup.supervisor import Supervisor
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ErrorCode, RoboximError
@@ -22,11 +28,12 @@ from roboxim_eval import ports
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_recorder.bag_writer import McapFile
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.check import check_bag, list_bags
 from roboxim_ros.actions import ActionCall
+from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
-from roboxim_ros.runs import free_domain
+from roboxim_ros.runs import activate_transport, free_domain
 
 pytestmark = pytest.mark.ros
 STILL = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
@@ -295,3 +302,106 @@ def test_a_lease_of_somebody_else_is_respected(shared, run):
     assert "release it first" in message
     sim.release("a user's")
     assert run()[0].steps == 3
+
+
+def test_a_folder_that_cannot_be_written_is_an_error_of_the_disk(tmp_path):
+    (tmp_path / "file").touch()
+    words = [
+        sys.executable,
+        "-m",
+        "roboxim_bringup",
+        "generate",
+        "--episodes",
+        "1",
+        "--out",
+        str(tmp_path / "file" / "x"),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert "Not a directory" in done.stderr
+    assert "[DISK]" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+SLOW_POLICY = """
+import time
+from roboxim_policies import BasePolicy
+class Slow(BasePolicy):
+    cameras = ("workspace",)
+    def act(self, window):
+        time.sleep(0.1)
+        return [0, 0, 0, 0, 0, 0, 1]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(500)
+def test_any_process_of_a_graph_may_be_killed_in_mid_episode(tmp_path):
+    (tmp_path / "slow.py").write_text(SLOW_POLICY)
+    launch = PolicyLaunch(spec=f"{tmp_path / 'slow.py'}:Slow")
+    with free_domain() as domain, mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
+        activate_transport()
+        parameters = {"sim": {"scene": "", "renderer": "tiny"}}
+        with NodeHost() as host, Supervisor(tuple(NODES), [launch], parameters=parameters) as supervisor:
+            supervisor.wait_until_ready()
+            pids = {child.process.pid for child in supervisor.children}
+            for number, name in enumerate(["policy", *NODES]):
+                pids.add(_survive(name, 10 * number, supervisor, host, tmp_path / name))
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids), "no orphan is left"
+
+
+def _survive(name, first, supervisor, host, out):
+    """Kill a process in mid-episode; return the id of its successor."""
+    running, ended = threading.Event(), []
+
+    def watch(message):
+        if message.feedback.seq >= 5:
+            running.set()
+
+    def goal(indices):
+        actor = "policy" if name == "policy" else "expert"
+        config = RunConfig(**{**SMALL, "actor": actor, "max_steps": 0, "settle_ticks": 10, "output_dir": str(out)})
+        return RunEpisodesAction.Goal(config=to_msg(config, RunConfigMsg), indices=indices)
+
+    def attempt(indices):
+        with (
+            Clients("killer", context=host.context) as clients,
+            ActionCall(clients, RunEpisodesAction, "/evaluator/run_episodes") as action,
+        ):
+            try:
+                ended.append(action.run(goal(indices), feedback=watch, timeout_s=90.0).result)
+            except RoboximError as error:
+                ended.append(error)
+
+    def run(indices):
+        thread = threading.Thread(target=attempt, args=(indices,))
+        thread.start()
+        return thread
+
+    thread = run([first, first + 1])
+    assert running.wait(60), name
+    child = next(child for child in supervisor.children if child.name == name)
+    killed = child.process
+    killed.kill()
+    killed.wait()
+    while thread.is_alive():
+        supervisor.supervise()
+        thread.join(0.2)
+    while child.process is killed:
+        supervisor.supervise()
+    supervisor.wait_until_ready()
+    (broken,) = ended
+    if isinstance(broken, RoboximError):
+        assert name == "evaluator", broken
+    elif broken.error_code:
+        assert name in broken.error_msg or "sim/" in broken.error_msg, broken.error_msg
+    else:
+        assert sum(result.outcome == "error" for result in broken.results) <= 1, broken.results
+    ended.clear()
+    run([first + 5]).join()
+    (after,) = ended
+    assert not isinstance(after, RoboximError), f"{name}: {after}"
+    assert after.error_code == 0, f"{name}: {after.error_msg}"
+    assert after.results[0].outcome == ("failure" if name == "policy" else "success"), name
+    assert all(check_bag(bag).ok for bag in list_bags(out)), name
+    return child.process.pid

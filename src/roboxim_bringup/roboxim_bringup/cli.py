@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import re
@@ -13,6 +14,7 @@ from types import FrameType
 import click
 from click.shell_completion import CompletionItem
 
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
     "The main job": ("demo", "generate", "export", "train", "evaluate"),
@@ -119,4 +121,12 @@ def main() -> None:
         sys.exit(2 if wrong_usage else 1)
     except BrokenPipeError:  # e.g. piped into head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except OSError as error:
+        if error.errno not in DISK_ERRORS:
+            raise
+        path = f"{error.filename}: " if error.filename else ""
+        click.echo(
+            f"error: {path}{error.strerror}; free some space or check the folder, and run again [DISK]", err=True
+        )
         sys.exit(1)

@@ -17,7 +17,7 @@ import yaml
 from roboxim_bringup.graph import PolicyLaunch
 from roboxim_bringup.progress import ProgressLine
 from roboxim_bringup.run_folder import RunFolder
-from roboxim_bringup.workers import Progress, WorkerPool
+from roboxim_bringup.workers import WORKER_DIED, Progress, WorkerPool
 from roboxim_core.config import named_config, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError
@@ -83,7 +83,11 @@ def run_job(
         RoboximError: When a graph has a fault that a fresh worker does not cure.
     """
     with RunFolder(job.config.output_dir).opened(job.identity) as folder:
-        done = {result.index: result for result in folder.results() if result.index < job.episodes}
+        done = {
+            result.index: result
+            for result in folder.results()
+            if result.index < job.episodes and result.reason != WORKER_DIED
+        }
         missing = [index for index in range(job.episodes) if index not in done]
         for index in missing:
             folder.discard(index)

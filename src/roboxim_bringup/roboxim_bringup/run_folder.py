@@ -38,13 +38,17 @@ class RunFolder:
         """Make the folder or go on with it, alone.
 
         Args:
-            config: Everything that results depend on, plain data; compared with the stored one.
+            config: Everything that results depend on, plain data; compared with the stored one once there are results.
 
         Raises:
             ConfigError: When the folder holds another run or something else, or is in use.
         """
         stored_at = self.path / RUN_FILE
-        if self.path.exists() and not stored_at.exists() and any(p.name != ".lock" for p in self.path.iterdir()):
+        if (
+            self.path.exists()
+            and not stored_at.exists()
+            and any(not p.name.startswith(".") for p in self.path.iterdir())
+        ):
             raise ConfigError(f"{self.path} exists and is not a run's folder; choose another --out or empty it")
         self.path.mkdir(parents=True, exist_ok=True)
         with open(self.path / ".lock", "w") as lock:
@@ -52,7 +56,7 @@ class RunFolder:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise ConfigError(f"another command is running in {self.path}; wait for it or stop it") from None
-            if stored_at.exists():
+            if stored_at.exists() and (self.path / RESULTS_FILE).exists():
                 self._require_same(json.loads(stored_at.read_text()), config)
             write_atomically(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
             yield self

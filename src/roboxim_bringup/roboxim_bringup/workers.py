@@ -34,6 +34,8 @@ MAX_TRIES = 3
 """Workers that an index may cost before it is reported as an error."""
 READY_S = 180.0
 """Longest start of a worker [s]; a policy may compile."""
+WORKER_DIED = "worker_died"
+"""Reason of an episode that cost all its tries; going on with the run tries it again."""
 STALL_S = 300.0
 """A worker that reports nothing for so long counts as dead [s]."""
 WORKER_FAULTS = {ErrorCode.UNAVAILABLE, ErrorCode.TIMEOUT, ErrorCode.POLICY_DIED}
@@ -230,7 +232,7 @@ class _Worker(threading.Thread):
             episode_id=f"{job.config.purpose}-{job.config.run_seed}-{job.index:05d}",
             index=job.index,
             outcome="error",
-            reason="worker_died",
+            reason=WORKER_DIED,
             message=f"{MAX_TRIES} workers died at it; the last one: {message}",
         )
 

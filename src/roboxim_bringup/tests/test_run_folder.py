@@ -1,4 +1,6 @@
+import errno
 import json
+from pathlib import Path
 
 import pytest
 
@@ -26,8 +28,10 @@ def test_results_survive_a_torn_last_line(tmp_path):
 
 
 def test_another_configuration_is_refused_by_key(tmp_path):
-    with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 5}):
+    with RunFolder(tmp_path / "run").opened({"seed": 2}):
         pass
+    with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 5}) as folder:
+        folder.append(result(0))  # from now on there is something to lose
     with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 9}) as folder:
         assert folder.config()["episodes"] == 9
     with pytest.raises(ConfigError, match="seed: 0 there, 1 asked"), RunFolder(tmp_path / "run").opened({"seed": 1}):
@@ -39,6 +43,19 @@ def test_a_foreign_folder_is_left_alone(tmp_path):
     with pytest.raises(ConfigError, match="not a run's folder"), RunFolder(tmp_path).opened({"seed": 0}):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_folder_whose_first_file_did_not_fit_on_the_disk_can_be_used_again(tmp_path, monkeypatch):
+    def full(path, text):
+        path.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space"), RunFolder(tmp_path / "run").opened({"seed": 0}):
+        pass
+    monkeypatch.undo()
+    with RunFolder(tmp_path / "run").opened({"seed": 0}) as folder:
+        assert folder.results() == []
 
 
 def test_two_commands_in_one_folder_are_refused(tmp_path):

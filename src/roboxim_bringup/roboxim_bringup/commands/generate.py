@@ -38,6 +38,7 @@ def command(
     from roboxim_bringup.jobs import Job, contact_sheet, failures, film, parse_size, registered_run, run_job, task_text
     from roboxim_bringup.progress import ProgressLine
     from roboxim_core.episode import EpisodeResult, RunConfig
+    from roboxim_core.errors import ErrorCode, RoboximError
 
     width, height = parse_size(size)
     config = RunConfig(
@@ -64,4 +65,6 @@ def command(
     click.echo(f"{len(kept)} demonstrations in {out / 'episodes'} ({retried} of them after a failed attempt)")
     for line in failures(results):
         click.echo(line)
+    if not kept:
+        raise RoboximError("no demonstration succeeded; the reasons above say what to change", ErrorCode.TASK_FAULT)
     click.echo(f"next: roboxim export rlds {out} {out}-rlds")
