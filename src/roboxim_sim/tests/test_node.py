@@ -183,6 +183,7 @@ def test_snapshot_travels_and_restores(clients: Clients) -> None:
 
 def test_a_holder_that_was_started_again_takes_over_what_it_held(clients: Clients) -> None:
     scene = to_msg(without_cameras(), SceneSpecMsg)
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())  # whatever another test left
     clients.call(LoadScene, "sim/load_scene", LoadScene.Request(episode_id="first", scene=scene, holder="me"))
     for holder in ("", "you"):
         request = LoadScene.Request(episode_id="second", scene=scene, holder=holder)
