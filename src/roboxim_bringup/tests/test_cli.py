@@ -15,11 +15,13 @@ from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersR
 from rclpy.action import ActionServer
 from rclpy.node import Node
 from roboxim_interfaces.srv import Tick
+from simulation_interfaces.msg import Result
+from simulation_interfaces.srv import DeleteEntity
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from roboxim_bringup.cli import group
-from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.errors import ConfigError, RoboximError, SimError
 from roboxim_ros import qos
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain, register_run
@@ -47,6 +49,7 @@ class SmallNode(Node):
         self.add_on_set_parameters_callback(lambda _: SetParametersResult(successful=True))
         self.create_service(SetBool, "flip", self._flip)
         self.create_service(Tick, "tick", self._tick)
+        self.create_service(DeleteEntity, "delete_entity", self._delete)
         self.latched = self.create_publisher(String, "greeting", qos.LATCHED)
         self.latched.publish(String(data="hello"))
         self.steady = self.create_publisher(String, "steady", qos.STATE)
@@ -61,6 +64,12 @@ class SmallNode(Node):
 
     def _tick(self, request, response):
         response.error_code, response.error_msg = 303, "wrong seq; expected 4"
+        return response
+
+    def _delete(self, request, response):
+        response.result.result, response.result.error_message = Result.RESULT_NOT_FOUND, "no entity 'ghost'"
+        if request.entity != "ghost":
+            response.result.result = Result.RESULT_OK
         return response
 
     def _grip(self, goal):
@@ -176,6 +185,12 @@ def test_wrong_calls_are_explained(small):
 
 
 @pytest.mark.ros
+def test_a_refusal_of_the_simulation_interfaces_is_an_error(small):
+    roboxim("service", "call", "/delete_entity", "{entity: cube}")
+    with pytest.raises(SimError, match="/delete_entity: no entity 'ghost'"):
+        roboxim("service", "call", "/delete_entity", "{entity: ghost}")
+
+
 def test_topics(small):
     assert {"/greeting", "/steady"} <= set(roboxim("topic", "list").split())
     assert roboxim("topic", "type", "/greeting").strip() == "std_msgs/msg/String"

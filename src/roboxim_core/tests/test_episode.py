@@ -227,3 +227,15 @@ def test_cancelling_drops_the_bag():
     with pytest.raises(Exception, match="cancelled"):
         run(world, Actor()).run_index(0, cancelled=lambda: len(world.steps) > 3)
     assert "abort" in world.log
+
+
+def test_a_privileged_policy_is_marked_in_every_episode():
+    infos = []
+
+    class Noting(World):
+        def open(self, info):
+            infos.append(info)
+
+    run(Noting(), Actor(version="7")).run_index(0)
+    run(Noting(), Actor(version="7", privileged=True)).run_index(0)
+    assert [info.versions["policy test"] for info in infos] == ["7", "7, privileged"]

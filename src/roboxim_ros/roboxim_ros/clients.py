@@ -13,10 +13,11 @@ from typing import Any
 
 from rclpy.client import Client
 from rclpy.context import Context
+from rclpy.exceptions import InvalidServiceNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from roboxim_core.errors import RequestTimeoutError, UnavailableError, raise_for_code
+from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
 
 
 def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
@@ -60,11 +61,18 @@ class Clients:
             return
 
     def client(self, srv_type: Any, name: str) -> Client:
-        """Return the client of a service, made on first use."""
+        """Return the client of a service, made on first use.
+
+        Raises:
+            InvalidRequestError: When no service can have that name.
+        """
         with self._lock:
             key = (srv_type, name)
             if key not in self._clients:
-                self._clients[key] = self.node.create_client(srv_type, name)
+                try:
+                    self._clients[key] = self.node.create_client(srv_type, name)
+                except InvalidServiceNameException as error:
+                    raise InvalidRequestError(str(error)) from None
                 self.wake()
             return self._clients[key]
 

@@ -10,7 +10,7 @@ import pytest
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from roboxim_core.errors import RequestTimeoutError, UnavailableError
+from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError
 from roboxim_ros.clients import Clients
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain
@@ -73,6 +73,8 @@ def test_absent_and_slow_services_are_told_apart(graph_host):
     with Clients("clients", context=graph_host.context) as clients:
         with pytest.raises(UnavailableError, match="/nowhere"):
             clients.call(Trigger, "nowhere", Trigger.Request(), wait_s=0.1)
+        with pytest.raises(InvalidRequestError, match="a b"):
+            clients.call(Trigger, "a b", Trigger.Request())
         with pytest.raises(RequestTimeoutError, match="/slow"):
             clients.call(Trigger, "slow", Trigger.Request(), timeout_s=0.1)
 

@@ -127,19 +127,24 @@ def _report(runs: Sequence[PolicyRun], out: Path, *, task: str, seed: int) -> No
     from roboxim_eval.report import Report, verdict_line, write_report
     from roboxim_recorder.bag import BagReader
 
-    first = next((result for run in runs for result in run.results if result.bag), None)
     facts = {"task": task, "run seed": str(seed), "purpose": "eval", "episodes": str(len(runs[0].results))}
     versions: dict[str, str] = {}
-    if first is not None:
-        info = BagReader(out / runs[0].policy / first.bag).info
+    for run in runs:
+        first = next((result for result in run.results if result.bag), None)
+        if first is None:
+            continue
+        info = BagReader(out / run.policy / first.bag).info
         facts |= {"renderer": info.renderer, "control rate": f"{info.semantics.rate_hz:g} Hz"}
         facts |= {f"camera {c.name}": f"{c.width} x {c.height}" for c in info.scene.cameras}
-        versions = dict(info.versions)
+        versions |= info.versions
     report = Report(
         title=f"Evaluation of {' and '.join(run.policy for run in runs)} on {Path(task).stem}",
         runs=runs, facts=facts, versions=versions, command=shlex.join(["roboxim", *sys.argv[1:]]),
     )  # fmt: skip
     page = write_report(report, out)
+    for name, version in versions.items():
+        if name.startswith("policy ") and version.endswith(", privileged"):
+            click.echo(f"{name} is privileged: it was told task, scene and state, which no policy under test may see")
     if len(runs) > 1:
         click.echo(verdict_line(runs))
     click.echo(f"report: {page}")

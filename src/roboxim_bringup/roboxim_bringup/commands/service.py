@@ -62,13 +62,13 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     roboxim service call /sim/get_entities
     roboxim service call /planner/compute_fk roboxim_interfaces/srv/ComputeFK "{links: [tcp]}"
 
-    The type may be left out; the exit code is 1 when the answer's error_code is not 0.
+    The type may be left out; the exit code is 1 when the answer says that the call failed.
     """
     type_name, text = split_type(words)
     from roboxim_bringup.attach import absolute
     from roboxim_bringup.messages import full_name, look_up, message_from_plain, message_to_plain
     from roboxim_bringup.yaml_text import dump, parse
-    from roboxim_core.errors import ConfigError, RoboximError
+    from roboxim_core.errors import ConfigError, RoboximError, SimError
 
     given = look_up(type_name, "srv") if type_name else None
     data = parse(text, source="request") if text else None
@@ -84,6 +84,9 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     code = getattr(response, "error_code", 0)
     if code:
         raise RoboximError(f"{absolute(name)}: {response.error_msg}", code)
+    result = getattr(response, "result", None)  # how simulation_interfaces says it
+    if hasattr(result, "RESULT_OK") and result.result != result.RESULT_OK:
+        raise SimError(f"{absolute(name)}: {result.error_message}")
 
 
 def split_type(words: tuple[str, ...]) -> tuple[str, str]:

@@ -92,8 +92,10 @@ class EpisodeRunner:
         """
         self.ports = ports
         self.config = config
-        self.versions = versions or {}
+        self.versions = dict(versions or {})
         self.description = ports.actor.describe()
+        policy = self.description
+        self.versions[f"policy {policy.name}"] = (policy.version or "unnamed") + (", privileged" * policy.privileged)
         self.progress: tuple[str, int] = ("", 0)
         """Id and tick of the running episode, for whoever watches."""
 
@@ -138,7 +140,7 @@ class EpisodeRunner:
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
             renderer=self.ports.sim.renderer,
-            versions={**self.versions, f"policy {self.description.name}": self.description.version or "unnamed"},
+            versions=self.versions,
             config_json=f'{{"run":{to_json(self.config)},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip
