@@ -1,5 +1,6 @@
 """One episode through real nodes, services and bags, against the same episode through the cores."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from roboxim_interfaces.srv import LoadScene, RunEpisodes, Tick
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.errors import RoboximError, SimError
+from roboxim_core.recorded import RECORDED_PARAMETERS
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag
 from roboxim_ros.conversions import from_msg, to_msg
@@ -61,6 +63,19 @@ def test_noise_is_recorded_apart_from_the_label(graph, tmp_path):
     assert all(step.action_label != step.action_executed for step in noisy)
     assert all(step.action_label == step.action_executed for step in steps if not step.disturbance and step.seq)
     assert [step.phase for step in steps].count("settle") == 10
+
+
+def test_a_users_recorded_parameter_is_one_class(graph, tmp_path, monkeypatch):
+    class RecordedDistance:
+        def record(self, task, scene):
+            target = scene.entity(task.objects["target"].entity)
+            return {"target_x_m": target.pose.position[0]}
+
+    monkeypatch.setitem(RECORDED_PARAMETERS._items, "distance", RecordedDistance)
+    (result,) = run(graph, RunConfig(**SMALL, output_dir=str(tmp_path), max_steps=2))
+    info = BagReader(tmp_path / result.bag).info
+    assert json.loads(info.recorded["distance"]) == {"target_x_m": info.scene.entity("target").pose.position[0]}
+    assert {"objects", "cameras", "lights", "robot"} <= info.recorded.keys()
 
 
 def test_failed_attempts_are_set_apart_and_nothing_partial_stays(graph, tmp_path):
