@@ -1,11 +1,14 @@
 import errno
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from roboxim_bringup import jobs
 from roboxim_bringup.run_folder import RESULTS_FILE, RunFolder
-from roboxim_core.episode import EpisodeResult
+from roboxim_bringup.workers import WORKER_DIED
+from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError
 from roboxim_core.verdicts import Verdict
 
@@ -80,3 +83,27 @@ def test_bags_of_an_unfinished_index_are_discarded(tmp_path):
         (folder.path / "episodes" / "demo-0-00004-0").mkdir()
         folder.discard(3)
         assert [path.name for path in folder.path.glob("*/demo-*")] == ["demo-0-00004-0"]
+
+
+def test_going_on_tries_again_what_cost_all_workers_and_nothing_else(tmp_path, monkeypatch):
+    asked = []
+
+    class Pool:
+        def __init__(self, *arguments, **options):
+            pass
+
+        __enter__ = lambda self: self  # noqa: E731
+        __exit__ = lambda self, *_: None  # noqa: E731
+
+        def run(self, config, indices, **options):
+            asked.append(list(indices))
+            for index in indices:
+                died = index == 1 and len(asked) == 1
+                yield replace(result(index), outcome="error" if died else "failure", reason=WORKER_DIED if died else "")
+
+    monkeypatch.setattr(jobs, "WorkerPool", Pool)
+    job = jobs.Job(config=RunConfig(output_dir=str(tmp_path / "run")), episodes=3)
+    assert [r.reason for r in jobs.run_job(job, "first")] == ["", WORKER_DIED, ""]
+    assert [r.reason for r in jobs.run_job(job, "again")] == ["", "", ""]
+    jobs.run_job(job, "once more")
+    assert asked == [[0, 1, 2], [1]]

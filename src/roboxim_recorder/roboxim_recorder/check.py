@@ -158,6 +158,8 @@ def _until_broken(file: Path) -> Iterator[object]:
 def list_bags(path: Path | str) -> list[Path]:
     """Return the bags of a run's folder or of a folder of bags, sorted by name; set apart ones are not among them.
 
+    A bag that has lost its ``.mcap`` file counts, so that whoever reads it learns of the loss.
+
     Args:
         path: A run's folder (its ``episodes/`` is meant), a folder of bags, or one bag.
 
@@ -167,7 +169,11 @@ def list_bags(path: Path | str) -> list[Path]:
     folder = Path(path)
     if (folder / "episodes").is_dir():
         folder = folder / "episodes"
-    bags = [folder] if list(folder.glob("*.mcap")) else sorted(p.parent for p in folder.glob("[!.]*/*.mcap"))
+    bags = (
+        [folder]
+        if list(folder.glob("*.mcap"))
+        else sorted({path.parent for name in ("*.mcap", "metadata.yaml") for path in folder.glob(f"[!.]*/{name}")})
+    )
     if not bags:
         raise RecorderError(f"{folder} has no bags; expected folders that hold an .mcap file")
     return bags

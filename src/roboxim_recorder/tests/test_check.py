@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag, list_bags, repair_bag
+from roboxim_recorder.rlds import export_rlds
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 
@@ -94,3 +95,12 @@ def test_a_runs_folder_is_listed_and_summarised(tmp_path, fake):
 def test_a_folder_without_bags_is_named(tmp_path):
     with pytest.raises(RecorderError, match="has no bags"):
         list_bags(tmp_path)
+
+
+def test_a_bag_that_lost_its_file_is_not_passed_over(tmp_path, fake):
+    paths = [fake(index=index).record(tmp_path) for index in range(2)]
+    next(paths[1].glob("*.mcap")).unlink()
+    assert list_bags(tmp_path) == paths
+    assert not check_bag(paths[1]).ok
+    with pytest.raises(RecorderError, match="demo-0-00001-0 is not an episode's bag"):
+        export_rlds(tmp_path, tmp_path / "rlds")
