@@ -19,24 +19,25 @@ class Scale:
     demonstrations: int
     """Demonstrations to generate."""
     rollouts: int
-    """Rollouts of bc."""
-    random_rollouts: int
-    """Rollouts of random."""
+    """Rollouts of bc, and of random."""
     steps: int
     """Training steps."""
     size: str = "128"
     """Image size."""
     minutes: str
     """Total time on 2 cores, for people."""
-    training: list[str] = field(default_factory=list)
-    """Further options of the training."""
+    generation: list[str] = field(default_factory=list)
+    """Further options of the generation."""
 
 
 SCALES = {
-    "default": Scale(demonstrations=120, rollouts=30, random_rollouts=20, steps=1500, minutes="about 7 minutes"),
-    "smoke": Scale(demonstrations=3, rollouts=2, random_rollouts=1, steps=12, size="96", minutes="about 1 minute"),
-    "large": Scale(demonstrations=600, rollouts=50, random_rollouts=20, steps=12000, minutes="about 1 hour"),
-}
+    "default": Scale(demonstrations=100, rollouts=24, steps=1200, minutes="about 6 minutes"),
+    "smoke": Scale(demonstrations=3, rollouts=2, steps=12, size="96", minutes="about 1 minute"),
+    "large": Scale(
+        demonstrations=300, rollouts=50, steps=4000, minutes="about 20 minutes",
+        generation=["--noise-mm", "6", "--noise-mrad", "20"],
+    ),
+}  # fmt: skip
 
 
 @click.command()
@@ -46,7 +47,7 @@ SCALES = {
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes.")
 @click.option("--smoke", is_flag=True, help="A minute's run that shows that everything works; trains nothing of use.")
-@click.option("--large", is_flag=True, help="The documented larger setting, about an hour.")
+@click.option("--large", is_flag=True, help="The documented larger setting, about 20 minutes.")
 @click.option(
     "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny, saying so."
 )
@@ -72,9 +73,9 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
     common = ["--seed", str(seed), "--workers", str(workers), "--renderer", renderer, "--size", scale.size]
     rollouts = str(scale.rollouts)
     started = time.monotonic()
-    _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *common)
+    _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *scale.generation, *common)
     _step("export", "rlds", str(demos), str(dataset))
-    _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps), *scale.training)
+    _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps))
     _step(
         "evaluate", "--policy", "bc", "--checkpoint", str(trained), "--policy", "random", "--out", str(evaluation),
         "--episodes", rollouts, *common,
