@@ -266,14 +266,14 @@ def test_action_plans_and_can_be_cancelled(graph: Graph) -> None:
         assert client.wait_for_server(10.0)
         goal = PlanMotion.Goal(kind=PlanMotion.Goal.POSE, waypoints=[target()])
         goal.request.start_state = JointState(position=HOME)
-        assert _result(client, goal).plan.route == "direct"
+        assert _result(graph.clients, client, goal).plan.route == "direct"
         goal.kind = 9
-        assert _result(client, goal).error_code == ErrorCode.INVALID_REQUEST
+        assert _result(graph.clients, client, goal).error_code == ErrorCode.INVALID_REQUEST
         endless = PlanMotion.Goal(kind=PlanMotion.Goal.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))
         endless.request.start_state = JointState(position=[1.2, *FOLDED])
         endless.request.scene.objects = divided()
         endless.request.timeout = 30.0
-        assert _result(client, endless, cancel=True).error_code == ErrorCode.CANCELLED
+        assert _result(graph.clients, client, endless, cancel=True).error_code == ErrorCode.CANCELLED
     finally:
         client.destroy()
 
@@ -295,14 +295,16 @@ def divided() -> list[CollisionObject]:
     return walls
 
 
-def _result(client: ActionClient, goal: PlanMotion.Goal, *, cancel: bool = False) -> PlanMotion.Result:
+def _result(
+    clients: Clients, client: ActionClient, goal: PlanMotion.Goal, *, cancel: bool = False
+) -> PlanMotion.Result:
     running = threading.Event()
-    handle = _wait(client.send_goal_async(goal, feedback_callback=lambda _: running.set()))
+    handle = _wait(clients.in_thread(lambda: client.send_goal_async(goal, feedback_callback=lambda _: running.set())))
     assert handle.accepted
     if cancel:
         assert running.wait(10.0)
-        handle.cancel_goal_async()
-    return _wait(handle.get_result_async()).result
+        clients.in_thread(handle.cancel_goal_async)
+    return _wait(clients.in_thread(handle.get_result_async)).result
 
 
 def _wait(future: Any) -> Any:

@@ -44,8 +44,8 @@ class ActionCall:
             name: Action name, relative to the node's namespace.
         """
         self.name = name
-        self._client = ActionClient(clients.node, action_type, name)
-        clients.wake()
+        self._clients = clients
+        self._client = clients.in_thread(lambda: ActionClient(clients.node, action_type, name))
 
     def is_ready(self) -> bool:
         """Tell whether the action's server is there."""
@@ -77,14 +77,18 @@ class ActionCall:
         if not wait_until(self.is_ready, wait_s):
             raise UnavailableError(f"action '{self.name}' is not there after {wait_s:g} s; is its node running?")
         deadline = time.monotonic() + timeout_s
-        handle = self._wait(self._client.send_goal_async(goal, feedback_callback=feedback), deadline, check)
+        handle = self._wait(
+            self._clients.in_thread(lambda: self._client.send_goal_async(goal, feedback_callback=feedback)),
+            deadline,
+            check,
+        )
         if not handle.accepted:
             raise InvalidRequestError(f"action '{self.name}' rejected the goal; its node's log says why")
         try:
-            answer = self._wait(handle.get_result_async(), deadline, check)
+            answer = self._wait(self._clients.in_thread(handle.get_result_async), deadline, check)
         except BaseException:
             heard = threading.Event()
-            handle.cancel_goal_async().add_done_callback(lambda _: heard.set())
+            self._clients.in_thread(handle.cancel_goal_async).add_done_callback(lambda _: heard.set())
             heard.wait(2.0)  # gone before the server has heard it, it would run on
             raise
         return GoalResult(status=_STATUS.get(answer.status, "aborted"), result=answer.result)
@@ -102,7 +106,7 @@ class ActionCall:
 
     def close(self) -> None:
         """Destroy the client."""
-        self._client.destroy()
+        self._clients.in_thread(self._client.destroy)
 
     def __enter__(self) -> ActionCall:
         """Return itself."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.client import Client
 from rclpy.context import Context
@@ -18,6 +18,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
+
+T = TypeVar("T")
 
 
 def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
@@ -127,6 +129,41 @@ class Clients:
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
+
+    def in_thread(self, function: Callable[[], T]) -> T:
+        """Call a function in the clients' thread and return its result.
+
+        For what is not safe beside a spinning executor: an rclpy action client notes a request only after it has sent it,
+        so an answer that is quicker is taken for a stranger's, and the request waits for ever.
+
+        Args:
+            function: Must not wait for an answer of these clients.
+
+        Raises:
+            UnavailableError: When the thread has ended.
+            Exception: Whatever the function raises.
+        """
+        if threading.current_thread() is self._thread:
+            return function()
+        done = threading.Event()
+        returned: list[T] = []
+        raised: list[BaseException] = []
+
+        def call() -> None:
+            try:
+                returned.append(function())
+            except BaseException as error:  # handed to the caller below
+                raised.append(error)
+            finally:
+                done.set()
+
+        self._executor.create_task(call)
+        while not done.wait(0.5):
+            if not self._thread.is_alive():
+                raise UnavailableError(f"the clients '{self.node.get_name()}' are closed")
+        if raised:
+            raise raised[0]
+        return returned[0]
 
     def close(self) -> None:
         """Stop the thread and destroy the node, so that peers see it go at once."""

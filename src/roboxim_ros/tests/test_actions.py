@@ -93,3 +93,10 @@ def test_rejected_goal_and_absent_server_are_told_apart(grip, graph_host):
         pytest.raises(UnavailableError, match="'no' is not there"),
     ):
         absent.run(_goal(0.5), wait_s=0.1)
+
+
+def test_no_answer_is_lost_however_quick(grip):
+    for number in range(200):
+        goal = GripperCommand.Goal()
+        goal.command.position = number / 200
+        assert grip.run(goal, timeout_s=10).result.position == number / 200

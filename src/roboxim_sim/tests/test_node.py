@@ -111,7 +111,7 @@ def send_goal(clients: Clients, kind: Any, name: str, goal: Any) -> Any:
         future.result().get_result_async().add_done_callback(lambda f: (box.append(f.result()), done.set()))
 
     assert client.wait_for_server(10.0)
-    client.send_goal_async(goal).add_done_callback(accepted)
+    clients.in_thread(lambda: client.send_goal_async(goal)).add_done_callback(accepted)
     assert done.wait(20.0)
     return box[0]
 
