@@ -133,8 +133,8 @@ class Clients:
     def in_thread(self, function: Callable[[], T]) -> T:
         """Call a function in the clients' thread and return its result.
 
-        For what is not safe beside a spinning executor: an rclpy action client notes a request only after it has sent it,
-        so an answer that is quicker is taken for a stranger's, and the request waits for ever.
+        For what is not safe beside a spinning executor. An rclpy action client notes a request only after it is sent:
+        an answer that is quicker is taken for a stranger's, and the request waits for ever.
 
         Args:
             function: Must not wait for an answer of these clients.
