@@ -34,7 +34,7 @@ SCALES = {
     "default": Scale(demonstrations=100, rollouts=24, steps=1200, minutes="about 6 minutes"),
     "smoke": Scale(demonstrations=3, rollouts=2, steps=12, size="96", minutes="about 1 minute"),
     "large": Scale(
-        demonstrations=300, rollouts=50, steps=4000, minutes="about 20 minutes",
+        demonstrations=300, rollouts=50, steps=4000, minutes="an estimated 20 to 30 minutes",
         generation=["--noise-mm", "6", "--noise-mrad", "20"],
     ),
 }  # fmt: skip
@@ -47,7 +47,7 @@ SCALES = {
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes.")
 @click.option("--smoke", is_flag=True, help="A minute's run that shows that everything works; trains nothing of use.")
-@click.option("--large", is_flag=True, help="The documented larger setting, about 20 minutes.")
+@click.option("--large", is_flag=True, help="The documented larger setting, 20 to 30 minutes.")
 @click.option(
     "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny, saying so."
 )
