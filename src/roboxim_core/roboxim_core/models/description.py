@@ -88,7 +88,11 @@ class JointModel:
     upper: float = 0.0
     """Upper limit [m or rad]."""
     resistance: float = 0.0
-    """Force or torque that holds it where it is [N or N m]."""
+    """Force or torque that holds it where it is, e.g. a drawer that stays open [N or N m]."""
+    damping: float = 0.0
+    """Force or torque against its motion, proportional to its speed [N s/m or N m s/rad]."""
+    spring: float = 0.0
+    """Force or torque that returns it to position 0, e.g. a button; excludes ``resistance`` [N or N m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

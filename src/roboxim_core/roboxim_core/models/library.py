@@ -132,6 +132,8 @@ class ObjectConfig:
                     f"joint '{joint.name}': kind must be prismatic or revolute and parent one of {names}, "
                     f"got '{joint.kind}', '{joint.parent}'"
                 )
+            if joint.spring > 0 and joint.resistance > 0:
+                raise ConfigError(f"joint '{joint.name}' either springs back or stays: give spring or resistance")
         for kind, modifier in self.modifiers.items():
             if kind not in ("color", "scale"):
                 raise ConfigError(f"unknown modifier '{kind}'; {one_of(('color', 'scale'), kind)}")
