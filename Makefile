@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers lock clean clean-all
 
 help: ## list these commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -44,6 +44,10 @@ verify-rlds: setup ## read an exported data set with TensorFlow Datasets: DATASE
 	@test -n "$(DATASET)" || { echo "Which data set? make verify-rlds DATASET=folder"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py verify-rlds
 	.tools/verify-rlds-env/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
+
+planner-peers: setup ## install mplib, toppra and RoboPlan, which bench-planner then measures too
+	@$(BIN)/python scripts/make_environment.py planner-mplib
+	@$(BIN)/python scripts/make_environment.py planner-roboplan
 
 colcon: setup ## build the tree with PyPI's colcon against the ROS wheels, into .tools/colcon/
 	@$(BIN)/python scripts/make_environment.py colcon

@@ -57,7 +57,8 @@ def main() -> None:
     lock("dev", [], "pyproject.toml", "--group", "dev", "--no-emit-package", "roboxim-interfaces", *upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
-    lock("verify-rlds", group("verify-rlds"), *upgrade)
+    for name in ("verify-rlds", "planner-mplib", "planner-roboplan"):
+        lock(name, group(name), *upgrade)
 
 
 if __name__ == "__main__":
