@@ -8,7 +8,7 @@ hash (`config.digest`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
@@ -16,6 +16,8 @@ from roboxim_core.poses import IDENTITY, Pose, Vec3
 Scalar = str | float | int | bool
 RGB = tuple[float, float, float]
 """sRGB colour, each component 0..1."""
+LIGHT_KINDS = ("sun", "lamp")
+BACKGROUNDS = ("room", "plain")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +81,44 @@ class RobotSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CameraNoise:
+    """What a camera's sensor adds to the ideal image. All zero: nothing.
+
+    Source: the linear camera model of EMVA 1288 (photon noise whose variance grows with the signal, plus constant
+    read-out noise); the depth's deviation grows with the square of the distance, as triangulation's does.
+    """
+
+    shot: float = 0.0
+    """Standard deviation of the photon noise of a white pixel, as a fraction of white in linear light."""
+    read: float = 0.0
+    """Standard deviation of the read-out noise, as a fraction of white in linear light."""
+    blur_px: float = 0.0
+    """Standard deviation of the lens blur [px]."""
+    exposure_ev: float = 0.0
+    """Exposure correction [stops]."""
+    depth: float = 0.0
+    """Standard deviation of the depth at 1 m, growing with its square [m]."""
+    seed: int = 0
+    """Seed of the noise; a frame's noise follows from the seed, the camera's name and the tick."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a value that no sensor has.
+        """
+        limits = {"shot": (0.0, 1.0), "read": (0.0, 1.0), "blur_px": (0.0, 16.0), "exposure_ev": (-8.0, 8.0)}
+        for name, (low, high) in {**limits, "depth": (0.0, 1.0), "seed": (0, 2**63)}.items():
+            if not low <= getattr(self, name) <= high:
+                raise InvalidRequestError(f"camera noise: {name} must be {low:g}..{high:g}, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class CameraSpec:
-    """A pinhole camera fixed in the world or on a robot link."""
+    """A camera fixed in the world or on a robot link: a pinhole, its lens' distortion and its sensor's noise.
+
+    Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel.
+    """
 
     name: str
     """Unique name; topics are ``camera/<name>/...``."""
@@ -102,12 +140,20 @@ class CameraSpec:
     """Whether metric depth is published."""
     segmentation: bool = False
     """Whether entity segmentation is published."""
+    intrinsics: tuple[float, ...] = ()
+    """fx, fy, cx, cy [px]; empty: from ``fov_y_rad``, with square pixels and the principal point in the middle."""
+    distortion: tuple[float, ...] = ()
+    """Lens distortion k1, k2, p1, p2, k3 (``plumb_bob``); empty: none."""
+    rate_hz: float = 0.0
+    """Frames per simulated second, a whole part of the control rate; 0: a frame at every tick."""
+    noise: CameraNoise = CameraNoise()
+    """What the sensor adds to the ideal image."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a size, field of view or clipping range that makes no image.
+            InvalidRequestError: On a size, field of view, intrinsics or clipping range that makes no image.
         """
         if not (16 <= self.width <= 4096 and 16 <= self.height <= 4096):
             raise InvalidRequestError(f"camera '{self.name}': size must be 16..4096 px, got {self.width}x{self.height}")
@@ -115,6 +161,48 @@ class CameraSpec:
             raise InvalidRequestError(f"camera '{self.name}': fov_y_rad must be 0.01..3, got {self.fov_y_rad}")
         if not 0.0 < self.near < self.far:
             raise InvalidRequestError(f"camera '{self.name}': needs 0 < near < far, got {self.near}, {self.far}")
+        if self.intrinsics and (len(self.intrinsics) != 4 or min(self.intrinsics[:2]) <= 0):
+            raise InvalidRequestError(
+                f"camera '{self.name}': intrinsics are fx, fy, cx, cy with fx, fy > 0, got {self.intrinsics}"
+            )
+        if len(self.distortion) not in (0, 5):
+            raise InvalidRequestError(
+                f"camera '{self.name}': distortion is k1, k2, p1, p2, k3 or nothing, got {self.distortion}"
+            )
+        if self.rate_hz < 0:
+            raise InvalidRequestError(f"camera '{self.name}': rate_hz must be >= 0, got {self.rate_hz}")
+
+    @property
+    def matrix(self) -> tuple[float, float, float, float]:
+        """Focal lengths and principal point fx, fy, cx, cy [px], whichever way they were given."""
+        if self.intrinsics:
+            fx, fy, cx, cy = self.intrinsics
+            return fx, fy, cx, cy
+        focal = self.height / 2 / math.tan(self.fov_y_rad / 2)
+        return focal, focal, self.width / 2 - 0.5, self.height / 2 - 0.5
+
+    def resized(self, width: int, height: int) -> CameraSpec:
+        """Return the camera with another resolution; where its ``intrinsics`` are given they are scaled with it."""
+        intrinsics: tuple[float, ...] = ()
+        if self.intrinsics:
+            fx, fy, cx, cy = self.intrinsics
+            x, y = width / self.width, height / self.height
+            intrinsics = (fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5)
+        return replace(self, width=width, height=height, intrinsics=intrinsics)
+
+    def ticks_per_frame(self, control_rate_hz: float) -> int:
+        """Return how many ticks a frame lasts.
+
+        Raises:
+            InvalidRequestError: When the camera's rate does not divide the control rate.
+        """
+        ratio = control_rate_hz / self.rate_hz if self.rate_hz else 1.0
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            raise InvalidRequestError(
+                f"camera '{self.name}': rate_hz must be the control rate of {control_rate_hz:g} Hz divided by a whole "
+                f"number, or 0 for a frame at every tick; got {self.rate_hz:g}"
+            )
+        return round(ratio)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +222,23 @@ class LightSpec:
     arrives at the world's origin."""
     shadow: bool = True
     """Whether it casts shadows."""
+    radius: float = 0.04
+    """A lamp's radius [m], a sun's angular radius [rad]: the larger, the softer the edges of the shadows."""
+
+    def __post_init__(self) -> None:
+        """Check kind, direction and size.
+
+        Raises:
+            InvalidRequestError: Saying which is wrong.
+        """
+        if self.kind not in LIGHT_KINDS:
+            raise InvalidRequestError(f"a light's kind is {' or '.join(LIGHT_KINDS)}, got '{self.kind}'")
+        if self.kind == "sun" and not any(self.direction):
+            raise InvalidRequestError("a sun's direction must not be zero")
+        if self.intensity < 0 or not 0 <= self.radius <= 1:
+            raise InvalidRequestError(
+                f"a light needs intensity >= 0 and a radius of 0..1, got {self.intensity} and {self.radius}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +269,19 @@ class LookSpec:
     """Radiance of the surroundings (image-based light's mean)."""
     lights: tuple[LightSpec, ...] = (LightSpec(),)
     """Lights; the first one that casts a shadow is the main light."""
+    background: str = "room"
+    """``room``: walls around the table; ``plain``: no walls, the backdrop's colour instead."""
+    backdrop: RGB = (0.76, 0.77, 0.79)
+    """sRGB colour of what is beyond everything."""
+
+    def __post_init__(self) -> None:
+        """Check the background.
+
+        Raises:
+            InvalidRequestError: When it is of an unknown kind.
+        """
+        if self.background not in BACKGROUNDS:
+            raise InvalidRequestError(f"the background is {' or '.join(BACKGROUNDS)}, got '{self.background}'")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,6 +349,8 @@ class SceneSpec:
                 f"control_rate_hz must divide the physics rate of {self.physics_rate_hz:g} Hz, "
                 f"got {self.control_rate_hz:g}; for example 5, 8, 10, 12, 15, 20, 24, 30"
             )
+        for camera in self.cameras:
+            camera.ticks_per_frame(self.control_rate_hz)
 
     def entity(self, name: str) -> EntitySpec:
         """Return an entity by name.
