@@ -31,6 +31,8 @@ FINGER_FRICTION, FINGER_SPINNING = 1.0, 0.1
 FINGER_STIFFNESS, FINGER_DAMPING = 3e4, 1e3
 GEAR_ERP, GEAR_FORCE_N = 0.1, 50.0
 """The fingers are coupled by a gear constraint; without it a held object drifts by up to 2 cm."""
+SPRING_GAIN = 0.1
+"""Position gain of a joint that springs back: it returns within some 0.1 s, without a bounce."""
 
 
 def configure(client: int, rate_hz: float) -> None:
@@ -219,13 +221,13 @@ class ObjectBody:
         )
         pybullet.resetBasePositionAndOrientation(self.id, start.position, start.quat_xyzw, physicsClientId=client)
         friction = model.friction
-        for number in range(-1, count):
+        for number, name in enumerate(order, -1):
             pybullet.changeDynamics(
                 self.id,
                 number,
                 lateralFriction=friction.lateral,
                 spinningFriction=friction.spinning,
-                rollingFriction=friction.rolling,
+                rollingFriction=friction.rolling if _can_roll(links[name]) else 0.0,
                 restitution=0.0,
                 physicsClientId=client,
             )
@@ -284,17 +286,34 @@ class ObjectBody:
 
     def _prepare_joint(self, number: int, joint: JointModel, position: float) -> None:
         pybullet.changeDynamics(
-            self.id, number, jointLowerLimit=joint.lower, jointUpperLimit=joint.upper, physicsClientId=self._client
-        )
-        pybullet.resetJointState(self.id, number, position, physicsClientId=self._client)
-        pybullet.setJointMotorControl2(  # also replaces PyBullet's default motor, which resists strongly
             self.id,
             number,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=joint.resistance,
+            jointLowerLimit=joint.lower,
+            jointUpperLimit=joint.upper,
+            jointDamping=joint.damping,
             physicsClientId=self._client,
         )
+        pybullet.resetJointState(self.id, number, position, physicsClientId=self._client)
+        # A motor on every joint, as PyBullet's default one resists strongly.
+        if joint.spring > 0:
+            pybullet.setJointMotorControl2(
+                self.id,
+                number,
+                pybullet.POSITION_CONTROL,
+                targetPosition=0.0,
+                force=joint.spring,
+                positionGain=SPRING_GAIN,
+                physicsClientId=self._client,
+            )
+        else:
+            pybullet.setJointMotorControl2(
+                self.id,
+                number,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocity=0.0,
+                force=joint.resistance,
+                physicsClientId=self._client,
+            )
 
 
 @lru_cache(maxsize=8)
@@ -322,6 +341,11 @@ def _parents_first(model: ObjectModel) -> list[JointModel]:
         known |= {joint.child for joint in ready}
         pending = [joint for joint in pending if joint not in ready]
     return ordered
+
+
+def _can_roll(link: LinkModel) -> bool:
+    """Tell whether a link has round shapes; rolling friction of others would only cost time."""
+    return any(shape.kind != "box" for shape in link.collision)
 
 
 def _center_of_mass(link: LinkModel) -> tuple[float, float, float]:

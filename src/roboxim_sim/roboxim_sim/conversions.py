@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -43,14 +42,14 @@ def tf_msg(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> TFMessage:
 
 def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
     """Return a camera's intrinsics; pixel centres are at whole numbers."""
-    focal = camera.height / 2 / math.tan(camera.fov_y_rad / 2)
-    cx, cy = camera.width / 2 - 0.5, camera.height / 2 - 0.5
-    msg = CameraInfo(height=camera.height, width=camera.width, distortion_model="plumb_bob", d=[0.0] * 5)
+    fx, fy, cx, cy = camera.matrix
+    distortion = list(camera.distortion) or [0.0] * 5
+    msg = CameraInfo(height=camera.height, width=camera.width, distortion_model="plumb_bob", d=distortion)
     fill_stamp(msg.header.stamp, stamp_ns)
     msg.header.frame_id = optical_frame(camera.name)
-    msg.k = [focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0]
+    msg.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     msg.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    msg.p = [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    msg.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return msg
 
 

@@ -33,6 +33,7 @@ from roboxim_ros.conversions import fill_image, fill_stamp, from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.rig import CameraRig, draw_frames
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.world import Snapshot, World
 
@@ -68,6 +69,7 @@ class SimNode(RoboximNode):
         self.world = World(self.library)
         self._renderer_name = self.config.renderer
         self._renderers: dict[tuple[str, str], Renderer] = {}
+        self._rig: CameraRig | None = None
         self._re_rendered: tuple[str, SceneSpec] | None = None
         self._holder = ""
         self._clock_out = self.create_publisher(Clock, "clock", qos.STATE)
@@ -159,7 +161,8 @@ class SimNode(RoboximNode):
         scene = self.world.scene
         self._scene_out.publish(to_msg(scene, SceneSpecMsg))
         if scene.cameras:
-            self._renderer(self._renderer_name, "live").load(render_world(scene, self.library))
+            self._rig = CameraRig(self._renderer(self._renderer_name, "live"))
+            self._rig.load(render_world(scene, self.library), scene)
 
     def _renderer(self, name: str, use: str) -> Renderer:
         """Return a renderer; one for the live world, one for states that are rendered again."""
@@ -173,8 +176,9 @@ class SimNode(RoboximNode):
         if not scene.cameras:
             return {}
         poses = self.world.camera_poses()
-        images = self._renderer(self._renderer_name, "live").render(
-            self.world.body_poses(), [(camera, poses[camera.name]) for camera in scene.cameras]
+        assert self._rig is not None
+        images = self._rig.capture(
+            record.seq, self.world.body_poses(), [(camera, poses[camera.name]) for camera in scene.cameras]
         )
         published: dict[str, int] = {}
         for camera in scene.cameras:
@@ -230,10 +234,12 @@ class SimNode(RoboximNode):
             self._re_rendered = (name, bodies)
         poses = ScenePoses(scene, self.library)
         cameras = poses.camera_poses(state.robot)
-        images = renderer.render(poses.body_poses(state), [(camera, cameras[camera.name]) for camera in scene.cameras])
+        views = [(camera, cameras[camera.name]) for camera in scene.cameras]
+        images = draw_frames(renderer, state.seq, poses.body_poses(state), views)
+        answers = {"image": response.images, "depth": response.depth, "segmentation": response.segmentation}
         for camera in scene.cameras:
-            msg = _image_msgs(state.stamp_ns, camera.name, replace(images[camera.name], depth=None, segmentation=None))
-            response.images.append(CameraImage(camera=camera.name, image=msg["image"]))
+            for kind, msg in _image_msgs(state.stamp_ns, camera.name, images[camera.name]).items():
+                answers[kind].append(CameraImage(camera=camera.name, image=msg))
         response.renderer = f"{renderer.name} ({renderer.device})"
 
     def _refuse_foreign(self, episode_id: str, holder: str = "") -> None:

@@ -38,25 +38,25 @@ class TickObserver:
         """Forget the last tick."""
         self._last: dict[_Pair, float] = {}
         self._highest_force: dict[_Pair, float] = {}
-        self._lowest: dict[str, tuple[float, ...]] = {}
-        self._highest: dict[str, tuple[float, ...]] = {}
+        self._extremes: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}
 
     def after_step(self) -> None:
         """Take in one physics step."""
-        last: dict[_Pair, float] = {}
+        self._last = last = {}
+        pairs, highest_force = self._pairs, self._highest_force
         for point in pybullet.getContactPoints(physicsClientId=self._client):
-            if point[9] > 0.0:
+            force = point[9]
+            if force > 0.0:
                 key = point[1:5]
-                pair = self._pairs.get(key) or self._name(key)
-                last[pair] = last.get(pair, 0.0) + point[9]
+                pair = pairs[key] if key in pairs else self._name(key)
+                last[pair] = last[pair] + force if pair in last else force
         for pair, force in last.items():
-            if force > self._highest_force.get(pair, 0.0):
-                self._highest_force[pair] = force
-        self._last = last
+            if pair not in highest_force or force > highest_force[pair]:
+                highest_force[pair] = force
         for body in self._jointed:
-            positions, _ = body.read_joints()
-            self._lowest[body.name] = tuple(map(min, positions, self._lowest.get(body.name, positions)))
-            self._highest[body.name] = tuple(map(max, positions, self._highest.get(body.name, positions)))
+            now, _ = body.read_joints()
+            lowest, highest = self._extremes.get(body.name, (now, now))
+            self._extremes[body.name] = tuple(map(min, lowest, now)), tuple(map(max, highest, now))
 
     def contacts(self) -> tuple[Contact, ...]:
         """Return the tick's contacts, sorted."""
@@ -75,7 +75,7 @@ class TickObserver:
     def extremes(self, body: ObjectBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the lowest and highest joint positions of an object over the tick."""
         now, _ = body.read_joints()
-        return self._lowest.get(body.name, now), self._highest.get(body.name, now)
+        return self._extremes.get(body.name, (now, now))
 
     def _name(self, key: tuple[int, int, int, int]) -> _Pair:
         body_a, body_b, link_a, link_b = key

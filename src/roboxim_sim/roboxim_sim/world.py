@@ -8,12 +8,11 @@ one executes them again, with every tick's hash checked.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
-import pybullet
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
@@ -24,23 +23,10 @@ from roboxim_core.models.visuals import ScenePoses
 from roboxim_core.poses import Pose, Vec3
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
-from roboxim_sim.readout import TickObserver, hash_state, read_robot
+from roboxim_sim.bodies import ObjectBody
+from roboxim_sim.physics import Physics
+from roboxim_sim.snapshots import Snapshot
 from roboxim_sim.trajectories import JointTrajectory, checked_trajectory
-
-
-@dataclass(frozen=True, kw_only=True)
-class Snapshot:
-    """A world's full state, as what leads to it."""
-
-    scene: SceneSpec
-    """The scene of tick 0."""
-    actions: tuple[tuple[float, ...], ...] = ()
-    """Executed actions since tick 0, 7 float32 values each."""
-    hashes: tuple[str, ...] = ()
-    """State hash of every tick, tick 0 first."""
-    record: StateRecord
-    """State at the snapshot."""
 
 
 class World:
@@ -57,7 +43,7 @@ class World:
             library: Where models come from; none: RoboXim's own.
         """
         self.library = library or ModelLibrary()
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._physics = Physics()
         self._arms: dict[str, ArmKinematics] = {}
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
@@ -78,9 +64,7 @@ class World:
 
     def close(self) -> None:
         """Disconnect from the physics server."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._physics.close()
 
     # ---------------------------------------------------------------- state
 
@@ -185,14 +169,11 @@ class World:
             self._arms[scene.robot.model] = ArmKinematics(model)
         arm = self._arms[scene.robot.model]
         joints = self._start_joints(scene, arm)
-        self._entity_models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
+        models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
         ScenePoses(scene, self.library, arm)
         self._scene = None  # until the new one stands
 
-        configure(self._client, scene.physics_rate_hz)
-        self._fixed = build_table(self._client, scene.table)
-        self._robot = RobotBody(self._client, model, scene.robot, joints)
-        self._objects = [ObjectBody(self._client, self._entity_models[e.name], e) for e in scene.entities]
+        self._physics.build(scene, model, joints, models)
         self._controller = DeltaController(
             arm,
             workspace=scene.workspace,
@@ -207,7 +188,7 @@ class World:
         self._scene = self._tick0_scene = scene
         self._rewatch()
         self._advance(max(0, scene.settle_steps - self._steps_per_tick))
-        self._observer.begin()
+        self._physics.begin_tick()
         self._advance(min(scene.settle_steps, self._steps_per_tick))
         self._episode_id = episode_id
         self._seq = self._steps = 0
@@ -254,8 +235,8 @@ class World:
         if seq != self._seq + 1:
             raise SimError(f"tick {seq} was asked for, the next one is {self._seq + 1}", ErrorCode.WRONG_SEQ)
         step = self._controller.step(self._command, action)
-        self._observer.begin()
-        self._robot.drive_gripper(step.state.gripper)
+        self._physics.begin_tick()
+        self._physics.robot.drive_gripper(step.state.gripper)
         before, self._command = self._command, step.state
         self._advance(self._steps_per_tick, before)
         self._seq += 1
@@ -375,7 +356,7 @@ class World:
         """
         scene = replace(self.scene, entities=(*self.scene.entities, entity))
         model = self.library.entity_model(entity)
-        self._objects.append(ObjectBody(self._client, model, entity))
+        self._physics.add(entity, model)
         self._scene = scene
         return self._disturb()
 
@@ -385,9 +366,7 @@ class World:
         Raises:
             SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
         """
-        body = self._object(name)
-        pybullet.removeBody(body.id, physicsClientId=self._client)
-        self._objects.remove(body)
+        self._physics.remove(self._object(name))
         self._scene = replace(self.scene, entities=tuple(e for e in self.scene.entities if e.name != name))
         return self._disturb()
 
@@ -425,16 +404,10 @@ class World:
                 ErrorCode.DIVERGED,
             )
         record = self.load(snapshot.scene, episode_id)
-        expected = snapshot.hashes or ("",) * (len(snapshot.actions) + 1)
-        for seq in range(len(snapshot.actions) + 1):
-            if seq > 0:
-                record = self.tick(seq, snapshot.actions[seq - 1])
-            if expected[seq] and record.state_hash != expected[seq]:
-                raise SimError(
-                    f"restoring diverged at tick {seq} of {len(snapshot.actions)}: the state's hash is "
-                    f"{record.state_hash}, not {expected[seq]}; other versions or another type of machine?",
-                    ErrorCode.DIVERGED,
-                )
+        snapshot.check(record)
+        for seq, action in enumerate(snapshot.actions, 1):
+            record = self.tick(seq, action)
+            snapshot.check(record)
         return record
 
     # ---------------------------------------------------------------- inside
@@ -457,39 +430,22 @@ class World:
         return self._scene_poses
 
     def _rewatch(self) -> None:
-        self._observer = TickObserver(self._client, self._robot, self._objects, self._fixed)
+        self._physics.rewatch()
         self._scene_poses = None
-        self._robot.drive_gripper(self._command.gripper)
+        self._physics.robot.drive_gripper(self._command.gripper)
 
     def _advance(self, steps: int, before: ControllerState | None = None) -> None:
         """Run physics while the arm's target moves evenly from an earlier command to the present one."""
-        end = np.array(self._command.joints)
-        start = end if before is None else np.array(before.joints)
-        speed = (end - start) * (self.scene.physics_rate_hz / max(steps, 1))
-        velocities = speed.tolist()
-        for number in range(1, steps + 1):
-            target = end if number == steps else start + (end - start) * (number / steps)
-            self._robot.drive_arm(target.tolist(), velocities)
-            pybullet.stepSimulation(physicsClientId=self._client)
-            self._observer.after_step()
+        self._physics.advance(steps, self._command.joints, None if before is None else before.joints)
 
     def _read(self) -> StateRecord:
-        arm = self._controller.arm
-        try:
-            robot, joints = read_robot(self._robot, arm.model, arm, self._command, self.scene.robot.pose)
-            read = [body.read(*self._observer.extremes(body)) for body in self._objects]
-        except InvalidRequestError as error:  # a pose that is not finite
-            raise SimError(f"the physics has blown up in tick {self._seq}: {error}", ErrorCode.SIM_FAULT) from None
-        entities = tuple(entity for entity, _ in read)
-        return StateRecord(
+        return self._physics.read(
+            self._controller.arm,
+            self._command,
             episode_id=self._episode_id,
             seq=self._seq,
             stamp_ns=round(self._steps * self._step_ns),
-            robot=robot,
-            entities=entities,
-            contacts=self._observer.contacts(),
             disturbed=self._disturbed,
-            state_hash=hash_state(joints, self._command, entities, [speeds for _, speeds in read]),
         )
 
     def require_free(self, what: str) -> None:
@@ -520,7 +476,7 @@ class World:
 
     def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
         self._disturbed = True
-        self._observer.begin()
+        self._physics.begin_tick()
         self._advance(steps, before)
         self._seq += 1
         self._steps += steps
@@ -540,10 +496,10 @@ class World:
 
     def _object(self, name: str) -> ObjectBody:
         _ = self.scene
-        for body in self._objects:
+        for body in self._physics.objects:
             if body.name == name:
                 return body
-        names = [body.name for body in self._objects]
+        names = [body.name for body in self._physics.objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
     def _follow(self, trajectory: JointTrajectory) -> Iterator[StateRecord]:
@@ -552,7 +508,7 @@ class World:
         targets = trajectory.sample(np.arange(1, total + 1) / rate).tolist()
         for start in range(0, total, self._steps_per_tick):
             self._disturbed = True
-            self._observer.begin()
+            self._physics.begin_tick()
             steps = targets[start : start + self._steps_per_tick]
             for target in steps:
                 before, self._command = self._command, replace(self._command, joints=tuple(target))
@@ -565,7 +521,7 @@ class World:
 
     def _move_gripper(self, opening: float, force_n: float | None, timeout_s: float) -> Iterator[StateRecord]:
         self._command = replace(self._command, gripper=float(opening))
-        self._robot.drive_gripper(opening, force_n)
+        self._physics.robot.drive_gripper(opening, force_n)
         last, still = self._record.robot.gripper_opening, 0
         for _ in range(round(timeout_s * self.scene.control_rate_hz)):
             record = self._free_motion(self._steps_per_tick)
@@ -577,20 +533,7 @@ class World:
 
     def _restore_poses(self, snapshot: Snapshot, episode_id: str) -> StateRecord:
         record = snapshot.record
-        states = {entity.name: entity for entity in record.entities}
-        entities = tuple(
-            replace(
-                spec,
-                pose=states[spec.name].pose,
-                joint_positions=dict(
-                    zip(states[spec.name].joint_names, states[spec.name].joint_positions, strict=True)
-                ),
-            )
-            for spec in snapshot.scene.entities
-        )
-        opening = min(1.0, max(0.0, record.robot.gripper_opening))
-        robot = replace(snapshot.scene.robot, joint_positions=record.robot.joint_commands, gripper_opening=opening)
-        self.load(replace(snapshot.scene, entities=entities, robot=robot, settle_steps=0), episode_id)
+        self.load(snapshot.scene_now(self.library), episode_id)
         self._command = replace(self._command, gripper=record.robot.gripper_command)
         self._seq = record.seq
         self._steps = round(record.stamp_ns / self._step_ns)

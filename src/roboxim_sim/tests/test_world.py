@@ -97,7 +97,7 @@ def test_pybullet_and_pinocchio_agree_on_every_robot(world: World, robot_id: str
         opening = float(rng.uniform(0, 1))
         spec = RobotSpec(model=robot_id, pose=base, joint_positions=joints, gripper_opening=opening)
         world.load(SceneSpec(robot=spec, settle_steps=0))
-        body, client = world._robot, world._client  # the comparison needs PyBullet's own numbers
+        body, client = world._physics.robot, world._physics.client  # the comparison needs PyBullet's own numbers
         ours = world.link_poses()
         for number, name in body.link_names.items():
             if number >= 0:

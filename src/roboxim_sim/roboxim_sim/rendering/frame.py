@@ -43,7 +43,7 @@ class Frame:
         ambient = np.asarray(look.ambient, dtype=float)
         self.sky: Vec3 = tuple((1.25 * ambient).tolist())
         self.ground: Vec3 = tuple((ambient * (0.72, 0.66, 0.6)).tolist())
-        self.backdrop: Vec3 = tuple(np.sqrt(np.clip(ambient, 0.0, 1.0)).tolist())
+        self.backdrop: Vec3 = look.backdrop
         main = next((light for light in look.lights if light.shadow), None)
         self.lights: tuple[LightSpec, ...] = look.lights
         if main is not None:

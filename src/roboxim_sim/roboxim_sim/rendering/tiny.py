@@ -7,7 +7,6 @@ same rays, and depth and segmentation mean the same.
 from __future__ import annotations
 
 import hashlib
-import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -135,13 +134,12 @@ class TinyRenderer:
 
     def _draw(self, camera: CameraSpec, pose: Pose, parts: tuple[_Part, ...]) -> CameraImages:
         near, far = camera.near, camera.far
-        projection = list(
-            pybullet.computeProjectionMatrixFOV(math.degrees(camera.fov_y_rad), camera.width / camera.height, near, far)
-        )
-        projection[8], projection[9] = (
-            1 / camera.width,
-            1 / camera.height,
-        )  # it samples pixels at a corner, not centrally
+        projection = list(pybullet.computeProjectionMatrixFOV(45.0, 1.0, near, far))
+        fx, fy, cx, cy = camera.matrix
+        projection[0], projection[5] = 2 * fx / camera.width, 2 * fy / camera.height
+        # It samples pixels at a corner, not centrally: half a pixel more.
+        projection[8] = (2 * cx + 2) / camera.width - 1
+        projection[9] = (2 * cy + 2) / camera.height - 1
         view = OPTICAL_TO_GL @ pose.inverse().matrix
         _, _, rgba, depth, mask = pybullet.getCameraImage(
             camera.width,
@@ -183,7 +181,7 @@ def _lists(mesh: TriangleMesh) -> dict[str, list[Any]]:
 
 
 def _backdrop(rgb: npt.NDArray[np.uint8], nothing: npt.NDArray[np.bool_], look: LookSpec) -> npt.NDArray[np.uint8]:
-    rgb[nothing] = np.rint(255 * np.sqrt(np.clip(look.ambient, 0.0, 1.0))).astype(np.uint8)
+    rgb[nothing] = np.rint(255 * np.clip(look.backdrop, 0.0, 1.0)).astype(np.uint8)
     return rgb
 
 

@@ -22,12 +22,12 @@ EXTENT_STEP_M = 0.1
 
 
 def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
-    """Return the projection of a pinhole camera with square pixels and its principal point in the image's centre."""
-    focal = 1.0 / math.tan(camera.fov_y_rad / 2)
+    """Return the projection of a camera's pinhole; see `CameraSpec.matrix` for the image coordinates."""
+    fx, fy, cx, cy = camera.matrix
     near, far = camera.near, camera.far
     projection = np.zeros((4, 4))
-    projection[0, 0] = focal * camera.height / camera.width
-    projection[1, 1] = focal
+    projection[0, 0], projection[0, 2] = 2 * fx / camera.width, (2 * cx + 1) / camera.width - 1
+    projection[1, 1], projection[1, 2] = 2 * fy / camera.height, (2 * cy + 1) / camera.height - 1
     projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
     projection[3, 2] = 1.0
     return projection @ pose_optical_in_world.inverse().matrix

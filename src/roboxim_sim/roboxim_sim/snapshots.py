@@ -1,0 +1,62 @@
+"""A world's full state as what leads to it: PyBullet repeats itself bit for bit only from a freshly built world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from roboxim_core.errors import ErrorCode, SimError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_core.state import StateRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A world's full state, as what leads to it."""
+
+    scene: SceneSpec
+    """The scene of tick 0."""
+    actions: tuple[tuple[float, ...], ...] = ()
+    """Executed actions since tick 0, 7 float32 values each."""
+    hashes: tuple[str, ...] = ()
+    """State hash of every tick, tick 0 first; empty: they are not checked."""
+    record: StateRecord
+    """State at the snapshot."""
+
+    def check(self, record: StateRecord) -> None:
+        """Compare a tick that was executed again with what it was.
+
+        Raises:
+            SimError: With code ``DIVERGED``, naming the tick.
+        """
+        expected = self.hashes[record.seq] if self.hashes else ""
+        if expected and record.state_hash != expected:
+            raise SimError(
+                f"restoring diverged at tick {record.seq} of {len(self.actions)}: the state's hash is "
+                f"{record.state_hash}, not {expected}; other versions or another type of machine?",
+                ErrorCode.DIVERGED,
+            )
+
+    def scene_now(self, library: ModelLibrary) -> SceneSpec:
+        """Return a scene that starts where the snapshot was taken: poses and joints, without velocities.
+
+        Args:
+            library: Joint limits, which the physics may have overrun by a little.
+        """
+        robot = self.record.robot
+        opening = min(1.0, max(0.0, robot.gripper_opening))
+        return replace(
+            self.scene,
+            entities=tuple(self._entity_now(spec, library) for spec in self.scene.entities),
+            robot=replace(self.scene.robot, joint_positions=robot.joint_commands, gripper_opening=opening),
+            settle_steps=0,
+        )
+
+    def _entity_now(self, spec: EntitySpec, library: ModelLibrary) -> EntitySpec:
+        state = self.record.entity(spec.name)
+        limits = {joint.name: (joint.lower, joint.upper) for joint in library.entity_model(spec).joints}
+        positions = {
+            name: min(max(position, limits[name][0]), limits[name][1])
+            for name, position in zip(state.joint_names, state.joint_positions, strict=True)
+        }
+        return replace(spec, pose=state.pose, joint_positions=positions)
