@@ -43,6 +43,7 @@ from roboxim_recorder.schemas import message_schema, typestore
 from roboxim_ros.conversions import fill_image, fill_stamp, to_msg
 from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.world import World
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
@@ -102,6 +103,7 @@ class CoreSim:
         self.library = library
         self.world = World(library)
         self._renderer = make_renderer(renderer)
+        self._rig = CameraRig(self._renderer)
         self.messages: dict[str, Any] = {}
         self.images: dict[str, CameraImages] = {}
 
@@ -114,7 +116,7 @@ class CoreSim:
         """Rebuild the world: tick 0."""
         record = self.world.load(scene, episode_id)
         if scene.cameras:
-            self._renderer.load(render_world(scene, self.library))
+            self._rig.load(render_world(scene, self.library), scene)
         self._publish(record)
         return record
 
@@ -158,8 +160,8 @@ class CoreSim:
         }
         checksums = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0}
         if world.scene.cameras:
-            self.images = self._renderer.render(
-                world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]
+            self.images = self._rig.capture(
+                record.seq, world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]
             )
         for camera in world.scene.cameras:
             image = fill_image(Image(), self.images[camera.name].rgb, "rgb8")

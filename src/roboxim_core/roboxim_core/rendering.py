@@ -74,13 +74,17 @@ class CameraImages:
     rgb: npt.NDArray[np.uint8]
     """Shape (height, width, 3), sRGB."""
     depth: npt.NDArray[np.float32] | None = None
-    """Distance along the optical axis, shape (height, width) [m]; beyond ``far``: infinity."""
+    """Distance along the optical axis, shape (height, width) [m]; nothing there, or beyond ``far``: infinity."""
     segmentation: npt.NDArray[np.uint16] | None = None
     """Entity ids (see `RenderWorld`), shape (height, width)."""
 
 
 class Renderer(Protocol):
-    """Draws a world. All calls of one renderer come from the thread that made it; another thread's are refused."""
+    """Draws a world. All calls of one renderer come from the thread that made it; another thread's are refused.
+
+    A renderer draws a camera's pinhole (`CameraSpec.matrix`, size, near, far). Lens distortion, noise and frame rate
+    are not its business: `roboxim_sim.rendering.rig` adds them to what any renderer draws.
+    """
 
     name: str
     """Registered name, e.g. ``raster``."""

@@ -2,119 +2,92 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.cameras import load_camera, with_noise_seed
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.poses import Pose, Vec3, look_at
+from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, SceneSpec
-from roboxim_tasks.choices import VectorChoice
+from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.files import named
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraConfig:
-    """A YAML file of ``config/cameras``: a camera described by where it is and what it looks at."""
-
-    parent: str = "world"
-    """``world``, or the robot link that it is mounted on."""
-    eye: Vec3
-    """Position in the parent [m]."""
-    target: Vec3
-    """Point in the parent that is in the image's centre [m]."""
-    up: Vec3 = (0.0, 0.0, 1.0)
-    """Direction in the parent that shows upwards in the image."""
-    fov_y_deg: float = 45.0
-    """Vertical field of view [deg]."""
-    width: int = 256
-    """Image width [px]."""
-    height: int = 256
-    """Image height [px]."""
-    near: float = 0.02
-    """Nearest visible distance [m]."""
-    far: float = 6.0
-    """Farthest visible distance [m]."""
-
-    def spec(self, name: str) -> CameraSpec:
-        """Return the camera.
-
-        Raises:
-            InvalidRequestError: When the numbers make no image.
-        """
-        return CameraSpec(
-            name=name,
-            parent=self.parent,
-            pose=look_at(self.eye, self.target, self.up),
-            fov_y_rad=math.radians(self.fov_y_deg),
-            width=self.width,
-            height=self.height,
-            near=self.near,
-            far=self.far,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class CamerasResetConfig:
-    """Which cameras, and how their poses vary."""
+    """Which cameras, and how they vary."""
 
     names: tuple[str, ...] = ("workspace", "wrist")
     """Names of cameras in ``config/cameras``."""
+    views: dict[str, Choice] = field(default_factory=dict)
+    """Camera to the files of ``config/cameras`` that it is drawn from, so that a policy sees one name from many poses;
+    left out: the file of its name."""
     shift_m: dict[str, VectorChoice] = field(default_factory=dict)
     """Camera to a shift of its position in the parent frame [m]."""
     turn_rad: dict[str, VectorChoice] = field(default_factory=dict)
     """Camera to a rotation about its own x (tilt), y (pan) and z (roll) axes [rad]."""
+    exposure_ev: dict[str, Choice] = field(default_factory=dict)
+    """Camera to an exposure correction [stops], added to the file's."""
 
     def __post_init__(self) -> None:
         """Check the names and lengths.
 
         Raises:
-            ConfigError: When a camera that is not used is to be moved, or a vector is not of three numbers.
+            ConfigError: When a camera that is not used is to vary, a vector is not of three numbers, or a camera's file
+                is missing or wrong.
         """
-        for key, choices in (("shift_m", self.shift_m), ("turn_rad", self.turn_rad)):
-            for camera, choice in choices.items():
+        for key in ("views", "shift_m", "turn_rad", "exposure_ev"):
+            for camera, choice in getattr(self, key).items():
                 if camera not in self.names:
                     raise ConfigError(f"{key} names camera '{camera}', which is not used; {one_of(self.names, camera)}")
-                choice.require_size(3, f"{key}.{camera}")
+                if isinstance(choice, VectorChoice):
+                    choice.require_size(3, f"{key}.{camera}")
+        for name in self.names:
+            views = self.views.get(name, Choice(values=(name,)))
+            if not views.values:
+                raise ConfigError(f"views.{name} must be values, names of files in config/cameras, not a range")
+            for view in views.values:
+                load_camera(str(view))
 
 
 @register
 class CamerasReset(ResetComponent):
-    """Sets up the named cameras, moved by drawn amounts."""
+    """Sets up the named cameras, moved by drawn amounts.
+
+    Randomisation: view, shift, turn and exposure of each camera, each camera from a stream of its own.
+    """
 
     name = "cameras"
     Config = CamerasResetConfig
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Draw each camera's pose.
+        """Draw each camera.
 
         Raises:
             ConfigError: When a camera is unknown or hangs on a link that the robot lacks.
         """
-        cameras = []
-        for name in self.config.names:
-            spec = load_camera(name)
-            if spec.parent != "world" and spec.parent not in context.arm.link_names:
-                raise ConfigError(
-                    f"camera '{name}': no link '{spec.parent}'; {one_of(context.arm.link_names, spec.parent)}"
-                )
-            rng = context.rng(f"{self.name}/{name}")
-            shift, turn = self.config.shift_m.get(name), self.config.turn_rad.get(name)
-            if shift is not None:
-                spec = replace(spec, pose=Pose.from_arrays(shift.draw(rng, context.seed.index)) @ spec.pose)
-            if turn is not None:
-                angles = turn.draw(rng, context.seed.index)
-                spec = replace(spec, pose=spec.pose @ Pose.from_arrays((0, 0, 0), Rotation.from_euler("xyz", angles)))
-            cameras.append(spec)
-        return replace(scene, cameras=tuple(cameras))
+        return replace(scene, cameras=tuple(self._draw(name, context) for name in self.config.names))
 
-
-def load_camera(name: str) -> CameraSpec:
-    """Load a camera of ``config/cameras``.
-
-    Raises:
-        ConfigError: When there is none of that name or its file is wrong.
-    """
-    return named("cameras", name, CameraConfig).spec(name)
+    def _draw(self, name: str, context: ResetContext) -> CameraSpec:
+        config, index = self.config, context.seed.index
+        view = name
+        if name in config.views:
+            view = str(config.views[name].draw(context.rng(f"{self.name}/{name}/view"), index))
+        camera = replace(load_camera(view), name=name)
+        if camera.parent != "world" and camera.parent not in context.arm.link_names:
+            raise ConfigError(
+                f"camera '{name}': no link '{camera.parent}'; {one_of(context.arm.link_names, camera.parent)}"
+            )
+        rng = context.rng(f"{self.name}/{name}")
+        if name in config.shift_m:
+            shift = Pose.from_arrays(config.shift_m[name].draw(rng, index))
+            camera = replace(camera, pose=shift @ camera.pose)
+        if name in config.turn_rad:
+            angles = config.turn_rad[name].draw(rng, index)
+            turn = Pose.from_arrays((0, 0, 0), Rotation.from_euler("xyz", angles))
+            camera = replace(camera, pose=camera.pose @ turn)
+        if name in config.exposure_ev:
+            exposure = camera.noise.exposure_ev + config.exposure_ev[name].draw_number(rng, index)
+            camera = replace(camera, noise=replace(camera.noise, exposure_ev=exposure))
+        return with_noise_seed(camera, context.seed)

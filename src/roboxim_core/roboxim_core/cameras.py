@@ -1,0 +1,198 @@
+"""The camera model: YAML files of ``config/cameras``, and where a point of the scene is in the image.
+
+Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel, u to the right,
+v down. Lens distortion is the model ``plumb_bob`` of ROS and OpenCV.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.config import load_config, named_config
+from roboxim_core.errors import ConfigError, InvalidRequestError
+from roboxim_core.poses import Array, Pose, Vec3, look_at
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import CameraNoise, CameraSpec
+
+MAX_ITERATIONS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """A pinhole's parameters; they hold for the file's ``width`` and ``height`` and are scaled with another size."""
+
+    fx: float
+    """Focal length along u [px]."""
+    fy: float
+    """Focal length along v [px]."""
+    cx: float
+    """Principal point, u [px]."""
+    cy: float
+    """Principal point, v [px]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """A YAML file of ``config/cameras``."""
+
+    parent: str = "world"
+    """``world``, or the robot link that it is mounted on."""
+    eye: Vec3 | None = None
+    """Position in the parent [m], together with ``target``."""
+    target: Vec3 | None = None
+    """Point in the parent that is on the optical axis [m]."""
+    up: Vec3 = (0.0, 0.0, 1.0)
+    """Direction in the parent that shows upwards in the image."""
+    pose: Pose | None = None
+    """Pose of the optical frame in the parent, instead of ``eye`` and ``target``."""
+    fov_y_deg: float = 45.0
+    """Vertical field of view [deg]; not used where ``intrinsics`` are given."""
+    intrinsics: Intrinsics | None = None
+    """Focal lengths and principal point, e.g. from a calibration."""
+    distortion: tuple[float, ...] = ()
+    """k1, k2, p1, p2, k3 of a calibration."""
+    width: int = 256
+    """Image width [px]."""
+    height: int = 256
+    """Image height [px]."""
+    near: float = 0.02
+    """Nearest visible distance [m]."""
+    far: float = 6.0
+    """Farthest visible distance [m]."""
+    rate_hz: float = 0.0
+    """Frames per simulated second; 0: one at every tick."""
+    noise: CameraNoise = CameraNoise()
+    """What the sensor adds; the seed is drawn for each episode."""
+    depth: bool = False
+    """Whether metric depth is given."""
+    segmentation: bool = False
+    """Whether entity segmentation is given."""
+
+    def __post_init__(self) -> None:
+        """Check that there is one pose.
+
+        Raises:
+            ConfigError: When there is none, or two.
+        """
+        placed = self.eye is not None and self.target is not None
+        if placed == (self.pose is not None) or (self.eye is None) != (self.target is None):
+            raise ConfigError("a camera needs either eye and target, or pose")
+
+    def spec(self, name: str) -> CameraSpec:
+        """Return the camera.
+
+        Raises:
+            InvalidRequestError: When the numbers make no image.
+        """
+        pose = self.pose
+        if self.eye is not None and self.target is not None:
+            pose = look_at(self.eye, self.target, self.up)
+        assert pose is not None
+        k = self.intrinsics
+        return CameraSpec(
+            name=name, parent=self.parent, pose=pose, fov_y_rad=math.radians(self.fov_y_deg),
+            intrinsics=(k.fx, k.fy, k.cx, k.cy) if k else (), distortion=self.distortion,
+            width=self.width, height=self.height, near=self.near, far=self.far, rate_hz=self.rate_hz,
+            noise=self.noise, depth=self.depth, segmentation=self.segmentation,
+        )  # fmt: skip
+
+
+def load_camera(name: str) -> CameraSpec:
+    """Load a camera of ``config/cameras``, or of a path to a YAML file; a file's camera is named by the file.
+
+    Raises:
+        ConfigError: When there is none of that name or its file is wrong.
+    """
+    path = named_config("cameras", name)
+    try:
+        return _load(path, path.stat().st_mtime_ns).spec(path.stem)
+    except InvalidRequestError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, _mtime_ns: int) -> CameraConfig:
+    return load_config(path, CameraConfig)
+
+
+def with_noise_seed(camera: CameraSpec, seed: SeedPath) -> CameraSpec:
+    """Return a noisy camera with the noise seed of an episode; a camera without noise stays as it is."""
+    if camera.noise == CameraNoise(seed=camera.noise.seed):
+        return camera
+    return replace(camera, noise=replace(camera.noise, seed=seed.derived_seed(f"camera_noise/{camera.name}")))
+
+
+def project(camera: CameraSpec, points: npt.ArrayLike) -> Array:
+    """Return where points are in the image.
+
+    Args:
+        camera: The camera.
+        points: Points in the optical frame (x right, y down, z forward), shape (N, 3), z > 0 [m].
+
+    Returns:
+        u, v of each point [px], shape (N, 2); pixel centres are at whole numbers.
+
+    Source: OpenCV's documentation of ``calib3d``, the model with k1, k2, p1, p2, k3.
+    """
+    xyz = np.asarray(points, dtype=float).reshape(-1, 3)
+    fx, fy, cx, cy = camera.matrix
+    return distort(camera, xyz[:, :2] / xyz[:, 2:]) * (fx, fy) + (cx, cy)
+
+
+def distort(camera: CameraSpec, rays: Array) -> Array:
+    """Return the distorted normalised image coordinates of undistorted ones, both of shape (N, 2)."""
+    if not any(camera.distortion):
+        return rays
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = rays[:, 0], rays[:, 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def rays_of_pixels(camera: CameraSpec) -> Array:
+    """Return the ray through every pixel's centre as x / z, y / z in the optical frame, shape (height, width, 2).
+
+    Raises:
+        InvalidRequestError: When the distortion folds the image, so that a pixel sees no point or several.
+    """
+    fx, fy, cx, cy = camera.matrix
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = (np.stack([u, v], axis=-1).reshape(-1, 2) - (cx, cy)) / (fx, fy)
+    rays = pixels.copy()
+    if any(camera.distortion):
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(MAX_ITERATIONS):  # Newton's method with the radial part's derivative
+                rays += (pixels - distort(camera, rays)) / _stretch(camera, rays)[:, None]
+            error = np.abs(distort(camera, rays) - pixels).max() * max(fx, fy)
+        if not error < 0.01 or (_stretch(camera, rays) <= 0).any():
+            raise InvalidRequestError(
+                f"camera '{camera.name}': the distortion {camera.distortion} folds the image at its edges; "
+                "it was calibrated for a narrower field of view"
+            )
+    return rays.reshape(camera.height, camera.width, 2)
+
+
+def _stretch(camera: CameraSpec, rays: Array) -> Array:
+    """Return the derivative of the distorted radius by the undistorted one, shape (N,)."""
+    k1, k2, _, _, k3 = camera.distortion
+    r2 = (rays**2).sum(axis=1)
+    stretch: Array = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
+    return stretch
+
+
+def ideal_camera(camera: CameraSpec) -> CameraSpec:
+    """Return the camera as its sensor would see through a perfect lens: no distortion, no noise."""
+    return replace(camera, distortion=(), noise=CameraNoise())

@@ -1,0 +1,204 @@
+"""From a renderer's ideal pinhole images to what a scene's cameras deliver: lens, sensor, frame rate.
+
+A renderer draws pinhole cameras without distortion and noise. `CameraRig` asks it for a pinhole image that covers what
+the lens sees, bends it, adds the sensor's noise, and holds the frames of a camera that is slower than the tick.
+
+Non-obvious behaviours:
+- An observation belongs to a tick, so every camera gives an image at every tick. A slower camera takes its frames at
+  the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, until the next: what a control loop that reads the
+  newest frame sees.
+- Depth and segmentation are bent with the nearest pixel, never blended; noise is added to colour and depth only.
+- A frame's noise follows from the camera's noise seed, its name and the tick alone, so a frame can be made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter
+
+from roboxim_core.cameras import ideal_camera, rays_of_pixels
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.poses import Pose
+from roboxim_core.rendering import CameraImages, Renderer, RenderWorld
+from roboxim_core.specs import CameraNoise, CameraSpec, SceneSpec
+
+MAX_SIZE = 4096
+"""Largest pinhole image that is drawn for a distorted one [px]."""
+Views = Sequence[tuple[CameraSpec, Pose]]
+
+
+class CameraRig:
+    """The cameras of a scene on a renderer; belongs to the renderer's thread."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        """Use a renderer; whoever made it closes it."""
+        self.renderer = renderer
+        self._frame_ticks: dict[str, int] = {}
+        self._held: dict[str, CameraImages] = {}
+
+    def load(self, world: RenderWorld, scene: SceneSpec) -> None:
+        """Replace the world and forget all frames.
+
+        Raises:
+            InvalidRequestError: On a malformed world, or a camera whose distortion makes no image.
+            SimError: As the renderer's `load`.
+        """
+        for camera in scene.cameras:
+            _lens(camera)
+        self._held = {}
+        self._frame_ticks = {camera.name: camera.ticks_per_frame(scene.control_rate_hz) for camera in scene.cameras}
+        self.renderer.load(world)
+
+    def capture(self, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
+        """Return what every camera delivers at a tick; a held frame is the same object as before.
+
+        Args:
+            seq: The tick.
+            poses: Body key to pose in the world.
+            views: Cameras of the loaded scene with the poses of their optical frames in the world.
+
+        Raises:
+            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            SimError: As the renderer's `render`.
+        """
+        due = [
+            (camera, pose)
+            for camera, pose in views
+            if camera.name not in self._held or seq % self._frame_ticks.get(camera.name, 1) == 0
+        ]
+        if due:
+            self._held |= draw_frames(self.renderer, seq, poses, due)
+        return {camera.name: self._held[camera.name] for camera, _ in views}
+
+
+def draw_frames(renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
+    """Take a frame with every camera, whatever its rate.
+
+    Args:
+        renderer: A renderer with the world loaded.
+        seq: The tick, for the noise.
+        poses: Body key to pose in the world.
+        views: Cameras with the poses of their optical frames in the world.
+
+    Raises:
+        InvalidRequestError: On a pose of an unknown body, two cameras of one name, or an impossible lens.
+        SimError: As the renderer's `render`.
+    """
+    lenses = {camera.name: _lens(camera) for camera, _ in views}
+    images = renderer.render(poses, [(lens.source if (lens := lenses[c.name]) else c, pose) for c, pose in views])
+    frames = {}
+    for camera, _ in views:
+        frame, lens = images[camera.name], lenses[camera.name]
+        frames[camera.name] = _expose(camera, seq, lens.bend(frame) if lens else frame)
+    return frames
+
+
+class Lens:
+    """A distorting lens: the pinhole camera to draw, and how its image is bent."""
+
+    def __init__(self, camera: CameraSpec) -> None:
+        """Work out the pinhole camera.
+
+        Raises:
+            InvalidRequestError: When the distortion folds the image or sees too wide a field.
+        """
+        rays = rays_of_pixels(camera)
+        fx, fy, _, _ = camera.matrix
+        low, high = rays.min(axis=(0, 1)), rays.max(axis=(0, 1))
+        # One pixel of margin for the blending; the focal lengths stay, so that the middle is as sharp.
+        cx, cy = (math.ceil(-low[0] * fx) + 1, math.ceil(-low[1] * fy) + 1)
+        width, height = (math.ceil(high[0] * fx) + 2 + cx, math.ceil(high[1] * fy) + 2 + cy)
+        if max(width, height) > MAX_SIZE:
+            raise InvalidRequestError(
+                f"camera '{camera.name}': its distorted image needs a pinhole image of {width}x{height} px, more than "
+                f"{MAX_SIZE}; choose a narrower field of view or a smaller image"
+            )
+        self.source = replace(
+            ideal_camera(camera), width=max(width, 16), height=max(height, 16), intrinsics=(fx, fy, cx, cy)
+        )
+        """The pinhole camera whose image covers what the lens sees."""
+        at = rays * (fx, fy) + (cx, cy)
+        self._corner = np.floor(at).astype(np.intp)
+        self._weight = (at - self._corner).astype(np.float32)
+        self._nearest = np.rint(at).astype(np.intp)
+
+    def bend(self, images: CameraImages) -> CameraImages:
+        """Return the distorted images of the pinhole camera's."""
+        column, row = self._corner[..., 0], self._corner[..., 1]
+        x, y = self._weight[..., :1], self._weight[..., 1:]
+        rgb = images.rgb.astype(np.float32)
+        upper = rgb[row, column] * (1 - x) + rgb[row, column + 1] * x
+        lower = rgb[row + 1, column] * (1 - x) + rgb[row + 1, column + 1] * x
+        column, row = self._nearest[..., 0], self._nearest[..., 1]
+        return CameraImages(
+            rgb=np.rint(upper * (1 - y) + lower * y).astype(np.uint8),
+            depth=None if images.depth is None else images.depth[row, column],
+            segmentation=None if images.segmentation is None else images.segmentation[row, column],
+        )
+
+
+def _lens(camera: CameraSpec) -> Lens | None:
+    """Return a camera's lens; none: it does not distort."""
+    if not any(camera.distortion):
+        return None
+    # What moves with the robot or changes with the episode does not matter to the lens.
+    return _cached_lens(replace(camera, pose=Pose(), parent="", noise=CameraNoise(), rate_hz=0.0))
+
+
+@lru_cache(maxsize=16)
+def _cached_lens(camera: CameraSpec) -> Lens:
+    return Lens(camera)
+
+
+def _expose(camera: CameraSpec, seq: int, images: CameraImages) -> CameraImages:
+    """Add what the sensor adds."""
+    noise = camera.noise
+    if noise == CameraNoise(seed=noise.seed):
+        return images
+    rgb, depth = images.rgb, images.depth
+    if noise.shot or noise.read or noise.blur_px or noise.exposure_ev:
+        light = _LINEAR[rgb]
+        if noise.blur_px:
+            light = gaussian_filter(light, (noise.blur_px, noise.blur_px, 0), mode="nearest")
+        light *= np.float32(2.0**noise.exposure_ev)
+        if noise.shot or noise.read:
+            deviation = np.sqrt(np.float32(noise.shot**2) * light + np.float32(noise.read**2))
+            light += deviation * _rng(camera, seq, "rgb").standard_normal(light.shape, dtype=np.float32)
+        rgb = _to_srgb(light)
+    if depth is not None and noise.depth:
+        error = _rng(camera, seq, "depth").standard_normal(depth.shape, dtype=np.float32)
+        seen = np.where(np.isfinite(depth), depth, np.float32(0))
+        depth = np.maximum(depth + np.float32(noise.depth) * seen * seen * error, np.float32(0))
+    return replace(images, rgb=rgb, depth=depth)
+
+
+def _rng(camera: CameraSpec, seq: int, kind: str) -> np.random.Generator:
+    name = int.from_bytes(hashlib.blake2s(f"{camera.name}/{kind}".encode(), digest_size=4).digest(), "little")
+    return np.random.default_rng(np.random.SeedSequence(camera.noise.seed, spawn_key=(name, seq)))
+
+
+def _linear_table() -> npt.NDArray[np.float32]:
+    srgb = np.arange(256) / 255
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _srgb_table() -> npt.NDArray[np.uint8]:
+    light = np.arange(_STEPS + 1) / _STEPS
+    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.rint(255 * srgb).astype(np.uint8)
+
+
+_STEPS = 16384
+_LINEAR, _SRGB = _linear_table(), _srgb_table()
+
+
+def _to_srgb(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """Return 8-bit sRGB of linear light 0..1, by a table: ten times as fast as the power."""
+    return np.asarray(_SRGB[np.rint(np.clip(light, 0.0, 1.0) * _STEPS).astype(np.intp)])
