@@ -34,7 +34,7 @@ class CorePlanner:
         return "" if finding.valid else str(finding)
 
     def _scene(self, around: Surroundings) -> PlanningScene:
-        scene = PlanningScene.from_state(around.scene, around.state, self._library)
+        scene = PlanningScene.from_state(around.scene, around.state_then, self._library)
         if around.held:
             pose = next(body.pose for body in scene.bodies if body.name == around.held)
             scene = scene.attach(around.held, pose @ around.held_in_tcp.inverse())

@@ -16,6 +16,10 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 
 RGBImage = npt.NDArray[np.uint8]
+FREE = "free"
+"""Phase of an action whose way does not matter: noise may be injected."""
+RECOVERY = "recovery"
+"""Phase of an action of another try, after the first went wrong: the episode is no first-try success."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +143,8 @@ class ActionChunk:
     done: bool = False
     """Whether the actor has nothing more to do after these; the episode then settles."""
     phases: tuple[str, ...] = ()
-    """Per action the actor's own word for it; noise is only injected where it is ``free``. Empty: unknown."""
+    """Per action the actor's own word for it: noise is only injected where it is ``free``; one that is ``recovery``
+    marks the episode as recovered. Empty: unknown."""
 
 
 class Policy(Protocol):

@@ -68,6 +68,8 @@ class TaskConfig:
     """The skill's own parameters and thresholds."""
     templates: Choice | None = None
     """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
+    paraphrases: bool = False
+    """Without templates: whether all of the skill's are used, or the first alone."""
     objects: dict[str, ObjectConfig] = field(default_factory=dict)
     """Role of the skill to the objects that may fill it."""
     distractors: DistractorConfig = DistractorConfig()
@@ -123,13 +125,16 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     for name in dict.fromkeys((*skill.components, *given)):
         section = _section(given, name)
         reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
-    objects = {role: config.objects.get(role, ObjectConfig()) for role in skill.roles}
+    objects = {
+        name: config.objects.get(name) or ObjectConfig(models=Choice(values=role.models))
+        for name, role in skill.roles.items()
+    }
     return replace(
         config,
         parameters=parameters,
         reset=reset,
         objects=objects,
-        templates=config.templates or Choice(values=skill.templates),
+        templates=config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1]),
         max_steps=config.max_steps or skill.max_steps,
     )
 

@@ -78,11 +78,18 @@ def planning_scene(around: Surroundings, library: ModelLibrary) -> PlanningScene
         episode_id=around.state.episode_id, seq=around.state.seq, gripper_opening=[float(around.opening)]
     )
     msg.allowed_contacts = [AllowedContact(body_a=a, body_b=b) for a, b in around.touching]
+    for entity in around.moved:
+        if entity.name != around.held:
+            model = library.entity_model(around.scene.entity(entity.name))
+            there = collision_object(entity.name, model, around.state_then)
+            fill_pose(there.pose, entity.pose)
+            msg.objects.append(there)
+            msg.ignored_objects.append(entity.name)
     if around.held:
         model = library.entity_model(around.scene.entity(around.held))
-        held = collision_object(around.held, model, around.state)
+        held = collision_object(around.held, model, around.state_then)
         fill_pose(held.pose, around.held_in_tcp)
-        msg.ignored_objects = [around.held]
+        msg.ignored_objects.append(around.held)
         msg.attached = [AttachedObject(object=held)]
     return msg
 

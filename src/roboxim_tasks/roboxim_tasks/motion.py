@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from scipy.spatial.transform import Rotation
@@ -12,10 +12,12 @@ from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import SceneSpec, TaskSpec
-from roboxim_core.state import StateRecord
+from roboxim_core.state import EntityState, StateRecord
 
 GRIPPER = "gripper"
+ROBOT = "robot"
 TABLE = "table"
+ANYTHING = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +42,8 @@ class Stage:
     """Entity in the gripper; empty: none."""
     held_in_tcp: Pose = Pose()
     """Pose of the held entity in the tool centre point's frame."""
+    moved: tuple[EntityState, ...] = ()
+    """Entities that by then are elsewhere than in the scene: placed, or with a drawer open; poses in the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +58,10 @@ class ExpertScene:
     """Where everything is now."""
     library: ModelLibrary
     """Robots and objects."""
+    held: str = ""
+    """Entity that the gripper holds already; empty: none."""
+    recovering: bool = False
+    """Whether a try went wrong before, so that the gripper may be anywhere, closed."""
 
     @property
     def robot(self) -> RobotModel:
@@ -76,6 +84,50 @@ class ExpertScene:
     def model_of(self, entity: str) -> ObjectModel:
         """Return the model of an entity."""
         return self.library.entity_model(self.scene.entity(entity))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grasp:
+    """One way to grasp an object."""
+
+    pose: Pose
+    """Pose of the tool centre point in the base."""
+    opening: float = 1.0
+    """Opening of the gripper on the way there, 1 = open."""
+    release_opening: float = 1.0
+    """Opening that lets the object go without sweeping its surroundings."""
+    name: str = ""
+    """Name of the annotation."""
+
+
+RELEASE_CLEARANCE_M = 0.03
+
+
+def grasps_of(scene: ExpertScene, entity: str, name: str = "") -> list[Grasp]:
+    """Return the grasps of an entity in the order of its model's annotations, within one the least rotation first.
+
+    Args:
+        scene: Where the entity and the tool centre point are.
+        entity: The entity.
+        name: Name of the annotation to use; empty: all.
+    """
+    model, pose_object = scene.model_of(entity), scene.pose_of(entity)
+    widest = scene.robot.gripper.max_opening_m
+    found = []
+    for annotation in model.grasps:
+        if name and annotation.name != name:
+            continue
+        only = replace(model, grasps=(annotation,))
+        found += [
+            Grasp(
+                pose=pose,
+                opening=min(1.0, annotation.opening_m / widest),
+                release_opening=min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / widest),
+                name=annotation.name,
+            )
+            for pose in grasp_poses(only, pose_object, scene.pose_tcp)
+        ]
+    return found
 
 
 def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[Pose]:

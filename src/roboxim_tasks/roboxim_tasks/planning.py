@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import SceneSpec
-from roboxim_core.state import StateRecord
+from roboxim_core.state import EntityState, StateRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,14 @@ class Surroundings:
     """Its pose in the tool centre point's frame."""
     touching: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that may touch."""
+    moved: tuple[EntityState, ...] = ()
+    """Entities that are elsewhere than in ``state`` by the time of the motion; poses in the world."""
+
+    @property
+    def state_then(self) -> StateRecord:
+        """The state with the moved entities where they are by the time of the motion."""
+        moved = {entity.name: entity for entity in self.moved}
+        return replace(self.state, entities=tuple(moved.get(e.name, e) for e in self.state.entities))
 
 
 class PlannerPort(Protocol):

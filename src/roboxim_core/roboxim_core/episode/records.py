@@ -169,6 +169,8 @@ class EpisodeResult:
     """Last tick, settling included."""
     success_ever: bool = False
     """Whether it was solved at any tick."""
+    recovered: bool = False
+    """Whether the actor had to try again, e.g. needed a second grasp: solved, but no first-try success."""
     verdict: Verdict = Verdict()
     """Final verdict."""
     clipped: int = 0

@@ -13,7 +13,7 @@ from roboxim_core.config import to_json
 from roboxim_core.episode.ports import Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
-from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec
@@ -40,10 +40,10 @@ def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDesc
 
     def sized(camera: CameraSpec) -> CameraSpec:
         want = wanted.get(camera.name)
+        width = config.image_width or (want.width if want else 0) or camera.width
+        height = config.image_height or (want.height if want else 0) or camera.height
         return replace(
-            camera,
-            width=config.image_width or (want.width if want else 0) or camera.width,
-            height=config.image_height or (want.height if want else 0) or camera.height,
+            camera.resized(width, height),
             depth=config.depth or camera.depth,
             segmentation=config.segmentation or camera.segmentation,
         )
@@ -195,8 +195,9 @@ class _Episode:
         result = EpisodeResult(
             episode_id=info.episode_id, index=info.index, attempt=info.attempt, outcome=outcome, reason=reason,
             message=message, steps=self.counts["steps"], last_seq=self.state.seq, clipped=self.counts["clipped"],
-            success_ever=self.verdict.success_ever, verdict=self.verdict, instruction=info.task.instruction,
-            skill=info.task.skill, inference_s=self.inference_s, final_state_hash=self.state.state_hash,
+            success_ever=self.verdict.success_ever, recovered=bool(self.counts["recovery"]), verdict=self.verdict,
+            instruction=info.task.instruction, skill=info.task.skill, inference_s=self.inference_s,
+            final_state_hash=self.state.state_hash,
             wall_s=ports.clock() - started,
         )  # fmt: skip
         if self.config.records:
@@ -263,12 +264,13 @@ class _Episode:
 
     def _tick(self, label: ActionArray, phase: str) -> None:
         executed = label
-        noisy = phase == "free" and (self.config.noise_translation_m > 0 or self.config.noise_rotation_rad > 0)
+        noisy = phase == FREE and (self.config.noise_translation_m > 0 or self.config.noise_rotation_rad > 0)
         if noisy:
             scale = [self.config.noise_translation_m] * 3 + [self.config.noise_rotation_rad] * 3 + [0.0]
             executed = (label + self.noise_rng.normal(size=7) * scale).astype(np.float32)
         self._advance(executed)
         self.counts["steps"] += 1
+        self.counts["recovery"] += phase == RECOVERY
         self._record("act", tuple(float(value) for value in label), disturbance=noisy)
 
     def _settle(self) -> None:

@@ -6,53 +6,47 @@ Adding a skill touches one new file here and one task YAML.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from roboxim_core.config import from_plain
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.registry import Registry
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage
+from roboxim_tasks.predicates import Assessment, Evaluator
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assessment:
-    """What an evaluator says of one tick; `roboxim_tasks.judging.Judge` makes a verdict of it."""
+class Role:
+    """An object that a skill's instruction speaks of."""
 
-    solved: bool
-    """Whether everything that the skill demands holds at this tick."""
-    failed: bool = False
-    """Whether the task can no longer be solved."""
-    reason: str = ""
-    """What is missing or why it failed, in snake case; empty when solved."""
-    predicates: dict[str, float] = field(default_factory=dict)
-    """Predicate name to 0, 1, or a measure with its unit in the name."""
+    affordance: str = ""
+    """What its model must afford, e.g. ``graspable``; empty: anything."""
+    models: tuple[str, ...] = ("cube",)
+    """Models that fill it when a task's configuration does not say."""
+    max_width_m: float = 0.0
+    """Longest side of its base that makes sense [m]; 0: any."""
 
-
-class Evaluator(Protocol):
-    """A fold over an episode's ticks; it sees nothing but state records."""
-
-    hold_s: float
-    """How long the task must stay solved without a break before it counts [s]."""
-
-    def assess(self, state: StateRecord) -> Assessment:
-        """Assess the next tick."""
-        ...
+    def suits(self, model: ObjectModel) -> bool:
+        """Tell whether a model can fill the role."""
+        fits = not self.max_width_m or max(model.size[:2]) <= self.max_width_m
+        return fits and (not self.affordance or self.affordance in model.affordances)
 
 
 class Skill(ABC):
-    """A skill with its four sides."""
+    """A skill with its four sides, a method each."""
 
     name: ClassVar[str] = ""
     """Registered name."""
-    roles: ClassVar[tuple[str, ...]] = ("target",)
-    """Roles of the objects that the instruction speaks of."""
+    roles: ClassVar[Mapping[str, Role]] = {"target": Role(affordance="graspable")}
+    """Objects that the instruction speaks of, in the order in which they are placed."""
     templates: ClassVar[tuple[str, ...]] = ()
-    """Instruction templates with roles in braces."""
+    """Instruction templates with roles and parameters in braces; the first is the canonical one, others paraphrase."""
     components: ClassVar[tuple[str, ...]] = ("robot", "objects", "distractors", "cameras", "lights")
     """Reset components that it always uses, in order."""
     max_steps: ClassVar[int] = 100
@@ -69,10 +63,11 @@ class Skill(ABC):
         """Return what a drawn scene must meet: reachable, not solved already (resetter)."""
 
     @abstractmethod
-    def stages(self, scene: ExpertScene) -> Sequence[tuple[Stage, ...]]:
-        """Return the candidate ways to solve the task, best first, each as stages (executor).
+    def stages(self, scene: ExpertScene) -> Iterable[tuple[Stage, ...]]:
+        """Yield the candidate ways to solve the task, best first, each as stages (executor).
 
-        The expert times, verifies and executes the first candidate that holds.
+        Called again when the expert plans anew within an episode, see `roboxim_tasks.script`. The expert times,
+        verifies and executes the first candidate that holds; the others are never made.
         """
 
     @abstractmethod
@@ -101,3 +96,6 @@ def parameters_of(task: TaskSpec, cls: type[Any]) -> Any:
         ConfigError: When an argument is unknown or of a wrong kind.
     """
     return from_plain(dict(task.arguments), cls, source=f"arguments of task '{task.instruction}'")
+
+
+__all__ = ["SKILLS", "Assessment", "Evaluator", "Role", "Skill", "parameters_of", "register"]

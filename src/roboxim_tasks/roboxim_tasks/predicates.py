@@ -1,0 +1,280 @@
+"""Predicates over state records, of which evaluators are composed.
+
+A `Measure` says a number of a tick and knows its name and unit; a `Condition` bounds it and knows the reason that is
+given while it does not hold. `Conditions` is the evaluator made of them: it reports every measure and every condition
+at every tick. Nothing here sees anything but state records, so the same code judges live and over a bag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.poses import Array
+from roboxim_core.state import StateRecord
+from roboxim_tasks.motion import ROBOT, TABLE
+
+FALLEN_M = 0.1
+"""An object that is so much lower than at tick 0 fell off the table [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """What an evaluator says of one tick; `roboxim_tasks.judging.Judge` makes a verdict of it."""
+
+    solved: bool
+    """Whether everything that the skill demands holds at this tick."""
+    failed: bool = False
+    """Whether the task can no longer be solved."""
+    reason: str = ""
+    """What is missing or why it failed, in snake case; empty when solved."""
+    predicates: dict[str, float] = field(default_factory=dict)
+    """Predicate name to 0, 1, or a measure with its unit in the name."""
+
+
+class Evaluator(Protocol):
+    """A fold over an episode's ticks; it sees nothing but state records."""
+
+    hold_s: float
+    """How long the task must stay solved without a break before it counts [s]."""
+
+    def assess(self, state: StateRecord) -> Assessment:
+        """Assess the next tick."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """A number that a tick has."""
+
+    name: str
+    """Name with the unit, e.g. ``lift_m``; under it the value is reported."""
+    of: Callable[[StateRecord], float]
+    """The value. Called exactly once for each tick, in order, so it may accumulate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """A measure within bounds."""
+
+    name: str
+    """What holds then, e.g. ``lifted``; reported as 0 or 1."""
+    measure: Measure
+    """What is bounded."""
+    least: float = -math.inf
+    """Smallest value with which it holds."""
+    most: float = math.inf
+    """Largest value with which it holds."""
+    reason: str = ""
+    """Why the task is not solved while it does not hold; empty: ``not_<name>``."""
+    fatal: bool = False
+    """Whether the task can no longer be solved once it did not hold."""
+
+    def holds(self, value: float) -> bool:
+        """Tell whether a value of the measure is within the bounds."""
+        return self.least <= value <= self.most
+
+
+class Conditions:
+    """An evaluator: solved while all conditions hold. The first that does not gives the reason.
+
+    Non-obvious: a measure that several conditions share is taken once a tick, so it may accumulate.
+    """
+
+    def __init__(self, conditions: Sequence[Condition], *, hold_s: float) -> None:
+        """Compose.
+
+        Args:
+            conditions: In the order in which they give the reason; fatal ones first.
+            hold_s: How long all must hold without a break before it counts [s].
+        """
+        self.hold_s = hold_s
+        self._conditions = tuple(conditions)
+
+    def assess(self, state: StateRecord) -> Assessment:
+        """Assess the next tick."""
+        values: dict[int, float] = {}
+        predicates: dict[str, float] = {}
+        broken: list[Condition] = []
+        for condition in self._conditions:
+            measure = condition.measure
+            if id(measure) not in values:
+                values[id(measure)] = predicates[measure.name] = float(measure.of(state))
+            holds = condition.holds(values[id(measure)])
+            predicates[condition.name] = float(holds)
+            if not holds:
+                broken.append(condition)
+        return Assessment(
+            solved=not broken,
+            failed=any(condition.fatal for condition in broken),
+            reason=(broken[0].reason or f"not_{broken[0].name}") if broken else "",
+            predicates=predicates,
+        )
+
+
+def above(value: float) -> float:
+    """Return the next number above a value: the bound of a condition that demands more than it."""
+    return math.nextafter(value, math.inf)
+
+
+# Conditions that many skills share
+
+
+def fallen_off(height_gain: Measure, name: str = "not_fallen") -> Condition:
+    """Return the fatal condition that an object has not fallen off the table, over its `lift`."""
+    return Condition(
+        name=name, measure=height_gain, least=-FALLEN_M,
+        reason="fell_off_table", fatal=True,
+    )  # fmt: skip
+
+
+def at_rest(entity: str, *, speed_m_s: float = 0.01, spin_rad_s: float = 0.2) -> tuple[Condition, ...]:
+    """Return the conditions that an object lies still."""
+    return (
+        Condition(name="at_rest", measure=speed(entity), most=speed_m_s),
+        Condition(name="not_rolling", measure=spin(entity), most=spin_rad_s, reason="not_at_rest"),
+    )
+
+
+def released(entity: str) -> Condition:
+    """Return the condition that the robot does not touch an object."""
+    return Condition(name="released", measure=force(ROBOT, entity, "robot_force_n"), most=0.0)
+
+
+def stayed(entity: str, initial: StateRecord, most_m: float, name: str = "") -> Condition:
+    """Return the condition that an object has not been moved far from where it was at tick 0."""
+    label = name or entity
+    return Condition(
+        name=f"{label}_stayed", measure=shift(entity, initial, f"{label}_shift_m"), most=most_m, reason=f"moved_{label}"
+    )
+
+
+# Measures
+
+
+def lift(entity: str, initial: StateRecord, name: str = "lift_m") -> Measure:
+    """Height of an object above where it was at tick 0 [m]."""
+    start = initial.entity(entity).pose.position[2]
+    return Measure(name=name, of=lambda state: state.entity(entity).pose.position[2] - start)
+
+
+def highest_lift(entities: Iterable[str], initial: StateRecord, name: str = "other_lift_m") -> Measure:
+    """Largest height gain of some objects since tick 0; 0 if there are none [m]."""
+    starts = {entity: initial.entity(entity).pose.position[2] for entity in entities}
+    return Measure(
+        name=name,
+        of=lambda state: max((state.entity(n).pose.position[2] - z for n, z in starts.items()), default=0.0),
+    )
+
+
+def pressing_links(entity: str, force_n: float) -> Measure:
+    """Links of the robot that press an object with more than a force at the end of the tick."""
+
+    def count(state: StateRecord) -> float:
+        return float(sum(value > force_n for value in robot_forces(state, entity).values()))
+
+    return Measure(name="pressing_links", of=count)
+
+
+def robot_forces(state: StateRecord, entity: str) -> dict[str, float]:
+    """Return the normal force of each robot link on an object at the end of a tick [N]."""
+    forces: dict[str, float] = {}
+    for contact in state.contacts_between(ROBOT, entity):
+        link = contact.link_a if contact.body_a == ROBOT else contact.link_b
+        forces[link] = max(forces.get(link, 0.0), contact.force_last)
+    return forces
+
+
+def force(body_a: str, body_b: str, name: str) -> Measure:
+    """Normal force between two bodies at the end of the tick [N]."""
+    return Measure(
+        name=name, of=lambda state: max((c.force_last for c in state.contacts_between(body_a, body_b)), default=0.0)
+    )
+
+
+def table_force(entity: str) -> Measure:
+    """Normal force of the table on an object at the end of the tick [N]."""
+    return force(TABLE, entity, "table_force_n")
+
+
+def speed(entity: str) -> Measure:
+    """Speed of an object [m/s]."""
+    return Measure(name="speed_m_s", of=lambda state: math.hypot(*state.entity(entity).linear_velocity))
+
+
+def spin(entity: str) -> Measure:
+    """Angular speed of an object [rad/s]."""
+    return Measure(name="spin_rad_s", of=lambda state: math.hypot(*state.entity(entity).angular_velocity))
+
+
+def shift(entity: str, initial: StateRecord, name: str = "shift_m") -> Measure:
+    """Distance of an object from where it was at tick 0 [m]."""
+    start = np.array(initial.entity(entity).pose.position)
+    return Measure(
+        name=name, of=lambda state: float(np.linalg.norm(np.subtract(state.entity(entity).pose.position, start)))
+    )
+
+
+def offset(state: StateRecord, entity: str, reference: str) -> Array:
+    """Return the vector from a reference to an object in the world, shape (3,) [m]."""
+    return np.subtract(state.entity(entity).pose.position, state.entity(reference).pose.position)
+
+
+def horizontal_distance(entity: str, reference: str) -> Measure:
+    """Horizontal distance between the origins of two objects [m]."""
+    return Measure(
+        name="horizontal_distance_m", of=lambda state: float(np.linalg.norm(offset(state, entity, reference)[:2]))
+    )
+
+
+def tilt(entity: str, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Measure:
+    """Angle between an axis of an object and the vertical [rad]."""
+
+    def angle(state: StateRecord) -> float:
+        up = state.entity(entity).pose.rotation.apply(axis)[2] / math.hypot(*axis)
+        return math.acos(min(1.0, max(-1.0, float(up))))
+
+    return Measure(name="tilt_rad", of=angle)
+
+
+def turned(entity: str, initial: StateRecord) -> Measure:
+    """Rotation of an object about the vertical since tick 0, accumulated over the ticks so that it has no jump [rad].
+
+    Positive is counter-clockwise from above. Each tick adds the rotation's component about the vertical.
+    """
+    last: list[Rotation] = [initial.entity(entity).pose.rotation]
+    total = [0.0]
+
+    def angle(state: StateRecord) -> float:
+        rotation = state.entity(entity).pose.rotation
+        total[0] += float((rotation * last[0].inv()).as_rotvec()[2])
+        last[0] = rotation
+        return total[0]
+
+    return Measure(name="turned_rad", of=angle)
+
+
+def joint_position(entity: str, joint: str, name: str = "joint_position") -> Measure:
+    """Position of a joint of an object [m or rad]."""
+    return Measure(name=name, of=lambda state: _joint(state, entity, joint, "joint_positions"))
+
+
+def joint_highest_ever(entity: str, joint: str, name: str = "joint_highest") -> Measure:
+    """Highest position of a joint in any physics step so far [m or rad]."""
+    best = [-math.inf]
+
+    def value(state: StateRecord) -> float:
+        best[0] = max(best[0], _joint(state, entity, joint, "joint_highest"))
+        return best[0]
+
+    return Measure(name=name, of=value)
+
+
+def _joint(state: StateRecord, entity: str, joint: str, field: str) -> float:
+    found = state.entity(entity)
+    return float(getattr(found, field)[found.joint_names.index(joint)])

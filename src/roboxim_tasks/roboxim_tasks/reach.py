@@ -1,0 +1,54 @@
+"""Constraints that many skills share: quick looks at a drawn scene, before anything is planned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roboxim_core.poses import Pose, distance
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.motion import grasp_poses, retreated, shifted
+from roboxim_tasks.script import APPROACH_M, LIFT_M
+
+START_CLEARANCE_M = 0.08
+LIMIT_MARGIN_RAD = 0.03
+
+
+def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Constraint:
+    """Return the constraint that the arm reaches a grasp of a role's object, from approach to lifted."""
+    entity = context.task.objects[role].entity
+
+    def holds(scene: SceneSpec) -> bool:
+        spec = scene.entity(entity)
+        home = context.arm.fk(context.arm.model.home)
+        pose_object = scene.robot.pose.inverse() @ spec.pose
+        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home)
+        return any(reaches(context, retreated(g, APPROACH_M), g, shifted(g, lift_m)) for g in grasps)
+
+    return Constraint(name=f"{role}_reachable", holds=holds)
+
+
+def start_clear(context: ResetContext) -> Constraint:
+    """Return the constraint that the gripper does not start at an object."""
+
+    def holds(scene: SceneSpec) -> bool:
+        tcp = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
+        return all(_apart(context, tcp, other) for other in scene.entities)
+
+    return Constraint(name="start_clear", holds=holds)
+
+
+def reaches(context: ResetContext, *poses: Pose) -> bool:
+    """Tell whether the arm follows poses of the tool centre point in its base, within its limits by a margin."""
+    joints = np.array(context.arm.model.home)
+    for pose in poses:
+        found = context.arm.ik_near(pose, joints)
+        if not found.converged or not context.arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
+            return False
+        joints = found.joints
+    return True
+
+
+def _apart(context: ResetContext, tcp: Pose, entity: EntitySpec) -> bool:
+    radius = float(np.linalg.norm(context.library.entity_model(entity).size)) / 2
+    return distance(tcp, entity.pose)[0] > radius + START_CLEARANCE_M

@@ -1,0 +1,190 @@
+"""The executors' vocabulary: a script of stages that keeps track of what the gripper holds and where things are.
+
+A skill's executor yields scripts, best first::
+
+    for grasp in grasps_of(scene, "target"):
+        script = Script(scene)
+        script.pick("target", grasp)
+        script.place(goal, onto="support")
+        yield script.stages
+
+The expert rolls each out through the delta controller and takes the first whose joint path the planner finds free.
+
+Non-obvious: a script starts from the scene as it is. When the gripper holds the object already (the expert plans again
+after a grasp that turned out a little different), `pick` adds nothing; after a try that went wrong the script begins
+with letting go and withdrawing. So one executor serves the first try, the correction and the recovery.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roboxim_core.poses import Pose, Vec3
+from roboxim_tasks.motion import ANYTHING, GRIPPER, TABLE, ExpertScene, Grasp, Stage, retreated, shifted
+
+APPROACH_M = 0.10
+LIFT_M = 0.10
+SLOW = 0.6
+GRIP_S = 0.3
+RETREAT_M = 0.08
+WITHDRAW_M = 0.10
+CARRY_MARGIN_M = 0.03
+CORRIDOR_MARGIN_M = 0.02
+Touching = tuple[tuple[str, str], ...]
+
+
+class Script:
+    """Stages in the making. All poses are in the robot's base frame unless a name says otherwise."""
+
+    def __init__(self, scene: ExpertScene) -> None:
+        """Start where the robot is."""
+        self.scene = scene
+        self.pose = scene.pose_tcp
+        """Pose of the tool centre point at the end of the stages so far."""
+        self.opening = 1.0
+        self.held = scene.held
+        self.held_in_tcp = Pose()
+        self.release_opening = 1.0
+        self._stages: list[Stage] = []
+        self._where = {entity.name: entity for entity in scene.state.entities}
+        self._moved: tuple[str, ...] = ()
+        if self.held:
+            self.opening = scene.state.robot.gripper_command
+            measured = scene.in_base(scene.state.robot.pose_tcp_measured)
+            self.held_in_tcp = measured.inverse() @ scene.pose_of(self.held)
+        elif scene.recovering:
+            self.grip(1.0, name="let_go")
+            self.move(shifted(self.pose, WITHDRAW_M), name="withdraw", touching=((GRIPPER, ANYTHING),))
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages so far."""
+        return tuple(self._stages)
+
+    def pose_of(self, entity: str) -> Pose:
+        """Return where an entity is after the stages so far."""
+        if entity == self.held:
+            return self.pose @ self.held_in_tcp
+        return self.scene.in_base(self._where[entity].pose)
+
+    def set_entity(self, entity: str, *, pose: Pose | None = None, joints: dict[str, float] | None = None) -> None:
+        """Note that an entity is elsewhere from here on, or its joints are at other positions [m or rad]."""
+        state = self._where[entity]
+        positions = dict(zip(state.joint_names, state.joint_positions, strict=True)) | (joints or {})
+        self._where[entity] = replace(
+            state,
+            pose=self.scene.scene.robot.pose @ pose if pose is not None else state.pose,
+            joint_positions=tuple(positions[name] for name in state.joint_names),
+        )
+        self._moved = tuple(dict.fromkeys((*self._moved, entity)))
+
+    def move(self, pose: Pose, *, name: str, free: bool = False, speed: float = 1.0, touching: Touching = ()) -> None:
+        """Go to a pose in a straight line.
+
+        Args:
+            pose: Where.
+            name: Word for messages.
+            free: Whether another way is as good: then the expert plans around what blocks the line.
+            speed: Fraction of the largest speed.
+            touching: Pairs of bodies that may touch.
+        """
+        self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching))
+        self.pose = pose
+
+    def shift(self, vector: Vec3, *, name: str, speed: float = 1.0, touching: Touching = ()) -> None:
+        """Go along a vector, keeping the orientation [m]."""
+        x, y, z = (a + b for a, b in zip(self.pose.position, vector, strict=True))
+        self.move(Pose(position=(x, y, z), quat_xyzw=self.pose.quat_xyzw), name=name, speed=speed, touching=touching)
+
+    def grip(self, opening: float, *, name: str, duration_s: float = GRIP_S) -> None:
+        """Move the fingers and wait for them."""
+        self.opening = opening
+        self._add(Stage(name=name, duration_s=duration_s))
+
+    def wait(self, duration_s: float, *, name: str = "hold") -> None:
+        """Stay."""
+        self._add(Stage(name=name, duration_s=duration_s))
+
+    def pick(self, entity: str, grasp: Grasp, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
+        """Approach, descend, close, lift. Adds nothing if the gripper holds the entity already.
+
+        Args:
+            entity: What to grasp.
+            grasp: How.
+            lift_m: How high; 0: stay.
+            on: What it lies on, which it may touch while it is lifted.
+        """
+        if self.held == entity:
+            return
+        self.opening, self.release_opening = grasp.opening, grasp.release_opening
+        self.move(retreated(grasp.pose, APPROACH_M), name="approach", free=True)
+        self.move(grasp.pose, name="descend", speed=SLOW, touching=((GRIPPER, entity),))
+        self.grip(0.0, name="close")
+        held_in_tcp = grasp.pose.inverse() @ self.pose_of(entity)
+        self.held, self.held_in_tcp = entity, held_in_tcp
+        if lift_m:
+            self.shift((0.0, 0.0, lift_m), name="lift", speed=SLOW, touching=((entity, on),))
+
+    def place(self, pose_object: Pose, *, onto: str = TABLE, drop_m: float = 0.002) -> None:
+        """Carry what is held above a pose, lower it, let go, retreat.
+
+        Args:
+            pose_object: Where the held entity is to be.
+            onto: What it may touch when it gets there.
+            drop_m: How far above the pose it is let go [m].
+        """
+        goal = shifted(pose_object @ self.held_in_tcp.inverse(), drop_m)
+        self.carry(goal)
+        self.move(goal, name="lower", speed=SLOW, touching=((self.held, onto),))
+        self.release(pose_object)
+
+    def carry(self, goal: Pose) -> None:
+        """Go above a pose of the tool, over whatever is on the way.
+
+        Non-obvious: it rises straight up first, and no higher than needed; the expert plans around what still blocks.
+        """
+        height = max(self.pose.position[2], goal.position[2] + APPROACH_M / 2, self._height_over(goal))
+        if height > self.pose.position[2] + 1e-3:
+            self.shift((0.0, 0.0, height - self.pose.position[2]), name="rise")
+        x, y, _ = goal.position
+        self.move(Pose(position=(x, y, height), quat_xyzw=goal.quat_xyzw), name="carry", free=True)
+
+    def release(self, pose_object: Pose, *, retreat_m: float = RETREAT_M) -> None:
+        """Let go of what is held, which is then at a pose, and retreat along the tool's axis."""
+        entity, self.held, self.held_in_tcp = self.held, "", Pose()
+        self.set_entity(entity, pose=pose_object)
+        self.grip(self.release_opening, name="release")
+        self.move(retreated(self.pose, retreat_m), name="retreat", touching=((GRIPPER, entity),))
+
+    def _height_over(self, goal: Pose) -> float:
+        """Return how high the tool must be so that what it holds passes over everything between here and a goal."""
+        below, radius = 0.0, 0.05
+        if self.held:
+            model = self.scene.model_of(self.held)
+            below = self.pose.position[2] - self.pose_of(self.held).position[2] + model.rest_height
+            radius = float(np.hypot(*model.size[:2])) / 2
+        start, end = np.array(self.pose.position[:2]), np.array(goal.position[:2])
+        highest = 0.0
+        for name in self._where:
+            if name == self.held:
+                continue
+            model, pose = self.scene.model_of(name), self.pose_of(name)
+            reach = float(np.hypot(*model.size[:2])) / 2 + radius + CORRIDOR_MARGIN_M
+            if _distance_to_segment(np.array(pose.position[:2]), start, end) < reach:
+                highest = max(highest, pose.position[2] + model.size[2] - model.rest_height)
+        return highest + below + CARRY_MARGIN_M
+
+    def _add(self, stage: Stage) -> None:
+        moved = tuple(self._where[name] for name in self._moved)
+        self._stages.append(
+            replace(stage, opening=self.opening, held=self.held, held_in_tcp=self.held_in_tcp, moved=moved)
+        )
+
+
+def _distance_to_segment(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    along = end - start
+    length = float(along @ along)
+    share = 0.0 if length < 1e-12 else min(1.0, max(0.0, float((point - start) @ along) / length))
+    return float(np.linalg.norm(point - start - share * along))

@@ -1,0 +1,181 @@
+"""From a skill's candidates to a motion that is known to be free: what is verified is what is executed.
+
+A candidate's stages become a reference of commanded poses; the delta controller rolls it out; the joint path that
+results is what the planner checks, stage by stage. A free stage that is blocked gets a planned way around.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import PlannerError, PolicyError
+from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_between
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Array, Pose
+from roboxim_tasks.motion import ExpertScene, Stage
+from roboxim_tasks.planning import PlannerPort, Surroundings
+from roboxim_tasks.reference import Leg, ReferencePoint, SpeedConfig, make_reference
+
+MAX_TRACKING_ERROR_M = 2e-3
+PLANNED_VIA_STEP_M = 0.02
+MAX_CANDIDATES = 48
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """A verified motion."""
+
+    stages: tuple[Stage, ...]
+    """The candidate."""
+    reference: list[ReferencePoint]
+    """Commanded pose of each tick, from the one after the scene's."""
+    path: Array
+    """Joint path that the delta controller makes of it, shape (ticks + 1, joints), the start included [rad]."""
+    refused: tuple[str, ...]
+    """Why better candidates were refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Blocked:
+    """Why a candidate does not hold."""
+
+    stage: int
+    reason: str
+
+
+class Solver:
+    """Finds the first candidate that holds. Not thread-safe (kinematics)."""
+
+    def __init__(self, library: ModelLibrary, planner: PlannerPort, config: SpeedConfig | None = None) -> None:
+        """Make a solver.
+
+        Args:
+            library: Robots and objects.
+            planner: Verifies and finds motions.
+            config: Speeds; none: the default.
+        """
+        self._library = library
+        self._planner = planner
+        self._config = config or SpeedConfig()
+        self._arms: dict[str, ArmKinematics] = {}
+
+    def solve(self, view: ExpertScene, candidates: Iterable[tuple[Stage, ...]], seed: int) -> Solution:
+        """Return the first candidate that holds.
+
+        Non-obvious: a candidate that begins with the stages at which an earlier one was refused is passed over.
+
+        Args:
+            view: The scene as it is.
+            candidates: Stages, best first; taken lazily.
+            seed: Seed of the planner's detours.
+
+        Raises:
+            PolicyError: When none holds, with the reasons.
+        """
+        reasons: list[str] = []
+        dead_ends: set[tuple[Stage, ...]] = set()
+        tried = 0
+        for stages in candidates:
+            if any(stages[: len(end)] == end for end in dead_ends):
+                continue
+            if tried == MAX_CANDIDATES:
+                break
+            tried += 1
+            result = self._try(view, stages, seed)
+            if isinstance(result, _Blocked):
+                dead_ends.add(stages[: result.stage + 1])
+                reasons.append(f"{stages[result.stage].name}: {result.reason}")
+                continue
+            return replace(result, refused=tuple(reasons))
+        raise PolicyError(
+            f"the expert finds no motion for '{view.task.instruction}'; "
+            f"candidates refused: {'; '.join(dict.fromkeys(reasons)) or '(none)'}"
+        )
+
+    def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int) -> Solution | _Blocked:
+        """Make a candidate's reference and verify it, with a planned way around what blocks a free stage."""
+        legs = [Leg(stage=stage) for stage in stages]
+        while True:
+            reference = make_reference(view.pose_tcp, legs, self._config, view.scene.control_rate_hz)
+            path, blocked = self._roll_out(view, reference)
+            blocked = self._verify(view, stages, reference, path) or blocked
+            if blocked is None:
+                return Solution(stages=stages, reference=reference, path=path, refused=())
+            leg = legs[blocked.stage]
+            if not leg.stage.free or leg.via:
+                return blocked
+            first = next(i for i, point in enumerate(reference) if point.stage == blocked.stage)
+            try:
+                via = self._detour(view, leg.stage, path[first], seed)
+            except PlannerError as error:
+                return replace(blocked, reason=f"{blocked.reason}; {error}")
+            legs[blocked.stage] = replace(leg, via=via)
+
+    def _roll_out(self, view: ExpertScene, reference: Sequence[ReferencePoint]) -> tuple[Array, _Blocked | None]:
+        """Return the joint path that the delta controller makes of a reference, the start included."""
+        controller = DeltaController(
+            self._arm(view.scene.robot.model),
+            workspace=view.scene.workspace,
+            pose_base_in_world=view.scene.robot.pose,
+            semantics=ActionSemantics(rate_hz=view.scene.control_rate_hz),
+        )
+        state = controller.start(view.state.robot.joint_commands, view.state.robot.gripper_command)
+        path = [state.joints]
+        for point in reference:
+            step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
+            state = step.state
+            path.append(state.joints)
+            off = float(np.linalg.norm(np.subtract(state.pose.position, point.pose.position)))
+            if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
+                word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
+                return np.array(path), _Blocked(stage=point.stage, reason=f"{word} at {_short(point.pose)}")
+        return np.array(path), None
+
+    def _verify(
+        self, view: ExpertScene, stages: Sequence[Stage], reference: Sequence[ReferencePoint], path: Array
+    ) -> _Blocked | None:
+        period_s = 1.0 / view.scene.control_rate_hz
+        for index, stage in enumerate(stages):
+            ticks = [i for i, point in enumerate(reference) if point.stage == index]
+            if stage.pose is None or not ticks or ticks[-1] + 2 > len(path):
+                continue
+            problem = self._planner.check_path(path[ticks[0] : ticks[-1] + 2], period_s, _around(view, stage))
+            if problem:
+                return _Blocked(stage=index, reason=problem)
+        return None
+
+    def _detour(self, view: ExpertScene, stage: Stage, joints: Array, seed: int) -> tuple[Pose, ...]:
+        assert stage.pose is not None
+        arm = self._arm(view.scene.robot.model)
+        goal = view.scene.robot.pose @ stage.pose
+        poses = [arm.fk(row) for row in self._planner.plan_to_pose(joints, goal, _around(view, stage), seed)]
+        kept = [poses[0]]
+        for pose in poses[1:-1]:
+            if np.linalg.norm(np.subtract(pose.position, kept[-1].position)) >= PLANNED_VIA_STEP_M:
+                kept.append(pose)
+        return tuple(kept[1:])
+
+    def _arm(self, model: str) -> ArmKinematics:
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        return self._arms[model]
+
+
+def _around(view: ExpertScene, stage: Stage) -> Surroundings:
+    return Surroundings(
+        scene=view.scene,
+        state=view.state,
+        opening=stage.opening,
+        held=stage.held,
+        held_in_tcp=stage.held_in_tcp,
+        touching=stage.touching,
+        moved=stage.moved,
+    )
+
+
+def _short(pose: Pose) -> str:
+    return "({:.3f}, {:.3f}, {:.3f})".format(*pose.position)
