@@ -22,8 +22,10 @@ from cattrs.errors import AttributeValidationNote
 from cattrs.gen import make_dict_structure_fn
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.poses import Pose
 
 T = TypeVar("T")
 
@@ -85,6 +87,8 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
     def structure(value: Any, _: Any) -> Any:
         if not isinstance(value, Mapping):
             raise ValueError(f"expected a mapping with keys of {', '.join(origins)}; got {value!r}")
+        if cls is Pose:
+            value = _with_quaternion(value)
         misfits = []
         for name in value:
             origin, given = origins.get(name), value[name]
@@ -102,6 +106,20 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
         return build(value, cls)
 
     return structure
+
+
+def _with_quaternion(pose: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a pose's mapping with ``quat_xyzw`` in place of ``rpy_deg``: roll, pitch, yaw about the fixed axes."""
+    if "rpy_deg" not in pose:
+        return pose
+    angles = pose["rpy_deg"]
+    if "quat_xyzw" in pose:
+        raise ValueError("a pose has rpy_deg or quat_xyzw, not both")
+    if not isinstance(angles, list | tuple) or len(angles) != 3 or not all(isinstance(a, int | float) for a in angles):
+        raise ValueError(f"rpy_deg must be roll, pitch and yaw in degrees, got {angles!r}")
+    quat = Rotation.from_euler("xyz", np.asarray(angles, dtype=float), degrees=True).as_quat(canonical=True)
+    rest = {name: pose[name] for name in pose if name != "rpy_deg"}
+    return {**rest, "quat_xyzw": [round(float(q), 12) for q in quat]}
 
 
 def _scalar(value: Any, kind: Any) -> Any:
@@ -255,6 +273,21 @@ def config_dir() -> Path:
     raise ConfigError("no config directory with robots/ found; run from a checkout or set ROBOXIM_CONFIG_DIR")
 
 
+def config_dirs() -> tuple[Path, ...]:
+    """Return where YAML files are looked for, in order: the folders of ``$ROBOXIM_CONFIG_PATH``, then `config_dir`.
+
+    ``ROBOXIM_CONFIG_PATH`` is a list as ``PATH`` is: a user's own folders with ``objects/``, ``cameras/`` and so on.
+
+    Raises:
+        ConfigError: When one of them is no folder.
+    """
+    own = tuple(Path(part).expanduser() for part in os.environ.get("ROBOXIM_CONFIG_PATH", "").split(os.pathsep) if part)
+    for folder in own:
+        if not folder.is_dir():
+            raise ConfigError(f"ROBOXIM_CONFIG_PATH names {folder}, which is no folder")
+    return (*own, config_dir())
+
+
 def named_config(kind: str, name: str) -> Path:
     """Return the YAML file of a name: ``config/<kind>/<name>.yaml``, or a path if the name looks like one.
 
@@ -270,16 +303,17 @@ def named_config(kind: str, name: str) -> Path:
         if not path.is_file():
             raise ConfigError(f"no such file: {path}")
         return path
-    folder = config_dir() / kind
-    path = folder / f"{name}.yaml"
-    if not path.is_file():
-        raise ConfigError(f"no {kind} configuration '{name}'; {one_of((p.stem for p in folder.glob('*.yaml')), name)}")
-    return path
+    for folder in config_dirs():
+        if (path := folder / kind / f"{name}.yaml").is_file():
+            return path
+    names = {path.stem for folder in config_dirs() for path in (folder / kind).glob("*.yaml")}
+    raise ConfigError(f"no {kind} configuration '{name}'; {one_of(names, name)}")
 
 
 __all__ = [
     "RoboximError",
     "config_dir",
+    "config_dirs",
     "digest",
     "from_json",
     "from_plain",

@@ -51,7 +51,7 @@ def test_every_object_loads_with_all_its_modifiers(object_id: str) -> None:
     assert plain.links
     assert plain.rest_height > 0
     for kind, modifier in LIBRARY.object_modifiers(object_id).items():
-        values = modifier.colors if kind == "color" else (modifier.lower, modifier.upper)
+        values = (modifier.lower, modifier.upper) if kind == "scale" else modifier.words(kind)
         for value in values:
             assert LIBRARY.object(object_id, {kind: value}).id == object_id
     for link in plain.links:
@@ -103,7 +103,7 @@ def test_object_file_with_a_loose_link_is_refused(tmp_path: Path) -> None:
 
 def test_digest_names_the_content(own_library: ModelLibrary) -> None:
     before = own_library.digest("drawer_box")
-    path = own_library.config_dir / "objects" / "drawer_box.yaml"
+    path = own_library.search_path[0] / "objects" / "drawer_box.yaml"
     path.write_text(path.read_text().replace("0.3", "0.4"))
     assert own_library.digest("drawer_box") != before
     assert LIBRARY.digest("panda") == ModelLibrary().digest("panda") != LIBRARY.digest("cube")

@@ -351,7 +351,7 @@ def _can_roll(link: LinkModel) -> bool:
 def _center_of_mass(link: LinkModel) -> tuple[float, float, float]:
     """The volumes' common centre [m]."""
     volumes = np.array([_volume(shape) for shape in link.collision])
-    centers = np.array([shape.pose.apply(_hull(shape.mesh).center_mass) if shape.kind == "hull"
+    centers = np.array([shape.pose.apply(_hull(shape.mesh).center_mass * shape.scale) if shape.kind == "hull"
                         else shape.pose.position for shape in link.collision])  # fmt: skip
     x, y, z = (volumes @ centers / volumes.sum()).tolist() if len(volumes) else (0.0, 0.0, 0.0)
     return x, y, z
@@ -364,7 +364,7 @@ def _volume(shape: Shape) -> float:
     if shape.kind == "sphere":
         return float(4 / 3 * np.pi * size[0] ** 3)
     if shape.kind == "hull":
-        return float(_hull(shape.mesh).volume)
+        return float(_hull(shape.mesh).volume * shape.scale**3)
     ends = 4 / 3 * size[0] if shape.kind == "capsule" else 0.0
     return float(np.pi * size[0] ** 2 * (size[1] + ends))
 
@@ -397,7 +397,7 @@ def _collision_shape(client: int, shapes: Sequence[Shape]) -> int:
         radii=[s[0] for s in size],
         lengths=[s[1] if len(s) == 2 else 0.0 for s in size],
         fileNames=[shape.mesh for shape in shapes],
-        meshScales=[[1.0, 1.0, 1.0]] * len(shapes),
+        meshScales=[[shape.scale] * 3 for shape in shapes],
         collisionFramePositions=[shape.pose.position for shape in shapes],
         collisionFrameOrientations=[shape.pose.quat_xyzw for shape in shapes],
         physicsClientId=client,

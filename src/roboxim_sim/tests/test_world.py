@@ -372,7 +372,7 @@ rest_height: 0.05
 def test_articulated_object_reports_its_joint_and_stays_where_it_is(tmp_path: Path) -> None:
     for folder in ("robots", "objects"):
         (tmp_path / folder).mkdir()
-    for source in LIBRARY.config_dir.glob("robots/*"):
+    for source in LIBRARY.search_path[-1].glob("robots/*"):
         (tmp_path / "robots" / source.name).symlink_to(source)
     (tmp_path / "objects" / "cabinet.yaml").write_text(_CABINET)
     cabinet = EntitySpec(

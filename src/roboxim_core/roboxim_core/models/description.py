@@ -11,14 +11,19 @@ from roboxim_core.specs import MaterialSpec
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A convex collision primitive or hull in its link's frame."""
+    """A convex collision primitive or hull in its link's frame; in a file also a ``ring``, a wall made of boxes."""
 
     kind: str
-    """``box``, ``sphere``, ``cylinder``, ``capsule`` (both along z), or ``hull``."""
+    """``box``, ``sphere``, ``cylinder``, ``capsule`` (both along z), ``hull``; ``ring``: becomes boxes when loaded."""
     size: tuple[float, ...] = ()
-    """box: extents x, y, z; sphere: (radius,); cylinder: (radius, length); capsule: (radius, cylinder length) [m]."""
+    """box: extents x, y, z; sphere: (radius,); cylinder: (radius, length); capsule: (radius, cylinder length);
+    ring: (outer radius at its lower end, at its upper end, height, thickness) [m], along z and centred."""
     mesh: str = ""
     """For a hull: absolute path of the mesh whose convex hull it is."""
+    scale: float = 1.0
+    """Factor on a mesh's coordinates, e.g. 0.001 for a file in millimetres."""
+    segments: int = 16
+    """Boxes of a ring."""
     pose: Pose = IDENTITY
     """Pose in the link."""
 
@@ -33,12 +38,14 @@ class Visual:
     """As for `Shape`; a generator's own numbers."""
     mesh: str = ""
     """For a mesh: absolute path."""
+    scale: Vec3 = (1.0, 1.0, 1.0)
+    """Factors on the coordinates along x, y, z, before the pose."""
     pose: Pose = IDENTITY
     """Pose in the link."""
     material: MaterialSpec = MaterialSpec()
     """Material."""
     tinted: bool = False
-    """Whether the ``color`` modifier replaces the material's colour."""
+    """Whether the ``color`` modifier replaces the material's colour, and the ``material`` modifier its surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,18 +104,78 @@ class JointModel:
 
 @dataclass(frozen=True, kw_only=True)
 class GraspAnnotation:
-    """A family of grasps in the object's frame."""
+    """A family of grasps in the object's frame.
+
+    A gripper that is turned by 180 degrees about its own z axis grasps as well, so families name only one of the two.
+    """
 
     name: str
-    """Name, e.g. ``top``."""
+    """Name of the family, e.g. ``top``, ``side``, ``rim``, ``handle``."""
+    link: str = ""
+    """Link whose frame the pose is in; empty: the base."""
     pose: Pose
-    """Pose of the tool centre point in the object (z of the tool points into the object)."""
+    """Pose of the tool centre point in the link (z of the tool points into the object, y is the closing direction)."""
     yaw_symmetry_rad: float = 0.0
     """The grasp repeats every so many radians about the object's z axis; 0: only as given."""
     opening_m: float = 0.08
     """Opening of the gripper before the grasp [m]."""
     width_m: float = 0.0
     """Width of what is grasped [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """Where other things can be put: on a surface, or inside."""
+
+    name: str = ""
+    """Name, e.g. ``top`` of three drawers; empty where there is only one."""
+    kind: str
+    """``surface``, or ``interior``."""
+    link: str = ""
+    """Link whose frame the pose is in; empty: the base."""
+    shape: str = "rectangle"
+    """``rectangle`` or ``disc`` (of the smaller of the sizes along x and y)."""
+    pose: Pose = IDENTITY
+    """Pose of the middle of the surface, or of the interior's floor, in the link; z points up."""
+    size: Vec3
+    """Extents along x and y; height: of an interior up to its rim, of a surface 0 [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Handle:
+    """Something to open and close a part with."""
+
+    name: str
+    """Name of the part, as instructions say it, e.g. ``top``."""
+    link: str
+    """Link that it is on."""
+    joint: str
+    """Joint that opens: `JointModel.lower` is shut, `JointModel.upper` wide open."""
+    pose: Pose
+    """Pose of the middle of the bar in the link; x points where the link moves when it is opened."""
+    grasps: tuple[GraspAnnotation, ...] = ()
+    """Grasps of the bar, best first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressPoint:
+    """Something to press."""
+
+    name: str = ""
+    """Name, where there are several."""
+    link: str
+    """Link that gives way."""
+    joint: str
+    """Its joint; the position grows when it is pressed."""
+    pose: Pose
+    """Pose of the middle of the face in the link; z points out of it, against the press."""
+    pressed_at: float
+    """Position of the joint from which on it counts as pressed [m]."""
+
+
+AFFORDANCES = ("graspable", "support", "container", "articulated", "openable", "pressable", "upright", "pushable")
+"""What can be done with an object. ``support`` has surfaces, ``container`` interiors, ``openable`` handles,
+``pressable`` press points; ``upright`` can topple and be put upright; ``pushable`` moves steadily when pushed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,13 +193,22 @@ class ObjectModel:
     friction: Friction = Friction()
     """Contact parameters."""
     size: Vec3
-    """Extents of the base's bounding box [m]."""
+    """Extents of the smallest box that holds all links with all joints at 0, is centred on the base frame along x and
+    y, and reaches from ``-rest_height`` up [m]."""
     rest_height: float
-    """Height of the base frame above a support when it lies on it [m]."""
+    """Height of the base frame above a support when it stands on it, z upwards [m]."""
     grasps: tuple[GraspAnnotation, ...] = ()
     """Grasps, best first."""
     affordances: tuple[str, ...] = ()
-    """Of ``graspable``, ``support``, ``container``, ``articulated``."""
+    """Of `AFFORDANCES`."""
+    regions: tuple[Region, ...] = ()
+    """Where other things can be put, best first."""
+    handles: tuple[Handle, ...] = ()
+    """What it is opened with."""
+    press_points: tuple[PressPoint, ...] = ()
+    """What is pressed."""
+    toppled: tuple[Pose, ...] = ()
+    """Poses of the base, above a support whose surface is at z = 0, in which it lies toppled; any yaw."""
     yaw_symmetry_rad: float = 0.0
     """The object looks the same every so many radians about z; 0: no symmetry."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.articulation import joint_motion, object_link_poses
 from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary, mesh_path
-from roboxim_core.poses import IDENTITY, Array, Pose
+from roboxim_core.poses import IDENTITY, Array, Pose, Vec3
 from roboxim_core.registry import Registry
 from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
@@ -101,6 +102,7 @@ def capsule_mesh(size: tuple[float, ...]) -> TriangleMesh:
     return _from_trimesh(mesh)
 
 
+@lru_cache(maxsize=512)
 def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
     """Return what to draw for one visual, in its link's frame.
 
@@ -120,7 +122,7 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
         except (IndexError, ValueError) as error:
             raise ConfigError(f"visual of kind '{visual.kind}' cannot have size {visual.size}: {error}") from None
         parts = (VisualPart(mesh=mesh, material=visual.material),)
-    return tuple(_placed(part, visual.pose) for part in parts)
+    return tuple(_placed(_stretched(part, visual.scale), visual.pose) for part in parts)
 
 
 @lru_cache(maxsize=16)
@@ -273,7 +275,7 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
         RenderBody(key="table", entity="table", parts=tuple(parts)),
         RenderBody(key="pedestal", entity="table", parts=(pedestal,)),
         RenderBody(key="floor", entity="floor", parts=(floor,)),
-        RenderBody(key="wall", entity="wall", parts=walls),
+        *([RenderBody(key="wall", entity="wall", parts=walls)] if look.background == "room" else []),
     )
 
 
@@ -335,6 +337,18 @@ def _material_of(mesh: trimesh.Trimesh) -> MaterialSpec:
         metallic=float(material.metallicFactor or 0.0),
         roughness=float(material.roughnessFactor or 0.5),
     )
+
+
+def _stretched(part: VisualPart, scale: Vec3) -> VisualPart:
+    if scale == (1.0, 1.0, 1.0):
+        return part
+    normals = part.mesh.normals / np.asarray(scale)
+    mesh = replace(
+        part.mesh,
+        vertices=(part.mesh.vertices * np.asarray(scale)).astype(np.float32),
+        normals=(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
+    )
+    return replace(part, mesh=mesh)
 
 
 def _placed(part: VisualPart, pose: Pose) -> VisualPart:

@@ -128,7 +128,7 @@ class TinyRenderer:
 
     def _load_texture(self, name: str) -> int:
         with tempfile.TemporaryDirectory(prefix="roboxim-") as folder:
-            path = Path(folder) / f"{name}.png"
+            path = Path(folder) / "texture.png"
             Image.fromarray(textures.pixels(name)).save(path)
             return int(pybullet.loadTexture(str(path), physicsClientId=self._client))
 

@@ -1,0 +1,198 @@
+"""An object's YAML file: the fields of `ObjectModel` plus modifiers, checked when it is loaded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.description import (
+    AFFORDANCES,
+    Friction,
+    GraspAnnotation,
+    Handle,
+    JointModel,
+    LinkModel,
+    ObjectModel,
+    PressPoint,
+    Region,
+    Shape,
+    Visual,
+)
+from roboxim_core.models.modifiers import ModifierModel
+from roboxim_core.poses import Pose, Vec3
+
+SHAPE_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "hull": 0, "ring": 4}
+"""Kind of a collision shape to how many sizes it has."""
+NEEDS = {
+    "graspable": "grasps",
+    "support": "regions",
+    "container": "regions",
+    "articulated": "joints",
+    "openable": "handles",
+    "pressable": "press_points",
+    "upright": "toppled",
+}
+"""Affordance to the list that must not be empty for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig:
+    """A YAML file of ``config/objects``; fields as in `ObjectModel`, plus the modifiers."""
+
+    name: str
+    """Noun used in instructions."""
+    links: tuple[LinkModel, ...]
+    """Links; the first is the base."""
+    joints: tuple[JointModel, ...] = ()
+    """Joints."""
+    friction: Friction = Friction()
+    """Contact parameters."""
+    size: Vec3
+    """Extents; see `ObjectModel` [m]."""
+    rest_height: float
+    """Height of the base frame above a support when it stands on it [m]."""
+    grasps: tuple[GraspAnnotation, ...] = ()
+    """Grasps, best first."""
+    affordances: tuple[str, ...] = ()
+    """Of `AFFORDANCES`."""
+    regions: tuple[Region, ...] = ()
+    """Where other things can be put, best first."""
+    handles: tuple[Handle, ...] = ()
+    """What it is opened with."""
+    press_points: tuple[PressPoint, ...] = ()
+    """What is pressed."""
+    toppled: tuple[Pose, ...] = ()
+    """Poses of the base above a support in which it lies toppled."""
+    yaw_symmetry_rad: float = 0.0
+    """The object looks the same every so many radians about z; 0: no symmetry."""
+    modifiers: dict[str, ModifierModel] = field(default_factory=dict)
+    """Modifier name to what it allows."""
+
+    def __post_init__(self) -> None:
+        """Check that the links hang together, and that everything names what there is.
+
+        Raises:
+            ConfigError: Naming the link, joint, affordance or modifier.
+        """
+        self._check_links()
+        names = [link.name for link in self.links]
+        joints = {joint.name: joint for joint in self.joints}
+        for affordance in self.affordances:
+            if affordance not in AFFORDANCES:
+                raise ConfigError(f"unknown affordance '{affordance}'; {one_of(AFFORDANCES, affordance)}")
+            if affordance in NEEDS and not getattr(self, NEEDS[affordance]):
+                raise ConfigError(f"affordance '{affordance}' needs at least one of `{NEEDS[affordance]}`")
+        for region in self.regions:
+            if region.kind not in ("surface", "interior") or region.shape not in ("rectangle", "disc"):
+                raise ConfigError(
+                    f"region '{region.name}': kind is surface or interior and shape rectangle or disc, "
+                    f"got '{region.kind}', '{region.shape}'"
+                )
+        located: list[Region | GraspAnnotation] = [*self.regions, *self.grasps]
+        located += [grasp for handle in self.handles for grasp in handle.grasps]
+        for what in located:
+            if what.link and what.link not in names:
+                raise ConfigError(f"'{what.name}' is on an unknown link; {one_of(names, what.link)}")
+        moving: list[Handle | PressPoint] = [*self.handles, *self.press_points]
+        for part in moving:
+            if part.joint not in joints or joints[part.joint].child != part.link:
+                raise ConfigError(
+                    f"'{part.name}': needs a joint of the object and the link that it moves, got joint '{part.joint}' "
+                    f"and link '{part.link}'"
+                )
+        for kind, modifier in self.modifiers.items():
+            modifier.check_itself(kind)
+
+    def _check_links(self) -> None:
+        names = [link.name for link in self.links]
+        if not names or len(set(names)) != len(names):
+            raise ConfigError(f"an object needs at least one link and unique link names, got {names}")
+        children = [joint.child for joint in self.joints]
+        if sorted(children) != sorted(names[1:]):
+            raise ConfigError(
+                f"every link but the base '{names[0]}' needs exactly one joint; joints lead to {children}"
+            )
+        for joint in self.joints:
+            if joint.parent not in names or joint.kind not in ("prismatic", "revolute"):
+                raise ConfigError(
+                    f"joint '{joint.name}': kind must be prismatic or revolute and parent one of {names}, "
+                    f"got '{joint.kind}', '{joint.parent}'"
+                )
+            if joint.spring > 0 and joint.resistance > 0:
+                raise ConfigError(f"joint '{joint.name}' either springs back or stays: give spring or resistance")
+        for link in self.links:
+            for shape in link.collision:
+                if shape.kind not in SHAPE_SIZES:
+                    raise ConfigError(
+                        f"link '{link.name}': unknown collision shape '{shape.kind}'; {one_of(SHAPE_SIZES, shape.kind)}"
+                    )
+                if len(shape.size) != SHAPE_SIZES[shape.kind] or any(value <= 0 for value in shape.size):
+                    raise ConfigError(
+                        f"link '{link.name}': a {shape.kind} has {SHAPE_SIZES[shape.kind]} sizes > 0 [m], "
+                        f"got {list(shape.size)}"
+                    )
+                if shape.kind == "hull" and not shape.mesh:
+                    raise ConfigError(f"link '{link.name}': a hull needs a mesh")
+
+    def model(self, object_id: str, folder: Path) -> ObjectModel:
+        """Return the object without modifiers: meshes with their full paths, rings as boxes.
+
+        Args:
+            object_id: Its id.
+            folder: Folder of the YAML file, which mesh files are relative to.
+        """
+        values = {f.name: getattr(self, f.name) for f in fields(ObjectModel) if f.name not in ("id", "links")}
+        links = tuple(
+            replace(
+                link,
+                collision=tuple(_absolute(part, folder) for shape in link.collision for part in convex_parts(shape)),
+                visual=tuple(_absolute(visual, folder) for visual in link.visual or _drawn(link)),
+            )
+            for link in self.links
+        )
+        return ObjectModel(id=object_id, links=links, **values)
+
+
+def _drawn(link: LinkModel) -> tuple[Visual, ...]:
+    """Return the collision shapes of a link that has nothing else to show."""
+    return tuple(
+        Visual(
+            kind=part.kind,
+            size=part.size,
+            mesh=part.mesh,
+            scale=(part.scale, part.scale, part.scale),
+            pose=part.pose,
+            tinted=True,
+        )
+        for shape in link.collision
+        for part in convex_parts(shape)
+    )
+
+
+Piece = TypeVar("Piece", Shape, Visual)
+
+
+def _absolute(shape: Piece, folder: Path) -> Piece:
+    return replace(shape, mesh=str((folder / shape.mesh).resolve())) if shape.mesh else shape
+
+
+def convex_parts(shape: Shape) -> tuple[Shape, ...]:
+    """Return a shape as convex ones: a ring as boxes whose outer faces touch its cone, any other as it is."""
+    if shape.kind != "ring":
+        return (shape,)
+    low, high, height, thick = shape.size
+    slant = float(np.hypot(high - low, height))
+    width = 2 * max(low, high) * float(np.tan(np.pi / shape.segments))
+    tilt = float(np.arctan2(high - low, height))
+    middle = Pose.from_arrays(((low + high) / 2, 0, 0), Rotation.from_euler("y", tilt))
+    middle = middle @ Pose(position=(-thick / 2, 0.0, 0.0))
+    boxes = []
+    for k in range(shape.segments):
+        turn = Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", 2 * np.pi * k / shape.segments))
+        boxes.append(Shape(kind="box", size=(thick, width, slant), pose=shape.pose @ turn @ middle))
+    return tuple(boxes)

@@ -1,0 +1,100 @@
+"""Textures: a registry of procedural ones, and images from files.
+
+Procedural textures are deterministic and need no files. A texture multiplies a material's colour. Pixels are the square
+roots of linear values (8 bits are enough there; a shader squares them). The room's textures are registered by the
+renderer, those of objects by `models.textures`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+from PIL import Image
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.registry import Registry
+
+Field = npt.NDArray[np.float64]
+Pixels = npt.NDArray[np.uint8]
+
+SIZE = 512
+"""Width and height of a texture [px]."""
+
+TEXTURES: Registry[Callable[[], Field]] = Registry("texture")
+"""Name to a function that returns linear factors 0..1, shape (SIZE, SIZE) or (SIZE, SIZE, 3); first row at v = 0."""
+
+
+@lru_cache(maxsize=64)
+def pixels(name: str) -> Pixels:
+    """Return a texture's pixels, square roots of linear values, shape (SIZE, SIZE, 3), the first row at v = 0.
+
+    Args:
+        name: A registered name; or the path of an image file; or the path of a mesh file, ``#`` and the name of one of
+            its geometries: that one's base colour. Empty: white.
+
+    Raises:
+        ConfigError: When there is no such texture or image; lists those that there are.
+    """
+    if not name:
+        factor = np.ones((SIZE, SIZE))
+    elif "/" in name:
+        factor = _linear(_image(name))[::-1]  # an image's first row is its top, at v = 1
+    else:
+        factor = TEXTURES[name]()
+    image = np.broadcast_to(factor if factor.ndim == 3 else factor[..., None], (SIZE, SIZE, 3))
+    return np.ascontiguousarray(np.rint(255.0 * np.sqrt(np.clip(image, 0.0, 1.0))).astype(np.uint8))
+
+
+def _image(name: str) -> Image.Image:
+    path, _, geometry = name.partition("#")
+    try:
+        if not geometry:
+            return Image.open(path)
+        geometries = trimesh.load_scene(path, process=False).geometry
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"cannot read the texture {name}: {error}") from None
+    if geometry not in geometries:
+        raise ConfigError(f"{path} has no geometry '{geometry}'; {one_of(geometries, geometry)}")
+    image = base_color_image(geometries[geometry])
+    if image is None:
+        raise ConfigError(f"geometry '{geometry}' of {path} has no base colour image")
+    return image
+
+
+def base_color_image(mesh: trimesh.Trimesh) -> Image.Image | None:
+    """Return the image of a mesh's base colour, or none."""
+    material = getattr(mesh.visual, "material", None)
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    return image if isinstance(image, Image.Image) else None
+
+
+def _linear(image: Image.Image) -> Field:
+    srgb = np.asarray(image.convert("RGB").resize((SIZE, SIZE), Image.Resampling.LANCZOS), dtype=np.float64) / 255.0
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def noise(seed: int, cells_x: float, cells_y: float) -> Field:
+    """Return tileable smooth noise of zero mean and unit deviation with about so many blobs along x and y."""
+    white = np.random.Generator(np.random.PCG64(seed)).standard_normal((SIZE, SIZE))
+    fx, fy = np.fft.fftfreq(SIZE, 1 / SIZE)[None, :], np.fft.fftfreq(SIZE, 1 / SIZE)[:, None]
+    weight = np.exp(-((fx / cells_x) ** 2) - (fy / cells_y) ** 2)
+    field = np.fft.ifft2(np.fft.fft2(white) * weight).real
+    field -= field.mean()
+    return np.asarray(field / field.std())
+
+
+def grid() -> tuple[Field, Field]:
+    """Return the texture coordinates 0..1 of the pixel centres (x right, y down)."""
+    axis = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(axis, axis)
+    return x, y
+
+
+def rolled(field: Field, rows: npt.NDArray[np.int64]) -> Field:
+    """Roll each row of a field by its own number of pixels."""
+    columns = (np.arange(SIZE)[None, :] + rows[:, None]) % SIZE
+    return np.asarray(field[np.arange(SIZE)[:, None], columns])
