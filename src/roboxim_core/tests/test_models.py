@@ -85,6 +85,14 @@ def test_wrong_object_or_modifier_is_refused(object_id: str, modifiers: dict[str
         LIBRARY.object(object_id, modifiers)
 
 
+def test_every_object_takes_factors_on_mass_and_friction() -> None:
+    usual, changed = LIBRARY.object("cabinet"), LIBRARY.object("cabinet", {"mass": 2.0, "friction": 0.5})
+    assert [link.mass for link in changed.links] == pytest.approx([2 * link.mass for link in usual.links])
+    assert changed.friction.lateral == pytest.approx(usual.friction.lateral / 2)
+    with pytest.raises(ConfigError, match=r"mass must be a number from 0\.2 to 5"):
+        LIBRARY.object("cube", {"mass": 0.0})
+
+
 def test_unknown_robot_and_joint_are_refused(own_library: ModelLibrary) -> None:
     with pytest.raises(ConfigError, match="did you mean 'panda'"):
         LIBRARY.robot("pandda")

@@ -1,6 +1,7 @@
 """How an object may be modified: ``color``, ``material``, ``size`` (a word) and ``scale`` (a number).
 
 A modifier that a model does not list is refused: a task that asks for a green apple must not silently get a red one.
+Every object takes ``mass`` and ``friction``, factors that nobody sees: they are for randomising the physics.
 """
 
 from __future__ import annotations
@@ -86,10 +87,10 @@ class ModifierModel:
         Raises:
             ConfigError: Saying what is.
         """
-        if kind == "scale":
+        if kind == "scale" or kind in PHYSICAL:
             if isinstance(value, bool) or not isinstance(value, float | int) or not self.lower <= value <= self.upper:
                 raise ConfigError(
-                    f"{source}: scale must be a number from {self.lower:g} to {self.upper:g}, got {value!r}"
+                    f"{source}: {kind} must be a number from {self.lower:g} to {self.upper:g}, got {value!r}"
                 )
         elif value not in self.words(kind):
             raise ConfigError(f"{source}: unknown {kind} '{value}'; {one_of(self.words(kind), str(value))}")
@@ -122,6 +123,15 @@ class ModifierModel:
         self.check("default", kind, self.default)
 
 
+PHYSICAL: Mapping[str, ModifierModel] = MappingProxyType(
+    {
+        "mass": ModifierModel(default=1.0, lower=0.2, upper=5.0),
+        "friction": ModifierModel(default=1.0, lower=0.2, upper=2.0),
+    }
+)
+"""Factors on the mass of every link and on the lateral friction, which every object takes."""
+
+
 def modified(
     model: ObjectModel, modifiers: Mapping[str, ModifierModel], given: Mapping[str, Scalar], source: str
 ) -> ObjectModel:
@@ -137,9 +147,10 @@ def modified(
         ConfigError: On a modifier or value that it does not allow; lists those that it does.
     """
     for kind, value in given.items():
-        if kind not in modifiers:
-            raise ConfigError(f"{source} has no modifier '{kind}'; {one_of(modifiers, kind)}")
-        modifiers[kind].check(source, kind, value)
+        allowed = modifiers.get(kind) or PHYSICAL.get(kind)
+        if allowed is None:
+            raise ConfigError(f"{source} has no modifier '{kind}'; {one_of((*modifiers, *PHYSICAL), kind)}")
+        allowed.check(source, kind, value)
     values = {kind: modifier.default for kind, modifier in modifiers.items()} | dict(given)
     material = values.get("material")
     changed = material is not None and material != modifiers["material"].default
@@ -150,7 +161,18 @@ def modified(
     factor = float(values.get("scale", 1.0))
     if "size" in values:
         factor *= modifiers["size"].factors[str(values["size"])]
-    return model if factor == 1.0 else scaled(model, factor)
+    if factor != 1.0:
+        model = scaled(model, factor)
+    return _weighted(model, float(given.get("mass", 1.0)), float(given.get("friction", 1.0)))
+
+
+def _weighted(model: ObjectModel, mass: float, friction: float) -> ObjectModel:
+    if mass != 1.0:
+        model = replace(model, links=tuple(replace(link, mass=link.mass * mass) for link in model.links))
+    if friction != 1.0:
+        lateral = model.friction.lateral * friction
+        model = replace(model, friction=replace(model.friction, lateral=lateral))
+    return model
 
 
 def _made_of(model: ObjectModel, finish: Finish, usual: Finish) -> ObjectModel:
