@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +61,7 @@ def place(
             model=thing.model,
             modifiers=thing.modifiers,
             pose=Pose(position=(*pose.position[:2], height), quat_xyzw=pose.quat_xyzw),
+            fixed=bool(model.joints),
         )
         reason = refusal(scene, entity, config.gap_m, context.library)
         if not reason:
@@ -89,13 +91,19 @@ def footprint(entity: EntitySpec, library: ModelLibrary, grow_m: float = 0.0) ->
     """Return the corners of an object's bounding rectangle on the table in the world, in order, shape (4, 2) [m].
 
     Args:
-        entity: The object, standing upright at any yaw.
+        entity: The object; it stands upright or lies toppled, at any yaw.
         library: Where its size comes from.
         grow_m: Margin on every side [m].
     """
-    width, depth, _ = library.entity_model(entity).size
-    a, b = width / 2 + grow_m, depth / 2 + grow_m
-    return entity.pose.apply([(a, b, 0.0), (-a, b, 0.0), (-a, -b, 0.0), (a, -b, 0.0)])[:, :2]
+    model = library.entity_model(entity)
+    width, depth, height = model.size
+    sides = ((-width / 2, width / 2), (-depth / 2, depth / 2), (-model.rest_height, height - model.rest_height))
+    corners = entity.pose.apply(list(itertools.product(*sides)))[:, :2]
+    axes = entity.pose.rotation.as_matrix().T
+    along = next(axis[:2] / np.linalg.norm(axis[:2]) for axis in axes if abs(axis[2]) < 0.8)
+    frame = np.array([along, [-along[1], along[0]]])
+    (a, b), (c, d) = (corners @ frame.T).min(axis=0) - grow_m, (corners @ frame.T).max(axis=0) + grow_m
+    return np.array([(c, d), (a, d), (a, b), (c, b)]) @ frame
 
 
 def overlap(first: Array, second: Array) -> bool:
