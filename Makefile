@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers photo lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers render-peers photo lock clean clean-all
 
 help: ## list these commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -52,6 +52,9 @@ planner-peers: setup ## install mplib, toppra and RoboPlan, which bench-planner 
 colcon: setup ## build the tree with PyPI's colcon against the ROS wheels, into .tools/colcon/
 	@$(BIN)/python scripts/make_environment.py colcon
 	@$(BIN)/python scripts/colcon.py $(ARGS)
+
+render-peers: setup ## install MuJoCo and robosuite, which bench-render and bench-control_loop then measure too
+	@$(BIN)/python scripts/make_environment.py robosuite
 
 photo: setup ## install Blender (GPL) beside RoboXim, for roboxim rerender --renderer photo
 	@$(BIN)/python scripts/make_environment.py photo

@@ -57,7 +57,7 @@ def main() -> None:
     lock("dev", [], "pyproject.toml", "--group", "dev", "--no-emit-package", "roboxim-interfaces", *upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
-    for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "photo"):
+    for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo"):
         lock(name, group(name), *upgrade)
 
 
