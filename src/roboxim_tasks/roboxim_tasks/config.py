@@ -7,7 +7,8 @@ anything runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, MutableMapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from string import Formatter
 from typing import Any
@@ -123,7 +124,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     given = _section(data, "reset")
     reset: dict[str, Any] = {}
     for name in dict.fromkeys((*skill.components, *given)):
-        section = _section(given, name)
+        section = _completed(_section(given, name), skill.reset.get(name, {}))
         reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
     objects = {
         name: config.objects.get(name) or ObjectConfig(models=Choice(values=role.models))
@@ -189,6 +190,16 @@ def _at(data: Any, path: tuple[str, ...]) -> str:
             line = f" (line {positions.data[key][0] + 1})"
         data = data[key]
     return ".".join(path) + line
+
+
+def _completed(section: Any, defaults: Mapping[str, Any]) -> Any:
+    """Return a section with a skill's defaults for what it leaves out; it keeps its line numbers."""
+    if not isinstance(section, MutableMapping):
+        return section
+    completed = copy(section)
+    for key, value in defaults.items():
+        completed.setdefault(key, value)
+    return completed
 
 
 def _section(data: Mapping[str, Any], key: str) -> Any:

@@ -49,6 +49,8 @@ class Skill(ABC):
     """Instruction templates with roles and parameters in braces; the first is the canonical one, others paraphrase."""
     components: ClassVar[tuple[str, ...]] = ("robot", "objects", "distractors", "cameras", "lights")
     """Reset components that it always uses, in order."""
+    reset: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Reset component to those of its keys whose defaults this skill changes; a task's configuration goes before."""
     max_steps: ClassVar[int] = 100
     """Actions after which an episode has failed."""
     Parameters: ClassVar[type]
