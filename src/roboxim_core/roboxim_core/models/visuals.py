@@ -7,7 +7,6 @@ again from a bag come from the same numbers.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,89 +16,21 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial.transform import Rotation
 
+import roboxim_core.models.solids
+import roboxim_core.models.turned  # noqa: F401  (both register generators)
 from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.articulation import joint_motion, object_link_poses
 from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary, mesh_path
-from roboxim_core.poses import IDENTITY, Array, Pose, Vec3
-from roboxim_core.registry import Registry
+from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
+from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
 from roboxim_core.state import RobotState, StateRecord
 
 FLOOR_Z = -0.75
 """Height of the floor in the world [m]; the table's top is at 0."""
-
-visual_generators: Registry[Callable[[tuple[float, ...]], TriangleMesh]] = Registry("visual generator")
-"""Name to a function from a visual's ``size`` to its mesh in the visual's frame."""
-
-
-@visual_generators.register("box")
-def box_mesh(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a box with bevelled edges: extents x, y, z [m]. ``uv`` runs from 0 to 1 over each face."""
-    half = np.asarray(size, dtype=float) / 2
-    bevel = min(0.0015, 0.08 * float(half.min()))
-    vertices: list[Array] = []
-    normals: list[Array] = []
-    uv: list[Array] = []
-    faces: list[list[int]] = []
-
-    def quad(corners: Array, normal: Array, corner_normals: Array, coordinates: Array) -> None:
-        a, b, c, d = range(len(vertices), len(vertices) + 4)
-        outward = float(np.dot(np.cross(corners[1] - corners[0], corners[2] - corners[0]), normal)) > 0
-        faces.extend([[a, b, c], [a, c, d]] if outward else [[a, c, b], [a, d, c]])
-        vertices.extend(corners)
-        normals.extend(corner_normals)
-        uv.extend(coordinates)
-
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
-    for axis in range(3):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        for side in (-1.0, 1.0):
-            normal = np.zeros(3)
-            normal[axis] = side
-            corners = np.zeros((4, 3))
-            corners[:, axis] = side * half[axis]
-            corners[:, [first, second]] = signs * (half[[first, second]] - bevel)
-            quad(corners, normal, np.tile(normal, (4, 1)), signs / 2 + 0.5)
-            for other in (-1.0, 1.0):  # the bevel shared with the neighbour along `first`
-                neighbour = np.zeros(3)
-                neighbour[first] = other
-                along = np.array([-1.0, 1.0]) * (half[second] - bevel)
-                edge = np.zeros((4, 3))
-                edge[:, second] = [along[0], along[1], along[1], along[0]]
-                edge[:2, axis], edge[2:, axis] = side * half[axis], side * (half[axis] - bevel)
-                edge[:2, first], edge[2:, first] = other * (half[first] - bevel), other * half[first]
-                quad(edge, normal + neighbour, np.stack([normal, normal, neighbour, neighbour]), np.full((4, 2), 0.5))
-    for corner in np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T:
-        points = corner * (half - bevel * (1 - np.eye(3)))
-        start = len(vertices)
-        faces.append([start, start + 1, start + 2] if np.prod(corner) > 0 else [start, start + 2, start + 1])
-        vertices.extend(points)
-        normals.extend(np.diag(corner))
-        uv.extend(np.full((3, 2), 0.5))
-    return _triangles(np.array(vertices), np.array(normals), np.array(faces), np.array(uv))
-
-
-@visual_generators.register("sphere")
-def sphere_mesh(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a sphere: (radius,) [m]."""
-    return _from_trimesh(trimesh.creation.icosphere(subdivisions=3, radius=size[0]))
-
-
-@visual_generators.register("cylinder")
-def cylinder_mesh(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a cylinder along z: (radius, length) [m]."""
-    return _from_trimesh(trimesh.creation.cylinder(radius=size[0], height=size[1], sections=40))
-
-
-@visual_generators.register("capsule")
-def capsule_mesh(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a capsule along z, centred: (radius, length of the cylinder) [m]."""
-    mesh = trimesh.creation.capsule(radius=size[0], height=size[1], count=[24, 24])
-    mesh.vertices -= mesh.bounds.mean(axis=0)
-    return _from_trimesh(mesh)
 
 
 @lru_cache(maxsize=512)
@@ -290,21 +221,7 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
     normal = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     wide, high = 2 * np.linalg.norm(u), 2 * np.linalg.norm(v)
     uv = np.array([[0, 0], [wide, 0], [wide, high], [0, high]])
-    return _triangles(corners, np.tile(normal, (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), uv)
-
-
-def _triangles(vertices: Array, normals: Array, faces: npt.ArrayLike, uv: Array | None = None) -> TriangleMesh:
-    return TriangleMesh(
-        vertices=np.ascontiguousarray(vertices, dtype=np.float32),
-        normals=np.ascontiguousarray(normals, dtype=np.float32),
-        faces=np.ascontiguousarray(faces, dtype=np.uint32),
-        uv=None if uv is None else np.ascontiguousarray(uv, dtype=np.float32),
-    )
-
-
-def _from_trimesh(mesh: trimesh.Trimesh) -> TriangleMesh:
-    smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(40.0))
-    return _triangles(smooth.vertices, smooth.vertex_normals, smooth.faces)
+    return triangles(corners, np.tile(normal, (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), uv)
 
 
 @lru_cache(maxsize=128)
@@ -324,7 +241,7 @@ def _load_mesh(path: str) -> tuple[VisualPart, ...]:
 
 def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
     uv = getattr(mesh.visual, "uv", None)
-    return _triangles(mesh.vertices, mesh.vertex_normals, mesh.faces, None if uv is None else np.asarray(uv))
+    return triangles(mesh.vertices, mesh.vertex_normals, mesh.faces, None if uv is None else np.asarray(uv))
 
 
 def _material_of(mesh: trimesh.Trimesh) -> MaterialSpec:

@@ -1,0 +1,61 @@
+"""Show all objects on one picture; check an object of your own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Show all objects on one picture; check an object of your own."""
+
+
+@command.command("sheet")
+@click.argument("objects", nargs=-1)
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="sheet.png", show_default=True)
+@click.option("--renderer", "renderer_name", default="raster", show_default=True, help="What draws.")
+@click.option("--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Of each picture [px].")
+@click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
+@click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
+@click.option("--variants", is_flag=True, help="A picture for each colour, material and size as well.")
+def sheet(
+    objects: tuple[str, ...],
+    out: Path,
+    renderer_name: str,
+    size: int,
+    columns: int,
+    labels: bool,
+    variants: bool,
+) -> None:
+    r"""Draw OBJECTS, or all there are, on one contact sheet in the default look.
+
+    \b
+    roboxim assets sheet
+    roboxim assets sheet mug bowl --variants --out variants.png
+    """
+    from roboxim_bringup.asset_sheet import contact_sheet, draw_object
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.specs import EntitySpec, Scalar
+    from roboxim_sim.rendering import make_renderer
+
+    library = ModelLibrary()
+    entities, texts = [], []
+    for object_id in objects or library.object_ids:
+        given: list[dict[str, Scalar]] = [{}]
+        for kind, modifier in library.object_modifiers(object_id).items() if variants else ():
+            if words := modifier.words(kind) if kind in ("color", "material", "size") else ():
+                given += [{kind: word} for word in words if word != modifier.default]
+        for modifiers in given:
+            entities.append(EntitySpec(name=object_id, model=object_id, modifiers=modifiers))
+            texts.append(" ".join([*map(str, modifiers.values()), object_id]))
+    renderer = make_renderer(renderer_name)
+    try:
+        pictures = [draw_object(renderer, library, entity, size) for entity in entities]
+    finally:
+        renderer.close()
+    picture = contact_sheet(pictures, texts if labels else None, columns)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    picture.save(out, optimize=True)
+    click.echo(f"wrote {out}: {len(pictures)} pictures, drawn by {renderer_name} on {renderer.device}")

@@ -1,0 +1,128 @@
+"""Visual generators of angular things: boxes with round edges, convex bodies, blades. See `turned` for the idea."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from roboxim_core.models.meshes import triangles, visual_generators
+from roboxim_core.poses import Array
+from roboxim_core.rendering import TriangleMesh
+
+
+@visual_generators.register("rounded_box")
+def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a box with round edges: extents x, y, z, radius [m]. ``uv`` runs from 0 to 1 over each face.
+
+    Raises:
+        ValueError: When the radius does not fit.
+    """
+    half, radius = np.asarray(size[:3], dtype=float) / 2, size[3]
+    if not 0 < radius <= half.min():
+        raise ValueError("the radius must be > 0 and at most half of the smallest extent")
+    bend = radius * np.tan(np.radians([45.0, 22.5]))
+    vertices, normals, uv, faces = [], [], [], []
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        ticks = []
+        for k in (first, second):
+            inner = half[k] - radius
+            ticks.append(np.concatenate([-inner - bend, [-inner, inner], inner + bend[::-1]]))
+        for side in (-1.0, 1.0):
+            a, b = np.meshgrid(*ticks, indexing="ij")
+            on_cube = np.zeros((*a.shape, 3))
+            on_cube[..., axis], on_cube[..., first], on_cube[..., second] = side * half[axis], a, b
+            inside = np.clip(on_cube, radius - half, half - radius)
+            normal = on_cube - inside
+            normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+            start = sum(len(block) for block in vertices)
+            index = start + np.arange(a.size).reshape(a.shape)
+            p, q, r, s = (x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+            block = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
+            faces.append(block if side > 0 else block[:, ::-1])
+            vertices.append((inside + radius * normal).reshape(-1, 3))
+            normals.append(normal.reshape(-1, 3))
+            uv.append(np.stack([a / half[first], b / half[second]], axis=-1).reshape(-1, 2) / 2 + 0.5)
+    return triangles(*(np.concatenate(part) for part in (vertices, normals, faces, uv)))
+
+
+@visual_generators.register("convex")
+def convex(size: tuple[float, ...]) -> TriangleMesh:
+    """Return the convex hull of points x0, y0, z0, x1, ... [m], flat-shaded; ``uv`` spans each side's extents.
+
+    Raises:
+        ValueError: When the points span no volume.
+    """
+    points = np.asarray(size, dtype=float)
+    if len(points) % 3 or len(points) < 12:
+        raise ValueError("needs x, y, z of at least four points")
+    points = points.reshape(-1, 3)
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        raise ValueError("the points span no volume") from None
+    corners = points[hull.simplices]
+    normals = hull.equations[:, :3]
+    turned = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals) < 0
+    corners[turned] = corners[turned][:, ::-1]
+    low, extent = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-9)
+    unit = (corners - low) / extent
+    plane = np.array([[1, 2], [0, 2], [0, 1]])[np.abs(normals).argmax(axis=1)]
+    uv = np.take_along_axis(unit, np.repeat(plane[:, None], 3, axis=1), axis=2)
+    count = len(corners)
+    return triangles(
+        corners.reshape(-1, 3),
+        np.repeat(normals, 3, axis=0),
+        np.arange(3 * count).reshape(count, 3),
+        uv.reshape(-1, 2),
+    )
+
+
+@visual_generators.register("blade")
+def blade(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a blade in the xy plane, thick at its back and sharp at its edge.
+
+    Args:
+        size: Thickness of the back, then of each station along x: x, y of the edge, y of the back [m].
+
+    Raises:
+        ValueError: On fewer than two stations.
+    """
+    if len(size) < 7 or (len(size) - 1) % 3:
+        raise ValueError("needs the thickness, then x, edge, back of at least two stations")
+    thick, stations = size[0], np.asarray(size[1:], dtype=float).reshape(-1, 3)
+    x, edge, back = stations.T
+    zero, top = np.zeros_like(x), np.full_like(x, thick / 2)
+    v = np.linspace(0.0, 1.0, len(x))
+    low, high = np.stack([x, edge, zero], 1), np.stack([x, back, top], 1)
+    under = high * [1.0, 1.0, -1.0]
+    parts = [_strip(low, high, v, (0, 0, 1)), _strip(low, under, v, (0, 0, -1)), _strip(under, high, v, (0, 1, 0))]
+    end = np.array([low[0], under[0], high[0]])
+    parts.append((end, np.tile([-1.0, 0.0, 0.0], (3, 1)), np.array([[0, 2, 1]]), np.zeros((3, 2))))
+    offsets = np.cumsum([0, *[len(part[0]) for part in parts]])
+    return triangles(
+        np.concatenate([part[0] for part in parts]),
+        np.concatenate([part[1] for part in parts]),
+        np.concatenate([part[2] + offset for part, offset in zip(parts, offsets, strict=False)]),
+        np.concatenate([part[3] for part in parts]),
+    )
+
+
+def _strip(first: Array, second: Array, u: Array, facing: tuple[int, int, int]) -> tuple[Array, Array, Array, Array]:
+    """Return vertices, normals, faces and uv of the strip between two polylines, facing a direction."""
+    count = len(first)
+    vertices = np.concatenate([first, second])
+    k = np.arange(count - 1)
+    faces = np.concatenate([np.stack([k, k + 1, count + k + 1], 1), np.stack([k, count + k + 1, count + k], 1)])
+    p, q, r = (vertices[faces[:, i]] for i in range(3))
+    normal = np.cross(q - p, r - p)
+    turned = normal @ np.asarray(facing) < 0
+    faces[turned] = faces[turned][:, ::-1]
+    normal[turned] *= -1
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], normal)
+    normals += 1e-12 * np.asarray(facing)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    uv = np.stack([np.tile(u, 2), np.repeat([0.0, 1.0], count)], axis=1)
+    return vertices, normals, faces, uv
