@@ -31,20 +31,29 @@ VERSIONS_OF = ("numpy", "pybullet", "moderngl", "pin", "ompl", "ruckig", "mcap",
 class Bench:
     """The rows and the headline of one benchmark."""
 
-    def __init__(self, name: str, description: str | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        description: str | None = None,
+        add_options: Callable[[argparse.ArgumentParser], object] | None = None,
+    ) -> None:
         """Read the command line.
 
         Args:
             name: Name of the benchmark's file, without ``.py``.
             description: Text for ``--help``; its first line is printed above the table.
+            add_options: Adds options of the benchmark's own, which end up in ``options``.
         """
         parser = argparse.ArgumentParser(
             prog=f"benchmarks/{name}.py", description=description, formatter_class=argparse.RawTextHelpFormatter
         )
         parser.add_argument("--quick", action="store_true", help="fewer repetitions: end within 45 s")
         parser.add_argument("--json", type=Path, metavar="FILE", help="also write the result to FILE")
+        if add_options is not None:
+            add_options(parser)
         options = parser.parse_args()
         self.name = name
+        self.options = options
         self.quick: bool = options.quick
         self.rows: list[dict[str, str | float]] = []
         self._json: Path | None = options.json

@@ -1,11 +1,14 @@
-"""Judges motions of the Panda without any of the planner's code: the original collision meshes, at a kilohertz.
+"""Judges timed motions of the Panda without any code of the planner: the original collision meshes, at a kilohertz.
 
-Meshes come from the ``example-robot-data`` wheel, not from this tree; collisions are coal's on the triangles.
+Meshes and allowed pairs come from the ``example-robot-data`` wheel, not from this tree; collisions are coal's on the
+triangles. It is quick because it may skip what cannot collide, and exact because it skips nothing else: where the
+convex hulls of the meshes keep a distance d, every later sample to which no point of the arm has moved by d is free.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cmeel
@@ -16,109 +19,254 @@ import pinocchio as pin
 
 Array = npt.NDArray[np.float64]
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
+# Franka's limits for the Panda, https://frankaemika.github.io/docs/control_parameters.html
 LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 VELOCITY = np.array([2.175] * 4 + [2.61] * 3)
 ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
 JERK = 500.0 * ACCELERATION
 HAND = ("panda_hand_0", "panda_leftfinger", "panda_rightfinger")
+PERIOD_S = 0.001
+GOAL_M, GOAL_RAD, GOAL_JOINT_RAD = 1e-3, 1e-2, 1e-3
+START_RAD = 1e-4
+SLACK = 1.001
+"""Finite differences of a motion never exceed the largest value of its derivative, so only rounding needs room."""
+MARGINS_M = (0.03, 0.01, 0.003)
+FINGERS_M = 0.04
 
 
-@dataclass(frozen=True)
-class Box:
-    """A box with its pose in the world, or in the tcp frame when held."""
+@dataclass(frozen=True, kw_only=True)
+class Solid:
+    """A primitive with its pose in the robot's base, or in the tcp frame when held."""
 
-    size: tuple[float, float, float]
+    kind: str
+    """``box``, ``cylinder`` or ``sphere``."""
+    size: tuple[float, ...]
+    """Box: x, y, z; cylinder: radius, length (along z); sphere: radius [m]."""
     position: tuple[float, float, float]
-    yaw: float = 0.0
+    """[m]."""
+    quat_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Orientation."""
 
     @property
     def placement(self) -> pin.SE3:
         """Its pose."""
-        return pin.SE3(pin.utils.rotate("z", self.yaw), np.array(self.position))
+        return pin.XYZQUATToSE3(np.array([*self.position, *self.quat_xyzw]))
+
+    def shape(self) -> coal.ShapeBase:
+        """Return it as coal's shape.
+
+        Raises:
+            ValueError: On another kind.
+        """
+        makers = {"box": coal.Box, "cylinder": coal.Cylinder, "sphere": coal.Sphere}
+        if self.kind not in makers:
+            raise ValueError(f"a solid is one of {', '.join(makers)}, got '{self.kind}'")
+        shape = makers[self.kind](*self.size)
+        shape.computeLocalAABB()
+        return shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What is wrong with a motion."""
+
+    faults: tuple[str, ...] = ()
+    """What makes it invalid: a collision, a wrong start or goal, a joint beyond its range, no rest at the ends."""
+    violations: tuple[str, ...] = ()
+    """Limits of velocity, acceleration or jerk that it breaks, with by how much."""
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing at all is wrong."""
+        return not self.faults and not self.violations
+
+    def __str__(self) -> str:
+        """Say it in a line."""
+        return "; ".join((*self.faults, *self.violations)) or "valid"
 
 
 class Referee:
-    """The robot among boxes. The fingers are fully open."""
+    """The robot among solids. The fingers are fully open."""
 
-    def __init__(self, boxes: list[Box], held: Box | None = None) -> None:
+    def __init__(self, solids: tuple[Solid, ...] | list[Solid], held: Solid | None = None) -> None:
         """Build the scene."""
-        self._model, geometry, self._tcp = _robot()
-        self._geometry = geometry.copy()
-        own = len(geometry.geometryObjects)
-        for i, box in enumerate(boxes):
-            self._add(f"box{i}", 0, box.placement, box, range(1, own))
-        if held is not None:
-            frame = self._model.frames[self._tcp]
-            free = [i for i in range(own) if not geometry.geometryObjects[i].name.startswith(HAND)]
-            placement = frame.placement * held.placement
-            self._add("held", frame.parentJoint, placement, held, [*free, *range(own, own + len(boxes))])
+        self.solids, self.held = tuple(solids), held
+        self._model, meshes, hulls, self._tcp = _robot()
         self._data = self._model.createData()
-        self._geometry_data = self._geometry.createData()
-        self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, self._geometry, self._geometry_data
-        )
+        self._exact = _Checker(self._model, self._populate(meshes.copy()), 0.0)
+        self._hulls = self._populate(hulls.copy())
+        self._guards: dict[float, _Checker] = {}
+        self._reach = _reach(self._hulls)
 
-    def _add(self, name: str, joint: int, placement: pin.SE3, box: Box, others: range | list[int]) -> None:
-        shape = coal.Box(*box.size)
-        shape.computeLocalAABB()
-        index = self._geometry.addGeometryObject(pin.GeometryObject(name, joint, 0, placement, shape))
-        for other in others:
-            self._geometry.addCollisionPair(pin.CollisionPair(other, index))
+    def _populate(self, geometry: pin.GeometryModel) -> pin.GeometryModel:
+        own = len(geometry.geometryObjects)
+        names = [item.name for item in geometry.geometryObjects]
+        base = [i for i, item in enumerate(geometry.geometryObjects) if item.parentJoint == 0]
+        for i, solid in enumerate(self.solids):
+            index = geometry.addGeometryObject(pin.GeometryObject(f"#{i}", 0, 0, solid.placement, solid.shape()))
+            for other in set(range(own)) - set(base):
+                geometry.addCollisionPair(pin.CollisionPair(other, index))
+        if self.held is not None:
+            frame = self._model.frames[self._tcp]
+            placement = frame.placement * self.held.placement
+            item = pin.GeometryObject("held", frame.parentJoint, 0, placement, self.held.shape())
+            index = geometry.addGeometryObject(item)
+            for other in (*range(own), *range(own, own + len(self.solids))):
+                if other >= own or not names[other].startswith(HAND):
+                    geometry.addCollisionPair(pin.CollisionPair(other, index))
+        return geometry
 
     def collides(self, joints: Array) -> bool:
-        """Tell whether an arm configuration of shape (7,) touches anything."""
-        q = np.concatenate([joints, [0.04, 0.04]])
-        return bool(pin.computeCollisions(self._model, self._data, self._broad, q, True))
+        """Tell whether an arm configuration of shape (7,) touches anything, on the original meshes."""
+        return self._exact.hit(joints)
 
-    def edge_collides(self, start: Array, end: Array, step: float = 0.02) -> bool:
-        """Tell whether the straight joint line touches anything."""
-        count = max(2, int(np.abs(end - start).max() / step) + 1)
-        return any(self.collides(start + s * (end - start)) for s in np.linspace(0.0, 1.0, count))
+    def keeps(self, joints: Array, distance: float) -> bool:
+        """Tell whether the hulls of all allowed pairs are farther apart than a distance [m]; never true wrongly."""
+        if distance not in self._guards:
+            self._guards[distance] = _Checker(self._model, self._hulls, distance)
+        return not self._guards[distance].hit(joints)
+
+    def first_collision(self, path: Array) -> int:
+        """Return the index of the first colliding configuration of a path of shape (N, 7), or -1."""
+        i, level = 0, 0
+        while i < len(path):
+            while level < len(MARGINS_M) and not self.keeps(path[i], MARGINS_M[level]):
+                level += 1
+            if level < len(MARGINS_M):
+                moved = np.abs(path[i + 1 : i + 400] - path[i]) @ self._reach
+                beyond = np.flatnonzero(moved > 0.98 * MARGINS_M[level])
+                i += 1 + (int(beyond[0]) if len(beyond) else len(moved))
+            elif self.collides(path[i]):
+                return i
+            else:
+                i += 1
+            level = max(0, level - 1)
+        return -1
+
+    def edge_collides(self, start: Array, end: Array) -> bool:
+        """Tell whether the straight joint line touches anything, looked at every 2 mm of the arm's motion."""
+        count = max(2, int(np.abs(end - start) @ self._reach / 0.002) + 1)
+        return self.first_collision(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)) >= 0
 
     def tcp(self, joints: Array) -> pin.SE3:
-        """Return the tcp in the world."""
-        pin.forwardKinematics(self._model, self._data, np.concatenate([joints, [0.04, 0.04]]))
+        """Return the tcp in the base."""
+        pin.forwardKinematics(self._model, self._data, _full(joints))
         return pin.updateFramePlacement(self._model, self._data, self._tcp).copy()
 
-    def faults(self, times: Array, positions: Array, start: Array, goal: pin.SE3) -> list[str]:
-        """Return what is wrong with a trajectory sampled at a kilohertz; derivatives are taken from the positions."""
-        found = []
-        if np.abs(positions[0] - start).max() > 1e-4:
-            found.append("start")
-        off = self.tcp(positions[-1])
-        if np.linalg.norm(off.translation - goal.translation) > 1e-3:
-            found.append("goal position")
-        if np.linalg.norm(pin.log3(off.rotation.T @ goal.rotation)) > 1e-2:
-            found.append("goal rotation")
+    def judge(self, positions: Array, duration_s: float, start: Array, goal: pin.SE3 | Array) -> Verdict:
+        """Judge a motion.
+
+        Args:
+            positions: Samples at 0, 1, 2, ... ms and at the end, shape (N, 7) [rad].
+            duration_s: Time of the last sample [s].
+            start: Configuration that it must begin with.
+            goal: Pose of the tcp, or arm configuration, that it must end with.
+        """
+        if positions.ndim != 2 or positions.shape[1] != 7 or not np.isfinite(positions).all():
+            return Verdict(faults=(f"positions of shape {positions.shape} or not finite",))
+        expected = int(np.ceil(duration_s / PERIOD_S - 1e-6)) + 1
+        if abs(len(positions) - expected) > 1:
+            return Verdict(faults=(f"{len(positions)} samples in {duration_s:.4f} s, not one per millisecond",))
+        faults = list(self._ends(positions, start, goal))
         if (positions < LOWER - 1e-6).any() or (positions > UPPER + 1e-6).any():
-            found.append("joint limit")
-        step = times[1] - times[0]
-        rate = positions[:-1]  # the last sample may be nearer than a period
-        for name, limit, slack in (
-            ("velocity", VELOCITY, 1.01),
-            ("acceleration", ACCELERATION, 1.02),
-            ("jerk", JERK, 1.05),
-        ):
-            rate = np.diff(rate, axis=0) / step
-            if len(rate) and (np.abs(rate) > slack * limit).any():
-                found.append(f"{name} x{(np.abs(rate) / limit).max():.2f}")
-        if any(self.collides(q) for q in positions):
-            found.append("collision")
+            faults.append("joint range")
+        hit = self.first_collision(positions)
+        if hit >= 0:
+            pairs = ", ".join(self._exact.pairs(positions[hit]))
+            faults.append(f"collision at {hit * PERIOD_S:.3f} s ({pairs})")
+        return Verdict(faults=tuple(faults), violations=_broken_limits(positions))
+
+    def _ends(self, positions: Array, start: Array, goal: pin.SE3 | Array) -> list[str]:
+        found = []
+        if np.abs(positions[0] - start).max() > START_RAD:
+            found.append(f"start off by {np.abs(positions[0] - start).max():.2g} rad")
+        if isinstance(goal, pin.SE3):
+            end = self.tcp(positions[-1])
+            off_m = float(np.linalg.norm(end.translation - goal.translation))
+            off_rad = float(np.linalg.norm(pin.log3(end.rotation.T @ goal.rotation)))
+            if off_m > GOAL_M or off_rad > GOAL_RAD:
+                found.append(f"goal off by {1e3 * off_m:.2g} mm, {off_rad:.2g} rad")
+        elif np.abs(positions[-1] - goal).max() > GOAL_JOINT_RAD:
+            found.append(f"goal off by {np.abs(positions[-1] - goal).max():.2g} rad")
+        for where, step in (("start", positions[1:2] - positions[:1]), ("end", positions[-1:] - positions[-2:-1])):
+            if (np.abs(step) > 1.1 * ACCELERATION * PERIOD_S**2).any():
+                found.append(f"no rest at the {where}")
         return found
 
 
-_CACHE: list[tuple[pin.Model, pin.GeometryModel, int]] = []
+def _broken_limits(positions: Array) -> tuple[str, ...]:
+    """Return the limits that are broken; rest is assumed before and after the motion."""
+    rest = np.concatenate([np.repeat(positions[:1], 3, axis=0), positions[:-1]])
+    found = []
+    rate = rest
+    for order, (name, limit) in enumerate((("velocity", VELOCITY), ("acceleration", ACCELERATION), ("jerk", JERK)), 1):
+        rate = np.diff(rate, axis=0) / PERIOD_S
+        noise = 2.0**order * 4e-16 * np.pi / PERIOD_S**order
+        ratio = (np.abs(rate) - noise) / limit
+        if len(rate) and ratio.max() > SLACK:
+            joint = int(ratio.max(axis=0).argmax()) + 1
+            found.append(f"{name} of joint {joint} x{ratio.max():.3f}")
+    return tuple(found)
 
 
-def _robot() -> tuple[pin.Model, pin.GeometryModel, int]:
-    if not _CACHE:
-        urdf = SOURCE / "urdf/panda.urdf"
-        model = pin.buildModelFromUrdf(str(urdf))
-        geometry = pin.buildGeomFromUrdf(
-            model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(SOURCE.parents[2])]
-        )
+class _Checker:
+    """Collision checks of one geometry with one margin."""
+
+    def __init__(self, model: pin.Model, geometry: pin.GeometryModel, margin: float) -> None:
+        self._model, self._geometry = model, geometry
+        self._data, self._geometry_data = model.createData(), geometry.createData()
+        for request in self._geometry_data.collisionRequests:
+            request.security_margin = margin
+        self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(model, geometry, self._geometry_data)
+
+    def hit(self, joints: Array) -> bool:
+        return bool(pin.computeCollisions(self._model, self._data, self._broad, _full(joints), True))
+
+    def pairs(self, joints: Array) -> list[str]:
+        pin.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, _full(joints), False)
+        names = [item.name.removesuffix("_0") for item in self._geometry.geometryObjects]
+        touching = zip(self._geometry.collisionPairs, self._geometry_data.collisionResults, strict=True)
+        return [f"{names[p.first]}-{names[p.second]}" for p, result in touching if result.isCollision()]
+
+
+def _full(joints: Array) -> Array:
+    return np.concatenate([joints, [FINGERS_M, FINGERS_M]])
+
+
+@cache
+def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
+    """Return the model, its collision meshes, their convex hulls, and the frame of the tcp."""
+    urdf = SOURCE / "urdf/panda.urdf"
+    model = pin.buildModelFromUrdf(str(urdf))
+
+    def load() -> pin.GeometryModel:
+        folders = [str(SOURCE.parents[2])]
+        geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
         geometry.addAllCollisionPairs()
         pin.removeCollisionPairs(model, geometry, str(SOURCE / "srdf/panda.srdf"))
-        _CACHE.append((model, geometry, model.getFrameId("panda_hand_tcp")))
-    return _CACHE[0]
+        return geometry
+
+    meshes, hulls = load(), load()
+    for item in hulls.geometryObjects:
+        if isinstance(item.geometry, coal.BVHModelBase):
+            item.geometry.buildConvexHull(True, "Qt")
+            item.geometry = item.geometry.convex
+            item.meshScale = np.ones(3)
+        item.geometry.computeLocalAABB()
+    return model, meshes, hulls, model.getFrameId("panda_hand_tcp")
+
+
+def _reach(geometry: pin.GeometryModel) -> Array:
+    """Bound how far any point of the arm, or of what it holds, can be from each joint's axis, shape (7,) [m]."""
+    model = _robot()[0]
+    reach = np.zeros(model.njoints)
+    for item in geometry.geometryObjects:
+        center = item.placement.act(item.geometry.aabb_center)
+        far = float(np.linalg.norm(center)) + item.geometry.aabb_radius
+        reach[item.parentJoint] = max(reach[item.parentJoint], far)
+    for i in range(model.njoints - 1, 0, -1):
+        travel = FINGERS_M if i > 7 else 0.0
+        offset = float(np.linalg.norm(model.jointPlacements[i].translation)) + travel
+        reach[model.parents[i]] = max(reach[model.parents[i]], reach[i] + offset)
+    return np.asarray(reach[1:8])

@@ -1,0 +1,170 @@
+"""Runs contenders over problems, keeps what they did in a file so that a long run can go on, and counts."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import click
+import numpy as np
+
+from _contenders import Contender, Outcome
+from _exhaustive import is_solvable
+from _problems import Problem, tabletop
+from _problems_hard import FAMILIES, hard
+from peers._serve import pack
+
+Draw = tuple[str, int, Callable[[], Problem]]
+"""Name, seed, and how to make the problem."""
+OURS = "roboxim"
+
+
+class Store:
+    """Outcomes by problem and contender, appended to a file when there is one."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Read what is there."""
+        self._path = path
+        self._known: dict[tuple[str, str], Outcome] = {}
+        for line in path.read_text().splitlines() if path is not None and path.exists() else ():
+            outcome = Outcome(**json.loads(line))
+            self._known[outcome.problem, outcome.contender] = outcome
+
+    def get(self, problem: str, contender: str) -> Outcome | None:
+        """Return an outcome, or none."""
+        return self._known.get((problem, contender))
+
+    def put(self, outcome: Outcome) -> None:
+        """Keep an outcome."""
+        self._known[outcome.problem, outcome.contender] = outcome
+        if self._path is not None:
+            plain = {f.name: getattr(outcome, f.name) for f in dataclasses.fields(outcome) if f.name != "positions"}
+            with self._path.open("a") as file:
+                file.write(json.dumps(plain) + "\n")
+
+
+def tabletop_draws(count: int, salt: int) -> list[Draw]:
+    """Return draws of tabletop problems."""
+    return [(f"tabletop-{seed}", seed, lambda seed=seed: tabletop(seed, salt)) for seed in range(count)]
+
+
+def hard_draws(count: int, salt: int) -> list[Draw]:
+    """Return draws of hard problems, ``count`` of each family, the families in turn."""
+    return [
+        (f"{family}-{seed}", seed, lambda family=family, seed=seed: hard(family, seed, salt))
+        for seed in range(count)
+        for family in FAMILIES
+    ]
+
+
+def file_draws(problems: list[Problem]) -> list[Draw]:
+    """Return draws of problems that exist."""
+    return [(problem.name, seed, lambda problem=problem: problem) for seed, problem in enumerate(problems)]
+
+
+def run_problems(
+    draws: Iterable[Draw],
+    contenders: list[Contender],
+    store: Store,
+    *,
+    measure: Contender | None = None,
+    peers_every: int = 1,
+    until: float = np.inf,
+) -> tuple[list[Outcome], bool]:
+    """Have every contender solve every problem, one after the other, in an order that turns.
+
+    Args:
+        draws: The problems.
+        contenders: Who.
+        store: Holds what is known already; gets what is not.
+        measure: Toppra, which times the paths of our motions; none: nothing is compared.
+        peers_every: Peers get every so many-th problem.
+        until: Time of `time.monotonic` at which to stop.
+
+    Returns:
+        The outcomes, and whether all problems were tried.
+    """
+    found: list[Outcome] = []
+    for k, (name, seed, make) in enumerate(draws):
+        asked = [c for c in contenders if c.name == OURS or k % peers_every == 0]
+        known = {c.name: store.get(name, c.name) for c in asked}
+        if any(outcome is None for outcome in known.values()):
+            if time.monotonic() > until:
+                return found, False
+            problem = make()
+            for contender in asked[k % len(asked) :] + asked[: k % len(asked)]:
+                if known[contender.name] is None:
+                    outcome = _solve(contender, problem, seed, measure)
+                    known[contender.name] = outcome
+                    store.put(outcome)
+        found += [outcome for outcome in known.values() if outcome is not None]
+    return found, True
+
+
+def _solve(contender: Contender, problem: Problem, seed: int, measure: Contender | None) -> Outcome:
+    outcome = contender.solve(problem, seed)
+    if contender.name != OURS:
+        return outcome
+    if measure is not None and outcome.valid and outcome.duration_s > 0.05 and outcome.positions is not None:
+        answer = measure.ask({"positions": pack(outcome.positions)})
+        outcome = dataclasses.replace(outcome, toppra_s=answer["duration_s"])
+    return outcome
+
+
+def unsolved(outcomes: list[Outcome], draws: Iterable[Draw], store: Store, *, search_s: float) -> set[str]:
+    """Return the problems that nobody solved and that an exhaustive search does not solve either; say all failures.
+
+    Args:
+        outcomes: What the contenders did.
+        draws: The problems.
+        store: Remembers what the search said.
+        search_s: Time of a search; 0: none, so that every failure counts.
+    """
+    solved = {outcome.problem for outcome in outcomes if outcome.valid}
+    makers = {name: make for name, _, make in draws}
+    hopeless = set()
+    for outcome in outcomes:
+        if outcome.contender != OURS or outcome.clean:
+            continue
+        said = outcome.error or outcome.faults or outcome.violations
+        note = "another contender solves it"
+        if outcome.problem not in solved:
+            note = "not searched"
+            if search_s > 0.0:
+                known = store.get(outcome.problem, "search")
+                if known is None:
+                    solvable = is_solvable(makers[outcome.problem](), search_s)
+                    known = Outcome(problem=outcome.problem, contender="search", ms=0.0, error="" if solvable else "no")
+                    store.put(known)
+                note = f"a search of {search_s:g} s {'fails too' if known.error else 'solves it'}"
+                if known.error:
+                    hopeless.add(outcome.problem)
+        click.echo(f"  {outcome.problem}: {said[:160]} ({note})")
+    return hopeless
+
+
+def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[str, str | float]:
+    """Return a table's row about a contender; problems in ``without`` do not count."""
+    mine = [o for o in outcomes if o.contender == contender and o.problem not in without]
+    if not mine:
+        return {}
+    times = [o.ms for o in mine]
+    ratios = [o.duration_s / o.toppra_s for o in mine if o.toppra_s > 0.0]
+    row: dict[str, str | float] = {
+        "count": len(mine),
+        "detours": sum(o.detour for o in mine),
+        "answered": sum(not o.error for o in mine),
+        "valid": sum(o.valid for o in mine),
+        "valid_share": round(sum(o.valid for o in mine) / len(mine), 4),
+        "collisions": sum("collision" in o.faults for o in mine),
+        "limits_broken": sum(bool(o.violations) for o in mine),
+        "median_ms": round(float(np.median(times)), 2),
+        "p95_ms": round(float(np.percentile(times, 95)), 2),
+        "max_ms": round(max(times), 1),
+    }
+    if ratios:
+        row["duration_vs_toppra"] = round(float(np.median(ratios)), 3)
+    return row
