@@ -1,4 +1,4 @@
-"""Make the locks in `requirements/` from the requirements in the two pyproject.toml files.
+"""Make the locks in `requirements/` from the requirements in the pyproject.toml files.
 
 Each lock names every package with its version and the hashes of its files, and no index: it installs from wherever the
 machine gets its packages. Versions stay as they are locked unless a requirement says otherwise or `--upgrade` is given.
@@ -13,12 +13,13 @@ import tomllib
 
 from environments import LOCKS, ROOT, UV, clean_environment, index_settings
 
-INTERFACES = ROOT / "src" / "roboxim_interfaces" / "pyproject.toml"
+MEMBERS = [ROOT / "src" / name / "pyproject.toml" for name in ("roboxim_interfaces", "roboxim_planner_native")]
 
 
 def build_requirements() -> list[str]:
-    """Return what building the interfaces takes."""
-    return tomllib.loads(INTERFACES.read_text())["build-system"]["requires"]
+    """Return what building the compiled distributions takes."""
+    needed = [tomllib.loads(member.read_text())["build-system"]["requires"] for member in MEMBERS]
+    return sorted({requirement for requirements in needed for requirement in requirements})
 
 
 def group(name: str) -> list[str]:
@@ -54,7 +55,8 @@ def main() -> None:
     parser.add_argument("--upgrade", action="store_true", help="take the newest versions that the requirements allow")
     upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
     lock("installer", group("installer"), *upgrade)
-    lock("dev", [], "pyproject.toml", "--group", "dev", "--no-emit-package", "roboxim-interfaces", *upgrade)
+    ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
+    lock("dev", [], "pyproject.toml", "--group", "dev", *ours, *upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
     for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo"):

@@ -1,4 +1,4 @@
-"""Install RoboXim into its checkout: tools, locked packages, generated interfaces, the `roboxim` command.
+"""Install RoboXim into its checkout: tools, locked packages, what is compiled, the `roboxim` command.
 
 Everything lands in `.tools/` and `.venv/`; `make clean-all` removes both. Only Python 3.11, a C and C++ compiler and a
 package index are needed.
@@ -6,7 +6,7 @@ package index are needed.
 Design. Each step has a key, a hash over all that its result depends on, stored beside the result when the step has
 finished. A step whose key is stored already is skipped, so the second run does nothing. An environment being written
 carries a `busy` mark, so that one left half made by Ctrl-C or a crash is thrown away, never taken for whole. Packages
-are installed while the interfaces compile: the two do not depend on each other until the end.
+are installed while ours compile: the two do not depend on each other until the end.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -46,9 +47,7 @@ from environments import (
     uv_pip,
 )
 
-BUILD_DIR = TOOLS / "build" / "interfaces"
-INTERFACES = ROOT / "src" / "roboxim_interfaces"
-WHEELS_KEPT = 5  # of the interfaces, so that changing branches does not build them again
+WHEELS_KEPT = 5  # of each member, so that changing branches does not build them again
 GL_PACKAGES = ("libegl1", "libgl1-mesa-dri")
 
 venv = Environment(ROOT / ".venv")
@@ -56,17 +55,39 @@ build_env = Environment(TOOLS / "build-env")
 started = time.monotonic()
 
 
-def interface_files() -> list[Path]:
-    """List the files that the generated interfaces depend on."""
-    files = (path for path in INTERFACES.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-    others = (INTERFACES / "README.md", INTERFACES / "tests")
-    return sorted(path for path in files if not any(path.is_relative_to(other) for other in others))
+@dataclass(frozen=True)
+class Member:
+    """A distribution of ours that is compiled: built into a wheel, installed from it."""
+
+    name: str
+    folder: Path
+
+    @property
+    def build_dir(self) -> Path:
+        """Where it is compiled; kept, so that the next time only what changed is."""
+        return TOOLS / "build" / self.name
+
+    @property
+    def wheels(self) -> Path:
+        """Folder of its wheels, each in a folder named by its key."""
+        return TOOLS / "wheels" / self.name
+
+    def files(self) -> list[Path]:
+        """List the files that it depends on."""
+        files = (path for path in self.folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+        others = (self.folder / "README.md", self.folder / "tests")
+        return sorted(path for path in files if not any(path.is_relative_to(other) for other in others))
+
+    def key(self) -> str:
+        """Hash names and contents of its files, and what it is built with."""
+        names = "\n".join(str(path.relative_to(self.folder)) for path in self.files())
+        return digest(names, *self.files(), LOCKS / "build.lock", environment_key())
 
 
-def interface_key() -> str:
-    """Hash names and contents of the interface files, and what they are built with."""
-    names = "\n".join(str(path.relative_to(INTERFACES)) for path in interface_files())
-    return digest(names, *interface_files(), LOCKS / "build.lock", environment_key())
+MEMBERS = (
+    Member("interfaces", ROOT / "src" / "roboxim_interfaces"),
+    Member("planner-native", ROOT / "src" / "roboxim_planner_native"),
+)
 
 
 def require_build_tools() -> None:
@@ -83,7 +104,9 @@ def require_build_tools() -> None:
     if missing:
         what = " and ".join(name for name, _ in missing)
         packages = " ".join(package for _, package in missing)
-        raise SetupError(f"{what} needed to build the interfaces.\nOn Debian or Ubuntu: apt install {packages}")
+        raise SetupError(
+            f"{what} needed to compile the interfaces and the planner's kernel.\nOn Debian or Ubuntu: apt install {packages}"
+        )
 
 
 def install_uv() -> None:
@@ -119,32 +142,37 @@ def install_packages() -> None:
             venv.make(lock)
 
 
-def build_interfaces() -> Path:
-    """Build the wheel of the generated interfaces, unless it exists for these files.
+def build_members() -> dict[Member, Path]:
+    """Build the wheels of the compiled distributions, unless they exist for these files.
 
     Returns:
-        The wheel.
+        The wheel of each.
     """
-    folder = TOOLS / "wheels" / interface_key()[:16]
+    return {member: build(member) for member in MEMBERS}
+
+
+def build(member: Member) -> Path:
+    """Build a member's wheel, unless it exists for these files."""
+    folder = member.wheels / member.key()[:16]
     wheels = list(folder.glob("*.whl"))
     if wheels:
         return wheels[0]
     require_build_tools()
-    with step("interfaces"):
+    with step(member.name):
         if not build_env.has("packages", packages_key(LOCKS / "build.lock")):
             build_env.make(LOCKS / "build.lock")
-            shutil.rmtree(BUILD_DIR, ignore_errors=True)
-        forget_removed_interfaces()
-        scratch = TOOLS / "wheels" / "new"
+            shutil.rmtree(TOOLS / "build", ignore_errors=True)
+        forget_removed_files(member)
+        scratch = member.wheels / "new"
         shutil.rmtree(scratch, ignore_errors=True)
         command = (
             *(build_env.python, "-m", "build", "--wheel", "--no-isolation", "--skip-dependency-check"),
-            *(f"--config-setting=build-dir={BUILD_DIR}", "--outdir", scratch),
+            *(f"--config-setting=build-dir={member.build_dir}", "--outdir", scratch),
         )
         try:
-            run("interfaces", *command, INTERFACES)
+            run(member.name, *command, member.folder)
         except SetupError as error:
-            hint = "" if interrupted.is_set() else "\nIf no interface file is wrong: make clean, then make setup again."
+            hint = "" if interrupted.is_set() else "\nIf no file of it is wrong: make clean, then make setup again."
             raise SetupError(f"{error}{hint}") from error
         scratch.rename(folder)
         for old in sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-WHEELS_KEPT]:
@@ -152,24 +180,24 @@ def build_interfaces() -> Path:
     return next(folder.glob("*.whl"))
 
 
-def forget_removed_interfaces() -> None:
-    """Throw the build folder away when an interface file is gone: what came from it would stay in the wheel."""
-    record = BUILD_DIR.with_suffix(".json")
-    names = [str(path.relative_to(INTERFACES)) for path in interface_files()]
+def forget_removed_files(member: Member) -> None:
+    """Throw the build folder away when a file of the member is gone: what came from it would stay in the wheel."""
+    record = member.build_dir.with_suffix(".json")
+    names = [str(path.relative_to(member.folder)) for path in member.files()]
     known = json.loads(record.read_text()) if record.exists() else names
     if set(known) - set(names):
-        shutil.rmtree(BUILD_DIR, ignore_errors=True)
+        shutil.rmtree(member.build_dir, ignore_errors=True)
     record.parent.mkdir(parents=True, exist_ok=True)
     record.write_text(json.dumps(names))
 
 
-def install_ours(wheel: Path) -> None:
-    """Install the interfaces and, editable, RoboXim itself into `.venv`."""
-    interfaces = wheel.parent.name
+def install_ours(wheels: dict[Member, Path]) -> None:
+    """Install the compiled distributions and, editable, RoboXim itself into `.venv`."""
     project = digest(ROOT / "pyproject.toml")
-    if not venv.has("interfaces", interfaces):
-        with venv.writing("interfaces", interfaces):
-            uv_pip(venv, "install", "--offline", "--no-deps", "--reinstall", wheel)
+    for member, wheel in wheels.items():
+        if not venv.has(member.name, wheel.parent.name):
+            with venv.writing(member.name, wheel.parent.name):
+                uv_pip(venv, "install", "--offline", "--no-deps", "--reinstall", wheel)
     if not venv.has("project", project) or not (venv.path / "bin" / "roboxim").exists():
         with venv.writing("project", project):
             uv_pip(venv, "install", "--offline", "--no-deps", "--no-build-isolation", "--reinstall", "--editable", ROOT)
@@ -220,13 +248,13 @@ def only_one() -> Iterator[None]:
 def set_up() -> None:
     """Run every step that is not done yet."""
     install_uv()
-    lanes: list[Callable[[], object]] = [install_gl, install_packages, build_interfaces]
+    lanes: list[Callable[[], object]] = [install_gl, install_packages, build_members]
     with ThreadPoolExecutor(len(lanes)) as pool:
         futures = [pool.submit(lane) for lane in lanes]
         wait(futures, return_when=FIRST_EXCEPTION)
         for future in futures:
             future.result()
-    install_ours(build_interfaces())
+    install_ours(build_members())
 
 
 def interrupt(number: int, frame: object) -> NoReturn:

@@ -15,6 +15,7 @@ ALLOWED = {
     "roboxim_core": set(),
     "roboxim_ros": {"roboxim_core", "roboxim_interfaces"},
     **{f"roboxim_{room}": {"roboxim_core", "roboxim_ros", "roboxim_interfaces"} for room in ROOMS},
+    "roboxim_planner": {"roboxim_core", "roboxim_ros", "roboxim_interfaces", "roboxim_planner_native"},
     "roboxim_bringup": {"roboxim_core", "roboxim_ros", "roboxim_interfaces"} | {f"roboxim_{room}" for room in ROOMS},
 }
 ROS_FREE_KIT = {"roboxim_ros.conversions"}

@@ -1,4 +1,4 @@
-"""Turns the shapes of scenes and models into coal's convex shapes."""
+"""Turns the shapes of scenes and models into coal's."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.models.description import Shape
-from roboxim_planner.scene import PointHull
+from roboxim_core.poses import Vec3
+from roboxim_planner.scene import BodyShape, PointHull, TriangleMesh
 
 
-def make_shape(shape: Shape | PointHull) -> coal.ShapeBase:
+def make_shape(shape: BodyShape) -> coal.CollisionGeometry:
     """Return a new coal shape.
 
     Args:
@@ -25,8 +25,10 @@ def make_shape(shape: Shape | PointHull) -> coal.ShapeBase:
     """
     if isinstance(shape, PointHull):
         made = coal.Convex(_hull_of_points(shape.points))
+    elif isinstance(shape, TriangleMesh):
+        made = _surface(shape.vertices, shape.triangles)
     elif shape.kind == "hull":
-        made = coal.Convex(_hull_of_file(shape.mesh))
+        made = coal.Convex(_hull_of_file(shape.mesh, shape.scale))
     elif shape.kind == "box":
         made = coal.Box(*shape.size)
     elif shape.kind == "sphere":
@@ -60,10 +62,33 @@ def _hull_of_points(points: tuple[tuple[float, float, float], ...]) -> coal.Conv
     return convex_hull(points)
 
 
+@lru_cache(maxsize=64)
+def _surface(points: tuple[Vec3, ...], triangles: tuple[tuple[int, int, int], ...]) -> coal.BVHModelOBBRSS:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(points))
+    mesh.addVertices(np.array(points))
+    mesh.addTriangles(np.array(triangles, dtype=np.int32))
+    mesh.endModel()
+    return mesh
+
+
 @lru_cache(maxsize=256)
-def _hull_of_file(path: str) -> coal.ConvexBase:
+def _hull_of_file(path: str, scale: float) -> coal.ConvexBase:
+    return convex_hull(mesh_points(path, scale))
+
+
+def mesh_points(path: str, scale: float) -> tuple[Vec3, ...]:
+    """Return the vertices of a mesh file.
+
+    Args:
+        path: The file.
+        scale: Metres per unit of the file.
+
+    Raises:
+        InvalidRequestError: When it cannot be read.
+    """
     try:
-        mesh = coal.MeshLoader(coal.BV_OBBRSS).load(path, np.ones(3))
+        mesh = coal.MeshLoader(coal.BV_OBBRSS).load(path, np.full(3, scale))
     except Exception as error:  # assimp's errors have no common class
         raise InvalidRequestError(f"cannot read the mesh {path}: {error}") from None
-    return convex_hull([mesh.vertices(i) for i in range(mesh.num_vertices)])
+    return tuple((float(x), float(y), float(z)) for x, y, z in (mesh.vertices(i) for i in range(mesh.num_vertices)))

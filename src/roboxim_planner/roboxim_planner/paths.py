@@ -34,23 +34,23 @@ class SearchConfig:
     """Iterations of RRTConnect."""
     range_rad: float = 1.2
     """Longest edge that the tree grows by [rad]."""
-    check_step_m: float = 0.02
-    """Largest motion of any point of the arm between two checks of an edge [m]."""
-    shortcuts: int = 60
+    resolution_m: float = 0.01
+    """Motion of the arm's points below which a free state stands for what is around it on an edge [m]."""
+    shortcuts: int = 100
     """Random shortcuts tried."""
 
 
 class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
     """Hands whole edges to the collision world. It must not refer to the space information: that cycle leaks."""
 
-    def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, step: float) -> None:
+    def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, resolution: float) -> None:
         super().__init__(info)
-        self._world = world
-        self._step = step
+        self._free = world.native.path_is_free
+        self._margins = (world.padding, 0.0, resolution)
+        self._dof = world.robot.dof
 
     def checkMotion(self, start: ob.State, end: ob.State) -> bool:  # noqa: N802 - OMPL's name
-        dof = self._world.robot.dof
-        return bool(self._world.edge_is_free(np.array(start[0:dof]), np.array(end[0:dof]), self._step))
+        return self._free((start[0 : self._dof], end[0 : self._dof]), *self._margins)
 
 
 class _Stop:
@@ -98,8 +98,8 @@ def search(
             bounds.setHigh(i, float(robot.upper[i]))
         space.setBounds(bounds)
         info = ob.SpaceInformation(space)
-        info.setStateValidityChecker(lambda state: bool(world.is_free(np.array(state[0 : robot.dof]))))
-        info.setMotionValidator(_EdgeValidator(info, world, config.check_step_m))
+        info.setStateValidityChecker(lambda state: world.is_free(state[0 : robot.dof]))
+        info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
         info.setup()
         problem = ob.ProblemDefinition(info)
         problem.addStartState(_state(space, start))
@@ -141,45 +141,11 @@ def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConf
     Returns:
         Waypoints of a free path that is no longer.
     """
-    rng = np.random.default_rng(seed)
-    path = _skip_waypoints(world, path, config.check_step_m)
-    idle = 0
-    for turn in range(config.shortcuts):
-        if len(path) <= 2 or idle > 20:
-            break
-        watch("search", turn)
-        cut = _cut(world, path, rng, config.check_step_m)
-        idle = 0 if cut is not None else idle + 1
-        path = path if cut is None else cut
-    return _skip_waypoints(world, path, config.check_step_m)
-
-
-def _skip_waypoints(world: CollisionWorld, path: Array, step: float) -> Array:
-    kept, at = [0], 0
-    while at < len(path) - 1:
-        following = at + 1
-        for far in range(len(path) - 1, at + 1, -1):
-            if world.edge_is_free(path[at], path[far], step):
-                following = far
-                break
-        kept.append(following)
-        at = following
-    return path[kept]
-
-
-def _cut(world: CollisionWorld, path: Array, rng: np.random.Generator, step: float) -> Array | None:
-    """Try to replace what lies between two random places on the path by a straight edge."""
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    first, second = np.sort(rng.uniform(0.0, ends[-1], 2))
-    i, j = (int(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(lengths) - 1)) for x in (first, second))
-    if i == j:
-        return None
-    a = path[i] + (first - ends[i]) / lengths[i] * (path[i + 1] - path[i])
-    b = path[j] + (second - ends[j]) / lengths[j] * (path[j + 1] - path[j])
-    if second - first - np.linalg.norm(b - a) < 1e-3 or not world.edge_is_free(a, b, step):
-        return None
-    return without_repeats(np.concatenate([path[: i + 1], a[None], b[None], path[j + 1 :]]))
+    watch("search", 0)
+    weights = 1.0 / world.robot.max_velocity
+    return world.native.shorten(
+        path, seed, config.shortcuts, weights / weights.max(), world.padding, 0.0, config.resolution_m
+    )
 
 
 def without_repeats(path: Array) -> Array:

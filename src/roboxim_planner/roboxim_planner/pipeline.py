@@ -6,6 +6,7 @@ seed; a deadline can only end a request (see `Watch`), never change its answer.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,9 +22,9 @@ from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.paths import SearchConfig, Watch, search, shorten, without_repeats
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
-from roboxim_planner.sweep import FINE_STEP_M, MARGIN_M, Sweep
+from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
-from roboxim_planner.verify import Finding, verify_motion, verify_samples
+from roboxim_planner.verify import Finding, between, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
 
@@ -360,13 +361,18 @@ class Planner:
             first = self.ik.nearest(goal, near)
             if first is not None and (world is None or world.is_free(first)):
                 return first[None]
-        solutions = self.ik.solve(goal, near, seed=seed, rounds=None if count == 1 and world is None else 2)
+        if count == 1 and world is None:
+            return self.ik.any(goal, near, seed=seed)[None]
+        solutions = self.ik.solve(goal, near, seed=seed)
         if world is None:
             return solutions[:count]
-        free = np.array([q for q in solutions if world.is_free(q)])
-        if not len(free):
+        free = world.free_states(solutions)
+        if len(free) < count:
+            solutions = self.ik.solve(goal, near, seed=seed + 1, thorough=True)
+            free = world.free_states(solutions)
+        if not free:
             raise self._no_free_goal(world, solutions)
-        return free[:count]
+        return np.array(free[:count])
 
     def limits(self, options: MotionOptions) -> MotionLimits:
         """Return the limits that options mean for this robot."""
@@ -416,10 +422,10 @@ class Planner:
             except PlannerError as error:
                 failure = failure or error
                 continue
-            free = [q for q in solutions if worlds.exact.is_free(q)]
+            free = worlds.exact.free_states(solutions)
             if not free:
-                solutions = self.ik.solve(goal, begin, seed=seed + 1, rounds=self.config.ik.rounds)
-                free = [q for q in solutions if worlds.exact.is_free(q)]
+                solutions = self.ik.solve(goal, begin, seed=seed + 1, thorough=True)
+                free = worlds.exact.free_states(solutions)
             if not free:
                 failure = self._no_free_goal(worlds.exact, solutions)
             all_found += free
@@ -447,7 +453,7 @@ class Planner:
         watch("direct", 0)
         path = np.stack([begin, goal])
         world = worlds.for_ends(begin, goal)
-        if world is None or not world.edge_is_free(begin, goal, self.config.search.check_step_m):
+        if world is None or not world.edge_is_free(begin, goal, self.config.search.resolution_m):
             return None
         motion = time_path(path, np.zeros(0), self.limits(options), self.robot.kinematics.jacobian)
         if not verify_motion(worlds, self.robot, motion, self.limits(options), goal).valid:
@@ -473,8 +479,8 @@ class Planner:
             world = worlds.for_goals(begin, goals, padded=attempt < self.config.attempts - 1)
             reachable = np.array([q for q in goals if world.is_free(q)])
             seed = options.seed + 7919 * attempt
-            finer = self.config.search.check_step_m / (1 + attempt)
-            config = replace(self.config.search, check_step_m=finer)
+            finer = self.config.search.resolution_m / (1 + attempt)
+            config = replace(self.config.search, resolution_m=finer)
             path = search(world, begin, reachable, seed=seed, config=config, watch=watch)
             if path is None:
                 continue
@@ -527,12 +533,11 @@ class Planner:
         """Return how many leading configurations of a path are free, also in between, and what stops it."""
         if sweep is None:
             return len(path), ""
-        samples, owner = sweep.exact.densify(path, FINE_STEP_M)
-        hit = sweep.first_hit(samples)
-        if hit < 0:
+        hit = sweep.exact.first_hit(path)
+        if hit < 0.0:
             return len(path), ""
-        said = "; ".join(str(contact) for contact in sweep.exact.contacts(samples[hit])[:3])
-        return max(1, int(owner[hit])), said
+        said = "; ".join(str(contact) for contact in sweep.exact.contacts(between(path, hit))[:3])
+        return max(1, math.ceil(hit)), said
 
     def named_state(self, name: str) -> Array:
         """Return a named arm configuration of the robot.
@@ -555,11 +560,7 @@ class _Worlds(Sweep):
 
     @cached_property
     def padded(self) -> CollisionWorld:
-        if self.search_padding == 0.0:
-            return self.exact
-        if self.search_padding == MARGIN_M:
-            return self.guard
-        return CollisionWorld(self.robot, self.scene, padding=self.search_padding)
+        return self.exact.padded(self.search_padding)
 
     def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
         """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""

@@ -6,6 +6,7 @@ objects and allowed contacts are part of it, so the planner keeps no state betwe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from roboxim_core.models.description import ObjectModel, Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import SceneSpec
-from roboxim_core.state import EntityState, StateRecord
+from roboxim_core.state import StateRecord
 
 TABLE = "table"
 ROBOT = "robot"
@@ -34,12 +35,41 @@ class PointHull:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TriangleMesh:
+    """A surface of triangles, convex or not, open or closed. What is wholly inside a closed one does not touch it."""
+
+    vertices: tuple[Vec3, ...]
+    """At least 3 points [m]."""
+    triangles: tuple[tuple[int, int, int], ...]
+    """Indices of the corners."""
+    pose: Pose = IDENTITY
+    """Pose in the object."""
+
+    def __post_init__(self) -> None:
+        """Check numbers and indices.
+
+        Raises:
+            InvalidRequestError: On a vertex that is not finite or a triangle of vertices that do not exist.
+        """
+        if not self.triangles or not all(0 <= k < len(self.vertices) for corner in self.triangles for k in corner):
+            raise InvalidRequestError(
+                f"a mesh needs triangles of its own vertices 0..{len(self.vertices) - 1}, got {len(self.triangles)}"
+            )
+        if not all(math.isfinite(value) for vertex in self.vertices for value in vertex):
+            raise InvalidRequestError("a mesh's vertices must be finite")
+
+
+BodyShape = Shape | PointHull | TriangleMesh
+"""Any part of a body."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Body:
-    """A rigid body made of convex parts."""
+    """A rigid body made of parts."""
 
     name: str
     """Unique name in the scene."""
-    shapes: tuple[Shape | PointHull, ...]
+    shapes: tuple[BodyShape, ...]
     """Its parts."""
     pose: Pose = IDENTITY
     """Pose in the world, or in the tcp frame when attached."""
@@ -55,7 +85,7 @@ class Body:
         if not self.shapes:
             raise InvalidRequestError(f"body '{self.name}' has no shape")
         for shape in self.shapes:
-            if isinstance(shape, PointHull):
+            if not isinstance(shape, Shape):
                 continue
             if shape.kind not in _SIZES:
                 raise InvalidRequestError(f"body '{self.name}': unknown shape; {one_of(_SIZES, shape.kind)}")
@@ -158,6 +188,24 @@ class PlanningScene:
         """Return the scene with one more body in the gripper."""
         return replace(self, attached=(*self.attached, held))
 
+    def release(self, name: str, pose_tcp: Pose) -> PlanningScene:
+        """Return the scene with a held body let go, where it is now; the opposite of `attach`.
+
+        Args:
+            name: Name of the body.
+            pose_tcp: The tcp in the world now.
+
+        Raises:
+            InvalidRequestError: When the gripper holds no such body.
+        """
+        names = [held.body.name for held in self.attached]
+        if name not in names:
+            raise InvalidRequestError(f"the gripper does not hold '{name}'; {one_of(names, name)}")
+        body = self.attached[names.index(name)].body
+        freed = replace(body, pose=pose_tcp @ body.pose)
+        rest = tuple(held for held in self.attached if held.body.name != name)
+        return replace(self, bodies=(*self.bodies, freed), attached=rest)
+
     def with_contacts(self, allowed: Iterable[AllowedContact]) -> PlanningScene:
         """Return the scene with more pairs that may touch."""
         return replace(self, allowed=(*self.allowed, *allowed))
@@ -182,7 +230,8 @@ class PlanningScene:
         for entity in spec.entities:
             model = library.entity_model(entity)
             placed = state.entity(entity.name)
-            shapes = _posed_shapes(model, placed)
+            joints = dict(zip(placed.joint_names, placed.joint_positions, strict=True))
+            shapes = model_shapes(model, joints)
             if shapes:
                 bodies.append(Body(name=entity.name, shapes=shapes, pose=placed.pose))
         return PlanningScene(
@@ -206,9 +255,13 @@ def box(name: str, size: Vec3, pose: Pose = IDENTITY) -> Body:
     return Body(name=name, shapes=(Shape(kind="box", size=size),), pose=pose)
 
 
-def _posed_shapes(model: ObjectModel, state: EntityState) -> tuple[Shape | PointHull, ...]:
-    """Return the shapes of all links in the base link's frame, at the state's joint positions."""
-    positions = dict(zip(state.joint_names, state.joint_positions, strict=True))
+def model_shapes(model: ObjectModel, positions: dict[str, float]) -> tuple[Shape, ...]:
+    """Return the collision shapes of all links of a model in its base's frame.
+
+    Args:
+        model: The object.
+        positions: Joint name to position [m or rad]; those left out are 0.
+    """
     return tuple(
         replace(shape, pose=pose @ shape.pose)
         for name, pose in object_link_poses(model, positions).items()

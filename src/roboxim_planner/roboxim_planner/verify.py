@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from roboxim_planner.collision import ContactPair
 from roboxim_planner.robot import PlannerRobot
-from roboxim_planner.sweep import FINE_STEP_M, Sweep
+from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
@@ -101,17 +101,23 @@ def verify_samples(
     )
     inside = (positions >= robot.lower - 1e-6) & (positions <= robot.upper + 1e-6)
     first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
-    samples, owner = sweep.exact.densify(positions, FINE_STEP_M)
-    hit = sweep.first_hit(samples)
-    if hit < 0:
+    hit = sweep.exact.first_hit(positions)
+    if hit < 0.0:
         return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
-    index = int(owner[hit])
+    index = int(hit)
     return Finding(
-        contacts=sweep.exact.contacts(samples[hit]),
+        contacts=sweep.exact.contacts(between(positions, hit)),
         violations=violations,
         time_s=-1.0 if times is None else float(times[index]),
         index=index if first < 0 else min(first, index),
     )
+
+
+def between(path: Array, place: float) -> Array:
+    """Return the configuration at a place on a polyline of shape (N, dof), in units of its points."""
+    i = min(int(place), len(path) - 1)
+    following = path[min(i + 1, len(path) - 1)]
+    return np.asarray(path[i] + (place - i) * (following - path[i]))
 
 
 def _limit_violations(
@@ -148,14 +154,11 @@ def _limit_violations(
 
 
 def _tcp_violations(robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits) -> list[str]:
-    every = max(1, len(positions) // 200)
-    rates = np.array(
-        [robot.kinematics.jacobian(q) @ v for q, v in zip(positions[::every], velocities[::every], strict=True)]
-    )
+    rates = robot.arm.tcp_speeds(positions, velocities)
     found = []
     for what, unit, speeds, limit in (
-        ("speed", "m/s", np.linalg.norm(rates[:, :3], axis=1), limits.tcp_speed),
-        ("angular speed", "rad/s", np.linalg.norm(rates[:, 3:], axis=1), limits.tcp_rot_speed),
+        ("speed", "m/s", rates[:, 0], limits.tcp_speed),
+        ("angular speed", "rad/s", rates[:, 1], limits.tcp_rot_speed),
     ):
         if speeds.max() > limit * (_SLACK + 0.01):
             found.append(f"{what} of the tcp reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")

@@ -23,20 +23,30 @@ def test_fk_of_ik_is_the_pose(planner: Planner, fractions: list[float]) -> None:
 def test_solutions_are_distinct_sorted_and_repeatable(planner: Planner) -> None:
     home = planner.named_state("home")
     target = planner.robot.fk(home + 0.3)
-    found = planner.ik.solve(target, home, seed=3, rounds=2)
+    found = planner.ik.solve(target, home, seed=3, thorough=True)
     gaps = np.abs(found - home).max(axis=1)
     assert len(found) >= 3
     assert (np.diff(gaps) >= 0).all()
     assert min(np.abs(a - b).max() for i, a in enumerate(found) for b in found[:i]) > 0.05
-    assert np.array_equal(found, planner.ik.solve(target, home, seed=3, rounds=2))
+    assert np.array_equal(found, planner.ik.solve(target, home, seed=3, thorough=True))
 
 
-def test_batched_kinematics_agree_with_pinocchio(planner: Planner) -> None:
-    joints = np.random.default_rng(0).uniform(planner.robot.lower, planner.robot.upper, (20, 7))
-    _, positions, jacobians = planner.ik._forward(joints)
-    for q, position, jacobian in zip(joints, positions, jacobians, strict=True):
-        assert position == pytest.approx(planner.robot.fk(q).position, abs=1e-12)
-        assert jacobian == pytest.approx(planner.robot.kinematics.jacobian(q), abs=1e-12)
+def test_native_kinematics_agree_with_pinocchio(planner: Planner) -> None:
+    rng = np.random.default_rng(0)
+    robot = planner.robot
+    joints, rates = rng.uniform(robot.lower, robot.upper, (20, 7)), rng.normal(size=(20, 7))
+    poses, speeds = robot.arm.tcp_poses(joints), robot.arm.tcp_speeds(joints, rates)
+    for q, v, pose, speed in zip(joints, rates, poses, speeds, strict=True):
+        assert pose == pytest.approx(robot.fk(q).matrix, abs=1e-12)
+        moved = robot.kinematics.jacobian(q) @ v
+        assert speed == pytest.approx([np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])], abs=1e-12)
+
+
+def test_every_reachable_pose_is_solved(planner: Planner) -> None:
+    robot, home = planner.robot, planner.named_state("home")
+    joints = np.random.default_rng(1).uniform(robot.lower, robot.upper, (2000, 7))
+    for target in robot.tcp_poses(joints):
+        assert distance(robot.fk(planner.ik.any(target, home)), target) == pytest.approx((0.0, 0.0), abs=2e-5)
 
 
 def test_out_of_reach_says_how_far(planner: Planner) -> None:

@@ -1,0 +1,184 @@
+"""Which bodies touch, and how deep: coal's answer, for error messages, and as a witness apart from the native kernel.
+
+A `ContactModel` owns its geometry model, data and broad phase together, because Pinocchio's are only valid as long as
+nobody adds geometry to one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.poses import Vec3
+from roboxim_planner.geometry import convex_hull, make_shape
+from roboxim_planner.robot import PlannerRobot, se3
+from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, BodyShape, PlanningScene, TriangleMesh
+
+Array = npt.NDArray[np.float64]
+_WORLD_JOINT = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPair:
+    """Two bodies that touch."""
+
+    body_a: str
+    """Robot link or body."""
+    body_b: str
+    """Robot link or body."""
+    depth: float
+    """Penetration [m], positive; with padding, by how much they are too near."""
+    position: Vec3
+    """A point of the contact in the world [m]."""
+
+    def __str__(self) -> str:
+        """Say it for an error message."""
+        return f"{self.body_a} and {self.body_b} overlap by {1000.0 * self.depth:.1f} mm"
+
+
+class ContactRules:
+    """Which named bodies of a scene are checked against each other."""
+
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene) -> None:
+        """Read the scene's rules.
+
+        Args:
+            robot: The robot.
+            scene: Names, held bodies and allowed contacts.
+
+        Raises:
+            InvalidRequestError: On a body with a link's name, or an allowed contact or touch link of an unknown name.
+        """
+        links = set(robot.links)
+        for name in set(scene.names) & links:
+            raise InvalidRequestError(f"body '{name}' has the name of a robot link; give it another")
+        gripper = set(robot.description.gripper.links)
+        self._touch = {held.body.name: set(held.touch_links or gripper) for held in scene.attached}
+        for name, touched in self._touch.items():
+            for link in touched - links:
+                raise InvalidRequestError(f"attached '{name}': no touch link '{link}'; {one_of(robot.links, link)}")
+        self._allowed = list(_expand(scene.allowed, links, gripper, set(scene.names)))
+
+    def checks(self, a: str, b: str) -> bool:
+        """Tell whether two bodies may not touch; links of the robot among themselves also follow its SRDF."""
+        if a in self._touch and (b in self._touch or b in self._touch[a]):
+            return False
+        if b in self._touch and a in self._touch[b]:
+            return False
+        return not any((a in x and b in y) or (b in x and a in y) for x, y in self._allowed)
+
+
+class ContactModel:
+    """The robot among the bodies of one scene, in coal. Serves one thread."""
+
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules) -> None:
+        """Build the geometry of a scene.
+
+        Args:
+            robot: The robot.
+            scene: What is around it.
+            rules: Which pairs are checked.
+
+        Raises:
+            InvalidRequestError: On a hull without volume.
+        """
+        self._robot = robot
+        self._scene = scene
+        self._base = se3(scene.robot_pose)
+        self._names = [robot.model.frames[item.parentFrame].name for item in robot.geometry.geometryObjects]
+        self._model = robot.geometry.copy()
+        own = len(self._names)
+        to_base = self._base.inverse()
+        for body in scene.bodies:
+            self._add(body, _WORLD_JOINT, to_base * se3(body.pose), held=False)
+        tcp = robot.model.frames[robot.tcp_frame]
+        for held in scene.attached:
+            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), held=True)
+        fixed = [item.parentJoint == _WORLD_JOINT for item in self._model.geometryObjects]
+        for i in range(own, len(self._names)):
+            for j in range(i):
+                if not (fixed[i] and fixed[j]) and rules.checks(self._names[j], self._names[i]):
+                    self._model.addCollisionPair(pin.CollisionPair(j, i))
+        for pair in list(robot.geometry.collisionPairs) if scene.allowed else ():
+            if not rules.checks(self._names[pair.first], self._names[pair.second]):
+                self._model.removeCollisionPair(pair)
+        meshes = [isinstance(item.geometry, coal.BVHModelBase) for item in self._model.geometryObjects]
+        pairs = enumerate(self._model.collisionPairs)
+        self._mesh_pairs = [k for k, pair in pairs if any(meshes) and (meshes[pair.first] or meshes[pair.second])]
+        self._data = self._model.createData()
+        self._scratch = robot.model.createData()
+        self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(robot.model, self._model, self._data)
+
+    def _add(self, body: Body, joint: int, placement: pin.SE3, *, held: bool) -> None:
+        for i, shape in enumerate(body.shapes):
+            made = held_shape(shape) if held else make_shape(shape)
+            item = pin.GeometryObject(f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), made)
+            self._names.append(body.name)
+            self._model.addGeometryObject(item)
+
+    def is_free(self, joints: Array) -> bool:
+        """Tell whether an arm configuration of shape (dof,) touches nothing."""
+        q = self._robot.full(joints, self._scene.gripper_opening)
+        if pin.computeCollisions(self._robot.model, self._scratch, self._broad, q, True):
+            return False
+        return all(self._distance(k) > 0.0 for k in self._mesh_pairs)  # coal's collide() misses flat meshes
+
+    def _distance(self, pair: int) -> float:
+        pin.computeDistance(self._model, self._data, pair)
+        return float(self._data.distanceResults[pair].min_distance)
+
+    def contacts(self, joints: Array, padding: float = 0.0) -> tuple[ContactPair, ...]:
+        """Return every pair that touches at an arm configuration, deepest first, one per pair of names.
+
+        Args:
+            joints: Arm configuration, shape (dof,) [rad].
+            padding: Distance from obstacles below which they count as touching [m].
+        """
+        q = self._robot.full(joints, self._scene.gripper_opening)
+        pin.updateGeometryPlacements(self._robot.model, self._scratch, self._model, self._data, q)
+        deepest: dict[tuple[str, str], ContactPair] = {}
+        own = len(self._robot.geometry.geometryObjects)
+        for k, pair in enumerate(self._model.collisionPairs):
+            allowed = padding if max(pair.first, pair.second) >= own else 0.0
+            if self._distance(k) > max(allowed, -1e-9):
+                continue
+            result = self._data.distanceResults[k]
+            names = self._names[pair.first], self._names[pair.second]
+            x, y, z = self._base.act(0.5 * (result.getNearestPoint1() + result.getNearestPoint2()))
+            found = ContactPair(
+                body_a=names[0], body_b=names[1], depth=max(0.0, allowed - result.min_distance),
+                position=(float(x), float(y), float(z)),
+            )  # fmt: skip
+            if names not in deepest or found.depth > deepest[names].depth:
+                deepest[names] = found
+        return tuple(sorted(deepest.values(), key=lambda c: (-c.depth, c.body_a, c.body_b)))
+
+
+def held_shape(shape: BodyShape) -> coal.CollisionGeometry:
+    """Return a shape as the gripper holds it: a mesh as its convex hull."""
+    if not isinstance(shape, TriangleMesh):
+        return make_shape(shape)
+    made = coal.Convex(convex_hull(shape.vertices))
+    made.computeLocalAABB()
+    return made
+
+
+def _expand(
+    pairs: Iterable[AllowedContact], links: set[str], gripper: set[str], bodies: set[str]
+) -> Iterator[tuple[set[str], set[str]]]:
+    groups: dict[str, set[str]] = {ROBOT: links, GRIPPER: gripper, "": links | bodies}
+
+    def members(name: str) -> set[str]:
+        if name not in groups and name not in groups[""]:
+            names = one_of((*groups[""], ROBOT, GRIPPER), name)
+            raise InvalidRequestError(f"allowed contact of an unknown body '{name}'; {names}")
+        return groups.get(name, {name})
+
+    for pair in pairs:
+        yield members(pair.body_a), members(pair.body_b)

@@ -1,0 +1,117 @@
+"""Spheres that cover a convex shape: a cheap lower bound of its distance from anything.
+
+A shape is cut in two across its longest extent, again and again, always the piece with the largest sphere, until there
+are as many pieces as spheres wanted. The pieces together are the shape, so the spheres around them cover it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull
+
+Array = npt.NDArray[np.float64]
+SPHERES = 8
+"""Per convex shape: the native kernel looks at eight at a time."""
+_SAFE_M = 1e-7
+
+
+def cover_hull(points: Array) -> Array:
+    """Return spheres that cover the convex hull of points.
+
+    Args:
+        points: Shape (N, 3), spanning a volume [m].
+
+    Returns:
+        Rows of centre and radius, shape (8, 4) [m].
+    """
+    return _cover_hull(np.ascontiguousarray(points).tobytes()).copy()
+
+
+@lru_cache(maxsize=256)
+def _cover_hull(raw: bytes) -> Array:
+    pieces = [_corners(np.frombuffer(raw).reshape(-1, 3))]
+    balls = [_ball(pieces[0])]
+    while len(pieces) < SPHERES:
+        worst = int(np.argmax([ball[3] for ball in balls]))
+        halves = _halve(pieces.pop(worst))
+        balls.pop(worst)
+        pieces += halves
+        balls += [_ball(half) for half in halves]
+    return np.array(balls)
+
+
+def cover_box(size: npt.ArrayLike) -> Array:
+    """Return spheres that cover a box with its centre at the origin.
+
+    Args:
+        size: Extents along x, y, z [m].
+
+    Returns:
+        Rows of centre and radius, shape (N, 4), N <= 8 [m].
+    """
+    extents = np.asarray(size, dtype=float)
+    parts = np.ones(3, dtype=int)
+    while True:
+        longest = int(np.argmax(extents / parts))
+        more = parts.copy()
+        more[longest] += 1
+        if more.prod() > SPHERES:
+            break
+        parts = more
+    axes = [(np.arange(n) + 0.5) * (extent / n) - extent / 2 for n, extent in zip(parts, extents, strict=True)]
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    radius = np.linalg.norm(extents / parts) / 2 + _SAFE_M
+    return np.column_stack([centers, np.full(len(centers), radius)])
+
+
+def cover_round(radius: float, length: float, *, capped: bool) -> Array:
+    """Return spheres that cover a cylinder along z, or a capsule of that cylinder, centred at the origin.
+
+    Args:
+        radius: Radius [m].
+        length: Length of the cylinder [m].
+        capped: Whether it is a capsule.
+
+    Returns:
+        Rows of centre and radius, shape (N, 4), N <= 8 [m].
+    """
+    count = int(np.clip(np.ceil(length / max(radius, 1e-6)), 1, SPHERES))
+    centers = np.zeros((count, 3))
+    centers[:, 2] = (np.arange(count) + 0.5) * (length / count) - length / 2
+    half = length / (2 * count)
+    around = radius + half if capped else float(np.hypot(radius, half))
+    return np.column_stack([centers, np.full(count, around + _SAFE_M)])
+
+
+def _corners(points: Array) -> Array:
+    return points[ConvexHull(points, qhull_options="QJ").vertices] if len(points) > 4 else points
+
+
+def _ball(points: Array) -> Array:
+    """Return a small sphere around points: the far point pulls the centre less and less (Badoiu and Clarkson, 2003)."""
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    best_center, best = center, float(np.linalg.norm(points - center, axis=1).max())
+    for step in range(1, 200):
+        away = np.linalg.norm(points - center, axis=1)
+        far = int(np.argmax(away))
+        if away[far] < best:
+            best_center, best = center, float(away[far])
+        center = center + (points[far] - center) / (step + 1)
+    return np.append(best_center, best + _SAFE_M)
+
+
+def _halve(points: Array) -> list[Array]:
+    """Cut a polytope across its longest extent; each half as corners, both with those of the cut."""
+    middle = points.mean(axis=0)
+    axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
+    height = (points - middle) @ axis
+    height -= 0.5 * (height.min() + height.max())
+    above, below = points[height >= 0], points[height <= 0]
+    high, low = height[height >= 0], height[height <= 0]
+    share = high[:, None] / np.maximum(high[:, None] - low[None, :], 1e-12)
+    cut = above[:, None, :] + share[..., None] * (below[None, :, :] - above[:, None, :])
+    edge = cut.reshape(-1, 3)
+    return [_corners(np.concatenate([half, edge])) for half in (above, below)]

@@ -1,0 +1,17 @@
+"""The native kernel, checked to be the one that this version of the planner was written for.
+
+There is no other way to check collisions here: a kernel that is missing or old is an error, never a slow planner.
+"""
+
+from __future__ import annotations
+
+try:
+    from roboxim_planner_native import API, Arm, Item, Obstacle, World
+except ImportError as error:
+    raise ImportError(f"the planner's native kernel cannot be loaded ({error}); run `make setup`") from error
+
+EXPECTED_API = 1
+if API != EXPECTED_API:
+    raise ImportError(f"the planner needs version {EXPECTED_API} of its native kernel, found {API}; run `make setup`")
+
+__all__ = ["Arm", "Item", "Obstacle", "World"]

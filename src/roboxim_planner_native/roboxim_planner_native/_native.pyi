@@ -1,0 +1,69 @@
+import numpy as np
+import numpy.typing as npt
+
+API: int
+_Array = npt.NDArray[np.float64]
+
+class Arm:
+    def __init__(
+        self,
+        *,
+        parents: list[int],
+        placements: npt.ArrayLike,
+        axes: npt.ArrayLike,
+        prismatic: list[bool],
+        lower: npt.ArrayLike,
+        upper: npt.ArrayLike,
+        tcp_joint: int,
+        tcp: npt.ArrayLike,
+    ) -> None: ...
+    def tcp_poses(self, joints: npt.ArrayLike) -> _Array: ...
+    def tcp_speeds(self, joints: npt.ArrayLike, velocities: npt.ArrayLike) -> _Array: ...
+    def ik(
+        self,
+        target: npt.ArrayLike,
+        reference: npt.ArrayLike,
+        *,
+        seed: int,
+        starts: int,
+        enough: int,
+        iterations: int,
+        position_tolerance: float,
+        rotation_tolerance: float,
+    ) -> tuple[_Array, float, float]: ...
+
+class Item:
+    def __init__(
+        self, joint: int, kind: str, size: npt.ArrayLike, pose: npt.ArrayLike, spheres: npt.ArrayLike
+    ) -> None: ...
+
+class Obstacle:
+    def __init__(
+        self, kind: str, size: npt.ArrayLike, pose: npt.ArrayLike, child: int = ..., children: int = ...
+    ) -> None: ...
+
+class World:
+    def __init__(
+        self,
+        arm: Arm,
+        items: list[Item],
+        obstacles: list[Obstacle],
+        item_pairs: list[int],
+        obstacle_pairs: list[int],
+    ) -> None: ...
+    def set_upright(self, axis: npt.ArrayLike, direction: npt.ArrayLike, tolerance: float) -> None: ...
+    def path_is_free(self, path: npt.ArrayLike, margin: float, self_margin: float, resolution: float) -> bool: ...
+    def first_hit(self, path: npt.ArrayLike, margin: float, self_margin: float, resolution: float) -> float: ...
+    def shorten(
+        self,
+        path: npt.ArrayLike,
+        seed: int,
+        tries: int,
+        weights: npt.ArrayLike,
+        margin: float,
+        self_margin: float,
+        resolution: float,
+    ) -> _Array: ...
+    def clearance(self, joints: npt.ArrayLike, cap: float) -> float: ...
+    @property
+    def states_checked(self) -> int: ...

@@ -1,0 +1,156 @@
+#include <limits>
+
+#include "arm.hpp"
+
+namespace roboxim {
+namespace {
+
+constexpr int kNear = 4;          // starts in the neighbourhood of the reference
+constexpr double kNearRad = 0.5;  // half width of that neighbourhood
+constexpr double kLongestStep = 0.6;
+
+Vec3 rotation_error(const Mat3& goal, const Mat3& now) {
+  Mat3 back;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) back.m[3 * i + j] = now.m[3 * j + i];
+  const Mat3 r = goal * back;
+  const Vec3 axis = {0.5 * (r.m[7] - r.m[5]), 0.5 * (r.m[2] - r.m[6]), 0.5 * (r.m[3] - r.m[1])};
+  const double sine = norm(axis), angle = std::atan2(sine, 0.5 * (r.m[0] + r.m[4] + r.m[8] - 1.0));
+  if (sine > 1e-9) return (angle / sine) * axis;
+  return angle > 3.0 ? Vec3{3.141592653589793, 0.0, 0.0} : axis;
+}
+
+// Solves the symmetric positive definite system of six in place (Cholesky).
+void solve_six(double* a, double* b) {
+  for (int i = 0; i < 6; ++i) {
+    for (int j = 0; j <= i; ++j) {
+      double sum = a[6 * i + j];
+      for (int k = 0; k < j; ++k) sum -= a[6 * i + k] * a[6 * j + k];
+      a[6 * i + j] = i == j ? std::sqrt(std::max(sum, 1e-30)) : sum / a[6 * j + j];
+    }
+  }
+  for (int i = 0; i < 6; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= a[6 * i + k] * b[k];
+    b[i] /= a[6 * i + i];
+  }
+  for (int i = 5; i >= 0; --i) {
+    for (int k = i + 1; k < 6; ++k) b[i] -= a[6 * k + i] * b[k];
+    b[i] /= a[6 * i + i];
+  }
+}
+
+struct Descent {
+  const Arm& arm;
+  const Transform& target;
+  const IkSettings& settings;
+  std::vector<Transform> frames;
+  std::vector<double> jacobian;
+  double best_position = 1e300, best_rotation = 1e300;
+
+  Descent(const Arm& a, const Transform& t, const IkSettings& s)
+      : arm(a), target(t), settings(s), frames(a.joints.size()), jacobian(6 * a.joints.size()) {}
+
+  // Damping falls with the error (Sugihara, IEEE T-RO 2011); joints that a step would push beyond a limit rest in it.
+  bool run(double* q) {
+    const int n = arm.dof();
+    double recent = 1e300;
+    for (int turn = 0; turn < settings.iterations; ++turn) {
+      arm.forward(q, frames.data());
+      const Transform tcp = arm.tcp_pose(frames.data());
+      const Vec3 off = target.t - tcp.t, turned = rotation_error(target.r, tcp.r);
+      const double far = norm(off), angle = norm(turned);
+      if (far + 0.1 * angle < best_position + 0.1 * best_rotation) best_position = far, best_rotation = angle;
+      if (far <= settings.position_tolerance && angle <= settings.rotation_tolerance) return true;
+      if (turn % 15 == 14) {  // a descent that stalls is not worth its iterations
+        if (far + 0.1 * angle > 0.5 * recent) return false;
+        recent = far + 0.1 * angle;
+      }
+      arm.jacobian(frames.data(), tcp.t, jacobian.data());
+      const double error[6] = {off.x, off.y, off.z, turned.x, turned.y, turned.z};
+      step(error, q, n);
+    }
+    return false;
+  }
+
+ private:
+  void step(const double* error, double* q, int n) {
+    double damping = 1e-7;
+    for (int i = 0; i < 6; ++i) damping += 0.5 * error[i] * error[i];
+    std::uint64_t resting = 0;
+    for (int pass = 0; pass < 2; ++pass) {
+      double change[64];
+      solve(error, damping, resting, change, n);
+      std::uint64_t blocked = 0;
+      for (int j = 0; j < n; ++j) {
+        const Joint& joint = arm.joints[j];
+        const bool out = (q[j] <= joint.lower && change[j] < 0.0) || (q[j] >= joint.upper && change[j] > 0.0);
+        if (out) blocked |= 1ULL << j;
+      }
+      if (pass == 0 && blocked) {
+        resting = blocked;
+        continue;
+      }
+      double largest = 1e-12;
+      for (int j = 0; j < n; ++j) largest = std::max(largest, std::abs(change[j]));
+      const double scale = std::min(1.0, kLongestStep / largest);
+      for (int j = 0; j < n; ++j) {
+        q[j] = std::clamp(q[j] + scale * change[j], arm.joints[j].lower, arm.joints[j].upper);
+      }
+      return;
+    }
+  }
+
+  void solve(const double* error, double damping, std::uint64_t resting, double* change, int n) const {
+    double normal[36], y[6];
+    for (int i = 0; i < 6; ++i) {
+      y[i] = error[i];
+      for (int k = 0; k <= i; ++k) {
+        double sum = i == k ? damping : 0.0;
+        for (int j = 0; j < n; ++j) {
+          if (!(resting >> j & 1)) sum += jacobian[i * n + j] * jacobian[k * n + j];
+        }
+        normal[6 * i + k] = sum;
+      }
+    }
+    solve_six(normal, y);
+    for (int j = 0; j < n; ++j) {
+      change[j] = 0.0;
+      if (resting >> j & 1) continue;
+      for (int i = 0; i < 6; ++i) change[j] += jacobian[i * n + j] * y[i];
+    }
+  }
+};
+
+}  // namespace
+
+IkOutcome inverse_kinematics(const Arm& arm, const Transform& target, const double* reference, std::uint64_t seed,
+                             const IkSettings& settings) {
+  const int n = arm.dof();
+  Random random{seed * 0x9e3779b97f4a7c15ULL + 0x632be59bd9b4e019ULL};
+  Descent descent(arm, target, settings);
+  IkOutcome outcome;
+  std::vector<double> q(static_cast<std::size_t>(n));
+  int found = 0;
+  for (int start = 0; start < settings.starts && found < settings.enough; ++start) {
+    for (int j = 0; j < n; ++j) {
+      const Joint& joint = arm.joints[j];
+      if (start == 0) {
+        q[j] = reference[j];
+      } else if (start <= kNear) {
+        q[j] = reference[j] + kNearRad * (2.0 * random.uniform() - 1.0);
+      } else {
+        q[j] = joint.lower + random.uniform() * (joint.upper - joint.lower);
+      }
+      q[j] = std::clamp(q[j], joint.lower, joint.upper);
+    }
+    if (descent.run(q.data())) {
+      outcome.solutions.insert(outcome.solutions.end(), q.begin(), q.end());
+      ++found;
+    }
+  }
+  outcome.position_error = descent.best_position;
+  outcome.rotation_error = descent.best_rotation;
+  return outcome;
+}
+
+}  // namespace roboxim

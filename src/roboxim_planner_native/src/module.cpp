@@ -1,0 +1,218 @@
+// The Python module. Arrays are C-contiguous float64; poses are (4, 4) matrices.
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "world.hpp"
+
+namespace py = pybind11;
+using namespace roboxim;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+Transform transform_of(const Array& matrix) {
+  if (matrix.ndim() != 2 || matrix.shape(0) != 4 || matrix.shape(1) != 4) {
+    throw std::invalid_argument("a pose is a matrix of shape (4, 4)");
+  }
+  const double* m = matrix.data();
+  return {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
+}
+
+py::array_t<double> matrix_of(const Transform& pose) {
+  py::array_t<double> matrix({4, 4});
+  double* m = matrix.mutable_data();
+  const double* r = pose.r.m;
+  const double values[16] = {r[0], r[1], r[2], pose.t.x, r[3], r[4], r[5], pose.t.y,
+                             r[6], r[7], r[8], pose.t.z, 0.0,  0.0,  0.0,  1.0};
+  std::copy(values, values + 16, m);
+  return matrix;
+}
+
+Vec3 vector_of(const Array& v) {
+  if (v.size() != 3) throw std::invalid_argument("a vector has 3 numbers");
+  return {v.data()[0], v.data()[1], v.data()[2]};
+}
+
+// Rows of width `width`; a flat array is one row.
+int rows_of(const Array& array, int width, const char* what) {
+  const bool flat = array.ndim() == 1 && array.shape(0) == width;
+  const bool good = flat || (array.ndim() == 2 && array.shape(1) == width && array.shape(0) > 0);
+  if (!good) throw std::invalid_argument(std::string(what) + ": expected rows of " + std::to_string(width));
+  return flat ? 1 : static_cast<int>(array.shape(0));
+}
+
+Shape shape_of(const std::string& kind, const Array& values) {
+  const double* v = values.data();
+  if (kind == "box") return Shape::box(0.5 * vector_of(values));
+  if (kind == "cylinder" && values.size() == 2) return Shape::cylinder(v[0], v[1]);
+  if (kind == "sphere" && values.size() == 1) {
+    const double origin[3] = {0.0, 0.0, 0.0};
+    return Shape::points(origin, 1, v[0]);
+  }
+  if (kind == "capsule" && values.size() == 2) {
+    const double ends[6] = {0.0, 0.0, -0.5 * v[1], 0.0, 0.0, 0.5 * v[1]};
+    return Shape::points(ends, 2, v[0]);
+  }
+  if (kind == "hull") return Shape::points(v, static_cast<std::size_t>(rows_of(values, 3, "hull")), 0.0);
+  throw std::invalid_argument("unknown shape or wrong number of sizes: " + kind);
+}
+
+std::shared_ptr<Arm> make_arm(const std::vector<int>& parents, const Array& placements, const Array& axes,
+                              const std::vector<bool>& prismatic, const Array& lower, const Array& upper,
+                              int tcp_joint, const Array& tcp) {
+  const int n = static_cast<int>(parents.size());
+  if (n == 0 || n > 64) throw std::invalid_argument("an arm has 1 to 64 joints");
+  if (placements.size() != 16 * n || axes.size() != 3 * n || static_cast<int>(prismatic.size()) != n ||
+      lower.size() != n || upper.size() != n || tcp_joint >= n) {
+    throw std::invalid_argument("the arm's arrays must have one entry per joint");
+  }
+  auto arm = std::make_shared<Arm>();
+  for (int j = 0; j < n; ++j) {
+    if (parents[j] >= j) throw std::invalid_argument("parents come before their children");
+    const double* m = placements.data() + 16 * j;
+    const double* a = axes.data() + 3 * j;
+    arm->joints.push_back({parents[j],
+                           {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}},
+                           {a[0], a[1], a[2]},
+                           prismatic[j],
+                           lower.data()[j],
+                           upper.data()[j]});
+  }
+  arm->tcp_joint = tcp_joint;
+  arm->tcp = transform_of(tcp);
+  arm->moves_tcp.assign(static_cast<std::size_t>(n), 0);
+  for (int j = tcp_joint; j >= 0; j = parents[j]) arm->moves_tcp[j] = 1;
+  return arm;
+}
+
+py::array_t<double> tcp_poses(const Arm& arm, const Array& path) {
+  const int count = rows_of(path, arm.dof(), "joints");
+  py::array_t<double> poses({count, 4, 4});
+  std::vector<Transform> frames(arm.joints.size());
+  for (int i = 0; i < count; ++i) {
+    arm.forward(path.data() + i * arm.dof(), frames.data());
+    const py::array_t<double> pose = matrix_of(arm.tcp_pose(frames.data()));
+    std::copy(pose.data(), pose.data() + 16, poses.mutable_data() + 16 * i);
+  }
+  return poses;
+}
+
+py::array_t<double> tcp_speeds(const Arm& arm, const Array& path, const Array& velocities) {
+  const int n = arm.dof(), count = rows_of(path, n, "joints");
+  if (rows_of(velocities, n, "velocities") != count) throw std::invalid_argument("one velocity per state");
+  py::array_t<double> speeds({count, 2});
+  std::vector<Transform> frames(arm.joints.size());
+  std::vector<double> jacobian(6 * arm.joints.size());
+  for (int i = 0; i < count; ++i) {
+    arm.forward(path.data() + i * n, frames.data());
+    arm.jacobian(frames.data(), arm.tcp_pose(frames.data()).t, jacobian.data());
+    double rate[6] = {0, 0, 0, 0, 0, 0};
+    for (int k = 0; k < 6; ++k)
+      for (int j = 0; j < n; ++j) rate[k] += jacobian[k * n + j] * velocities.data()[i * n + j];
+    speeds.mutable_data()[2 * i] = norm({rate[0], rate[1], rate[2]});
+    speeds.mutable_data()[2 * i + 1] = norm({rate[3], rate[4], rate[5]});
+  }
+  return speeds;
+}
+
+py::array_t<double> rows(const std::vector<double>& flat, int width) {
+  py::array_t<double> array({static_cast<py::ssize_t>(flat.size()) / width, static_cast<py::ssize_t>(width)});
+  std::copy(flat.begin(), flat.end(), array.mutable_data());
+  return array;
+}
+
+py::tuple solve_ik(const Arm& arm, const Array& target, const Array& reference, std::uint64_t seed, int starts,
+                   int enough, int iterations, double position_tolerance, double rotation_tolerance) {
+  if (rows_of(reference, arm.dof(), "reference") != 1) throw std::invalid_argument("one reference");
+  const IkSettings settings{position_tolerance, rotation_tolerance, iterations, starts, enough};
+  const IkOutcome outcome = inverse_kinematics(arm, transform_of(target), reference.data(), seed, settings);
+  return py::make_tuple(rows(outcome.solutions, arm.dof()), outcome.position_error, outcome.rotation_error);
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_native, m) {
+#if defined(__x86_64__) && defined(__AVX2__)
+  __builtin_cpu_init();
+  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma")) {
+    throw py::import_error("roboxim_planner_native is compiled for processors with AVX2 and FMA (x86-64-v3)");
+  }
+#endif
+  m.attr("API") = 1;
+
+  py::class_<Arm, std::shared_ptr<Arm>>(m, "Arm")
+      .def(py::init(&make_arm), py::kw_only(), py::arg("parents"), py::arg("placements"), py::arg("axes"),
+           py::arg("prismatic"), py::arg("lower"), py::arg("upper"), py::arg("tcp_joint"), py::arg("tcp"))
+      .def("tcp_poses", &tcp_poses, py::arg("joints"))
+      .def("tcp_speeds", &tcp_speeds, py::arg("joints"), py::arg("velocities"))
+      .def("ik", &solve_ik, py::arg("target"), py::arg("reference"), py::kw_only(), py::arg("seed"),
+           py::arg("starts"), py::arg("enough"), py::arg("iterations"), py::arg("position_tolerance"),
+           py::arg("rotation_tolerance"));
+
+  py::class_<Item, std::shared_ptr<Item>>(m, "Item")
+      .def(py::init([](int joint, const std::string& kind, const Array& size, const Array& pose, const Array& spheres) {
+             const int count = rows_of(spheres, 4, "spheres");
+             return std::const_pointer_cast<Item>(make_item(joint, shape_of(kind, size), transform_of(pose),
+                                                            spheres.data(), static_cast<std::size_t>(count)));
+           }),
+           py::arg("joint"), py::arg("kind"), py::arg("size"), py::arg("pose"), py::arg("spheres"));
+
+  py::class_<Obstacle>(m, "Obstacle")
+      .def(py::init([](const std::string& kind, const Array& size, const Array& pose, int child, int children) {
+             return Obstacle{shape_of(kind, size), transform_of(pose), child, children};
+           }),
+           py::arg("kind"), py::arg("size"), py::arg("pose"), py::arg("child") = 0, py::arg("children") = 0);
+
+  py::class_<World>(m, "World")
+      .def(py::init([](std::shared_ptr<Arm> arm, const std::vector<std::shared_ptr<Item>>& items,
+                       const std::vector<Obstacle>& obstacles, const std::vector<int>& item_pairs,
+                       const std::vector<int>& obstacle_pairs) {
+             return std::make_unique<World>(std::move(arm),
+                                            std::vector<std::shared_ptr<const Item>>(items.begin(), items.end()),
+                                            obstacles, item_pairs, obstacle_pairs);
+           }),
+           py::arg("arm"), py::arg("items"), py::arg("obstacles"), py::arg("item_pairs"), py::arg("obstacle_pairs"))
+      .def(
+          "set_upright",
+          [](World& world, const Array& axis, const Array& direction, double tolerance) {
+            world.upright = {true, vector_of(axis), vector_of(direction), std::cos(tolerance), tolerance};
+          },
+          py::arg("axis"), py::arg("direction"), py::arg("tolerance"))
+      .def(
+          "path_is_free",
+          [](World& world, const Array& path, double margin, double self_margin, double resolution) {
+            const int count = rows_of(path, world.arm().dof(), "path");
+            return world.path_is_free(path.data(), count, {margin, self_margin, resolution});
+          },
+          py::arg("path"), py::arg("margin"), py::arg("self_margin"), py::arg("resolution"))
+      .def(
+          "first_hit",
+          [](World& world, const Array& path, double margin, double self_margin, double resolution) {
+            const int count = rows_of(path, world.arm().dof(), "path");
+            return world.first_hit(path.data(), count, {margin, self_margin, resolution});
+          },
+          py::arg("path"), py::arg("margin"), py::arg("self_margin"), py::arg("resolution"))
+      .def(
+          "shorten",
+          [](World& world, const Array& path, std::uint64_t seed, int tries, const Array& weights, double margin,
+             double self_margin, double resolution) {
+            const int count = rows_of(path, world.arm().dof(), "path");
+            rows_of(weights, world.arm().dof(), "weights");
+            return rows(world.shorten(path.data(), count, seed, tries, {margin, self_margin, resolution},
+                                      weights.data()),
+                        world.arm().dof());
+          },
+          py::arg("path"), py::arg("seed"), py::arg("tries"), py::arg("weights"), py::arg("margin"),
+          py::arg("self_margin"), py::arg("resolution"))
+      .def(
+          "clearance",
+          [](World& world, const Array& joints, double cap) {
+            rows_of(joints, world.arm().dof(), "joints");
+            return world.clearance(joints.data(), cap);
+          },
+          py::arg("joints"), py::arg("cap"))
+      .def_readonly("states_checked", &World::states_checked);
+}

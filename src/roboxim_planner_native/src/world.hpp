@@ -1,0 +1,122 @@
+// An arm among obstacles: whether states, edges and paths are free of collisions, also between the states looked at.
+//
+// A path is free over an interval of it when, in the interval's middle, every pair of shapes is farther apart than the
+// two can approach within the interval. So a check looks at the middle, drops the pairs that are proven for the whole
+// interval, and halves it for the rest, until none is left or the motion within an interval is below a resolution
+// (there a state that is free stands for the interval). Distances come from spheres that cover the arm's shapes, eight
+// at a time, which is a lower bound, and where that does not decide from GJK on the shapes themselves. No check
+// is approximate: a state collides if and only if two shapes are within the margin.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "arm.hpp"
+
+namespace roboxim {
+
+// A shape that moves with a joint: part of the arm, or of what the gripper holds.
+struct Item {
+  int joint = -1;  // -1: the base
+  Shape shape;
+  Transform local;  // in the joint's frame
+  Vec3 center;      // sphere around it, in the joint's frame
+  double radius = 0.0;
+  std::vector<float> sx, sy, sz, sr;  // spheres that cover it, in the joint's frame, a multiple of eight
+};
+
+// Spheres: rows of (x, y, z, radius) in the joint's frame that together cover the shape.
+std::shared_ptr<const Item> make_item(int joint, Shape shape, const Transform& local, const double* spheres,
+                                      std::size_t count);
+
+struct Obstacle {
+  Shape shape;
+  Transform pose;             // in the base
+  int child = 0, children = 0;  // range of obstacles that this one bounds; none: it is solid itself
+};
+
+struct Limits {
+  double margin = 0.0;        // distance from obstacles at or below which the arm counts as touching [m]
+  double self_margin = 0.0;   // the same between its own parts
+  double resolution = 1e-3;   // motion below which a free state stands for its interval [m]
+};
+
+// The tool's axis stays within an angle of a direction.
+struct Upright {
+  bool active = false;
+  Vec3 axis;       // unit, in the tcp's frame
+  Vec3 direction;  // unit, in the base
+  double cos_tolerance = -1.0, tolerance = 4.0;
+};
+
+class World {
+ public:
+  World(std::shared_ptr<const Arm> arm, std::vector<std::shared_ptr<const Item>> items,
+        std::vector<Obstacle> obstacles, const std::vector<int>& item_pairs, const std::vector<int>& obstacle_pairs);
+
+  // Free along a polyline of `count` states (one: that state), ends included. Looks at far-apart places first.
+  bool path_is_free(const double* path, int count, const Limits& limits) { return search(path, count, limits, nullptr); }
+
+  // The first place, in units of points, at which the polyline is not free; negative: it is free everywhere.
+  double first_hit(const double* path, int count, const Limits& limits);
+
+  // Random shortcuts of a free polyline; returns one that is no longer. See world.cpp.
+  std::vector<double> shorten(const double* path, int count, std::uint64_t seed, int tries, const Limits& limits,
+                              const double* weights);
+
+  // Smallest distance of any pair at a state, a lower bound within 1e-7 m; at most `cap`.
+  double clearance(const double* q, double cap);
+
+  Upright upright;
+  const Arm& arm() const { return *arm_; }
+  long long states_checked = 0;
+
+ private:
+  struct Pair {
+    int item;
+    int other;  // item or obstacle
+    bool own;   // whether `other` is an item
+  };
+  struct Interval {
+    double from, to;
+    std::size_t begin, end;  // pairs in the arena
+    bool upright;            // whether the constraint is still to be proven
+  };
+  struct Placed {
+    long long epoch = -1;
+    Transform pose;
+    Vec3 center;
+    std::vector<Lanes> x, y, z;
+    std::vector<double> travel;  // how far any of its points moves relative to each joint's frame; [0]: the base
+  };
+
+  bool search(const double* path, int count, const Limits& limits, double* where);
+  bool earliest(const Interval& interval, double& where, int depth);
+  bool look(const Interval& interval, bool& upright_left);
+  bool upright_fails(bool& left) const;
+  void load(const double* path, int count);
+  void place_at(double t);
+  double variation(int joint, double t) const;
+  Placed& placed(int item);
+  double bound_obstacle(const Item& item, const Placed& at, const Obstacle& obstacle) const;
+  double bound_own(const Item& a, const Placed& at, const Item& b, const Placed& bt) const;
+  double mutual_travel(int a, int b);
+  int ancestor(int a, int b) const;
+
+  std::shared_ptr<const Arm> arm_;
+  std::vector<std::shared_ptr<const Item>> items_;
+  std::vector<Obstacle> obstacles_;
+  std::vector<Pair> roots_;
+
+  // scratch
+  std::vector<Placed> placed_;
+  std::vector<Transform> frames_;
+  std::vector<double> q_, spread_, path_, variation_;
+  std::vector<Pair> arena_, work_;
+  std::vector<Interval> queue_;
+  int points_ = 0;
+  long long epoch_ = 0;
+  Limits limits_;
+};
+
+}  // namespace roboxim
