@@ -11,15 +11,15 @@ from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import body_key, object_link_poses, render_world
-from roboxim_core.poses import Pose, look_at
+from roboxim_core.poses import Array, Pose, look_at
 from roboxim_core.rendering import Renderer, RenderWorld
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 
 AZIMUTH_RAD, ELEVATION_RAD = math.radians(40.0), math.radians(34.0)
 """Where the camera is, seen from the object; its x axis points at azimuth 0."""
 FOV_RAD = math.radians(28.0)
-MARGIN = 1.12
-"""Distance of the camera relative to one at which the object's bounding sphere just fits."""
+MARGIN = 1.25
+"""Width of the picture relative to the object's."""
 PLACE = (0.5, 0.0)
 """Where the object stands on the table [m]."""
 LABEL_PX = 22
@@ -61,15 +61,22 @@ def draw_object(renderer: Renderer, library: ModelLibrary, entity: EntitySpec, p
             for part in body.parts
         ]
     )
-    center = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = float(np.linalg.norm(points - center, axis=1).max())
-    away = MARGIN * radius / math.sin(FOV_RAD / 2)
-    flat = math.cos(ELEVATION_RAD)
-    direction = [flat * math.cos(AZIMUTH_RAD), flat * math.sin(AZIMUTH_RAD), math.sin(ELEVATION_RAD)]
     camera = CameraSpec(name="sheet", width=pixels, height=pixels, fov_y_rad=FOV_RAD, near=0.05)
     renderer.load(world)
-    view = look_at(center + away * np.array(direction), center)
-    return Image.fromarray(renderer.render(poses, [(camera, view)])["sheet"].rgb)
+    return Image.fromarray(renderer.render(poses, [(camera, _view(points))])["sheet"].rgb)
+
+
+def _view(points: Array) -> Pose:
+    """Return a camera's pose in which points of shape (N, 3) in the world fill its image."""
+    center = (points.min(axis=0) + points.max(axis=0)) / 2
+    flat = math.cos(ELEVATION_RAD)
+    direction = np.array([flat * math.cos(AZIMUTH_RAD), flat * math.sin(AZIMUTH_RAD), math.sin(ELEVATION_RAD)])
+    axes = look_at(center + direction, center).rotation
+    x, y, towards = axes.inv().apply(points - center).T
+    middle = axes.apply([(x.min() + x.max()) / 2, (y.min() + y.max()) / 2, 0.0]) + center
+    reach = np.maximum(np.abs(x - (x.min() + x.max()) / 2), np.abs(y - (y.min() + y.max()) / 2))
+    away = float((MARGIN * reach / math.tan(FOV_RAD / 2) - towards).max())
+    return look_at(middle + away * direction, middle)
 
 
 def contact_sheet(pictures: Sequence[Image.Image], labels: Iterable[str] | None, columns: int) -> Image.Image:

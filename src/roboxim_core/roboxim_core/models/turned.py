@@ -15,8 +15,8 @@ from roboxim_core.rendering import TriangleMesh
 
 CREASE_RAD = np.radians(35.0)
 """Where a profile turns by more, the surface has an edge."""
-SEGMENT_M = 0.0065
-"""Length of a segment around the widest place, unless that gives fewer than 14 or more than 36."""
+AROUND_M, ALONG_M = 0.008, 0.004
+"""Length of a facet around the widest place, unless that gives fewer than 10 or more than 36, and along a curve."""
 
 
 @visual_generators.register("lathe")
@@ -37,7 +37,7 @@ def lathe(size: tuple[float, ...]) -> TriangleMesh:
 def smooth_lathe(size: tuple[float, ...]) -> TriangleMesh:
     """Return a surface of revolution about z whose profile is a smooth curve through points; else as `lathe`."""
     points = _pairs(size)
-    curve = _spline(points, 4)
+    curve = _spline(points)
     curve[:, 0] = np.maximum(curve[:, 0], 0.0)
     return _revolved(curve, crease_rad=np.pi)
 
@@ -55,11 +55,11 @@ def tube(size: tuple[float, ...]) -> TriangleMesh:
     if len(size) < 8 or len(size) % 4:
         raise ValueError("a tube needs x, y, z, radius of at least two points")
     points = np.asarray(size, dtype=float).reshape(-1, 4)
-    curve = _spline(points, 4) if len(points) > 2 else points
+    curve = _spline(points) if len(points) > 2 else points
     path, radius = curve[:, :3], np.maximum(curve[:, 3], 0.0)
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    sections = int(np.clip(round(2 * np.pi * radius.max() / SEGMENT_M), 8, 20))
+    sections = int(np.clip(round(2 * np.pi * radius.max() / AROUND_M), 8, 18))
     angle = np.linspace(0.0, 2 * np.pi, sections + 1)
     side = np.cross(tangent[0], [0.0, 0.0, 1.0] if abs(tangent[0, 2]) < 0.9 else [1.0, 0.0, 0.0])
     along = _fraction(path)
@@ -105,11 +105,14 @@ def _pairs(size: tuple[float, ...]) -> Array:
     return points
 
 
-def _spline(points: Array, pieces: int) -> Array:
-    """Sample a curve through points that does not overshoot, each span in so many pieces."""
-    steps = np.maximum(np.linalg.norm(np.diff(points[:, : max(2, points.shape[1] - 1)], axis=0), axis=1), 1e-6)
-    knots = np.concatenate([[0.0], np.cumsum(steps)])
-    where = np.concatenate([np.linspace(a, b, pieces, endpoint=False) for a, b in zip(knots, knots[1:], strict=False)])
+def _spline(points: Array) -> Array:
+    """Sample a curve through points that does not overshoot, in 4 to 22 pieces, at least one for each span."""
+    place = points[:, : max(2, points.shape[1] - 1)]
+    knots = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-6))])
+    pieces = int(np.clip(round(knots[-1] / ALONG_M), 4, 22))
+    share = np.maximum(1, np.round(pieces * np.diff(knots) / knots[-1]).astype(int))
+    spans = zip(knots, knots[1:], share, strict=False)
+    where = np.concatenate([np.linspace(low, high, count, endpoint=False) for low, high, count in spans])
     return np.asarray(PchipInterpolator(knots, points)(np.append(where, knots[-1])))
 
 
@@ -123,7 +126,7 @@ def _length(path: Array) -> float:
 
 
 def _revolved(profile: Array, crease_rad: float = CREASE_RAD) -> TriangleMesh:
-    segments = int(np.clip(round(2 * np.pi * profile[:, 0].max() / SEGMENT_M), 14, 36))
+    segments = int(np.clip(round(2 * np.pi * profile[:, 0].max() / AROUND_M), 10, 36))
     steps = np.diff(profile, axis=0)
     facing = np.stack([steps[:, 1], -steps[:, 0]], axis=1) / np.linalg.norm(steps, axis=1, keepdims=True)
     v = _fraction(profile)
