@@ -6,7 +6,8 @@ cell. A range or a random list draws from the component's own generator.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,8 @@ class Choice:
     """Upper end of the range."""
     order: str = "random"
     """``random``, or ``in_order``: value ``index % len(values)``."""
+    weights: tuple[float, ...] = ()
+    """How often each of ``values`` is drawn relative to the others; empty: all alike."""
 
     def __post_init__(self) -> None:
         """Check that there is either a list or a range.
@@ -40,6 +43,24 @@ class Choice:
         _check(bool(self.values), self.lower, self.upper, self.order)
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
             raise ConfigError(f"lower must not be above upper, got {self.lower:g} and {self.upper:g}")
+        if self.weights:
+            if len(self.weights) != len(self.values) or min(self.weights) < 0 or sum(self.weights) <= 0:
+                raise ConfigError(
+                    f"weights must be one number >= 0 for each of the {len(self.values)} values, not all 0; "
+                    f"got {list(self.weights)}"
+                )
+            if self.order == "in_order":
+                raise ConfigError("values come either in_order or with weights, not both")
+
+    def only(self, allowed: Collection[Scalar]) -> Choice | None:
+        """Return the choice among those values that are allowed; none if there is none."""
+        kept = [i for i, value in enumerate(self.values) if value in allowed]
+        weights = tuple(self.weights[i] for i in kept) if self.weights else ()
+        if len(kept) == len(self.values):
+            return self
+        if not kept or (weights and sum(weights) <= 0):
+            return None
+        return replace(self, values=tuple(self.values[i] for i in kept), weights=weights)
 
     def draw(self, rng: np.random.Generator, index: int) -> Scalar:
         """Draw a value.
@@ -48,6 +69,9 @@ class Choice:
             rng: Generator of the component that asks.
             index: Index of the episode.
         """
+        if self.weights:
+            shares = np.cumsum(self.weights) / np.sum(self.weights)
+            return self.values[min(int(np.searchsorted(shares, rng.random(), side="right")), len(self.values) - 1)]
         if self.values:
             return self.values[_pick(len(self.values), self.order, rng, index)]
         assert self.lower is not None

@@ -7,18 +7,22 @@ anything runs.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, MutableMapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from string import Formatter
 from typing import Any
 
 from roboxim_core.config import from_plain, load_yaml, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
+from roboxim_core.specs import Scalar
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills import SKILLS, Role
 
 DEFAULT_TASK = "pick_cube"
 MAX_DISTRACTORS = 8
@@ -61,18 +65,24 @@ class DistractorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """A YAML file of ``config/tasks``."""
+    """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several."""
 
     skill: str = "pick_up"
     """Registered skill."""
     parameters: Any = None
-    """The skill's own parameters and thresholds."""
+    """The skill's own parameters and thresholds, as demonstrations must meet them."""
+    lenient: Any = None
+    """Parameters that differ where a policy is evaluated (purpose ``eval``)."""
+    arguments: dict[str, Choice] = field(default_factory=dict)
+    """Parameters that vary from episode to episode, e.g. ``{drawer: {values: [top, middle], order: in_order}}``."""
     templates: Choice | None = None
     """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
     paraphrases: bool = False
     """Without templates: whether all of the skill's are used, or the first alone."""
     objects: dict[str, ObjectConfig] = field(default_factory=dict)
     """Role of the skill to the objects that may fill it."""
+    exclude: tuple[dict[str, dict[str, Scalar]], ...] = ()
+    """Combinations of objects that are never drawn: role to ``model`` and modifiers, all of which agree."""
     distractors: DistractorConfig = DistractorConfig()
     """Further objects."""
     scene: str = "empty_table"
@@ -94,6 +104,10 @@ class TaskConfig:
         """
         if self.rate_hz <= 0 or self.max_steps < 0 or self.max_draws < 1:
             raise ConfigError("needs rate_hz > 0, max_steps >= 0 and max_draws >= 1")
+
+    def at(self, index: int) -> tuple[TaskConfig, int]:
+        """Return the configuration of an episode and the number that its ordered lists go by: as given."""
+        return self, index
 
 
 def task_config(data: Any, *, source: str = "task configuration", library: ModelLibrary | None = None) -> TaskConfig:
@@ -119,13 +133,18 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     for name in config.reset:
         _require(source, data, ("reset", name), name, COMPONENTS)
     _check_objects(source, data, config, library or ModelLibrary())
-    _check_templates(source, data, config, skill.roles)
+    for number, combination in enumerate(config.exclude):
+        for role in combination:
+            _require(source, data, ("exclude",), role, skill.roles, f"exclude[{number}]")
+    _check_templates(source, data, config, (*skill.roles, *skill.words))
     parameters: Any = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
     given = _section(data, "reset")
     reset: dict[str, Any] = {}
     for name in dict.fromkeys((*skill.components, *given)):
         section = _completed(_section(given, name), skill.reset.get(name, {}))
         reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
+    lenient = {**_section(data, "parameters"), **_section(data, "lenient")}
+    _check_arguments(source, data, config, parameters)
     objects = {
         name: config.objects.get(name) or ObjectConfig(models=Choice(values=role.models))
         for name, role in skill.roles.items()
@@ -133,6 +152,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     return replace(
         config,
         parameters=parameters,
+        lenient=from_plain(lenient, skill.Parameters, source=f"{source}: lenient"),
         reset=reset,
         objects=objects,
         templates=config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1]),
@@ -141,20 +161,56 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
 
 
 def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLibrary) -> None:
-    """Check every model and modifier that may be drawn, so that a typo does not surface at the hundredth episode."""
-    places: list[tuple[tuple[str, ...], ObjectConfig | DistractorConfig]] = [
-        (("objects", role), objects) for role, objects in config.objects.items()
+    """Check every model and modifier that may be drawn, so that a typo does not surface at the hundredth episode.
+
+    A modifier must be one that some of the models take, and a value one that some of them allow; a model is drawn
+    without what it does not take.
+    """
+    roles = SKILLS[config.skill].roles
+    places: list[tuple[tuple[str, ...], ObjectConfig | DistractorConfig, Role]] = [
+        (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
     ]
-    for path, objects in [*places, (("distractors",), config.distractors)]:
-        for model in objects.models.values:
-            _require(source, data, (*path, "models"), str(model), library.object_ids)
-            allowed = library.object_modifiers(str(model))
-            for name, choice in objects.modifiers.items():
-                where = (*path, "modifiers", name)
-                _require(source, data, where, name, allowed)
-                for value in choice.values or (choice.lower, choice.upper):
-                    assert value is not None
-                    allowed[name].check(f"{source} is not valid: {_at(data, where)}", name, value)
+    for path, objects, role in [*places, (("distractors",), config.distractors, Role())]:
+        models = [str(model) for model in objects.models.values]
+        suited = (
+            [name for name in library.object_ids if role.suits(library.object(name))] if path[0] == "objects" else []
+        )
+        for model in models:
+            _require(source, data, (*path, "models"), model, library.object_ids)
+            if path[0] == "objects" and model not in suited:
+                raise ConfigError(
+                    f"{source} is not valid: {_at(data, (*path, 'models'))}: a {model} cannot be the {path[1]} of "
+                    f"{config.skill}, which must be {role.affordance or 'smaller'}; {one_of(suited, model)}"
+                )
+        for name, choice in objects.modifiers.items():
+            where = (*path, "modifiers", name)
+            takers = [taken[name] for taken in map(library.object_modifiers, models) if name in taken]
+            if name in PHYSICAL:
+                takers = [PHYSICAL[name]]
+            if not takers:
+                known = sorted({kind for model in models for kind in library.object_modifiers(model)} | set(PHYSICAL))
+                _require(source, data, where, name, known)
+            for value in choice.values or (choice.lower, choice.upper):
+                assert value is not None
+                if not any(_allows(taker, name, value) for taker in takers):
+                    takers[0].check(f"{source} is not valid: {_at(data, where)}", name, value)
+
+
+def _allows(modifier: ModifierModel, kind: str, value: Scalar) -> bool:
+    try:
+        modifier.check("", kind, value)
+    except ConfigError:
+        return False
+    return True
+
+
+def _check_arguments(source: str, data: Any, config: TaskConfig, parameters: Any) -> None:
+    """Check that what varies are parameters of the skill, and each value is one that it takes."""
+    for name, choice in config.arguments.items():
+        _require(source, data, ("arguments",), name, asdict(parameters), f"arguments.{name}")
+        for value in choice.values or (choice.lower, choice.upper):
+            plain = asdict(parameters) | {name: value}
+            from_plain(plain, type(parameters), source=f"{source}: {_at(data, ('arguments', name))}")
 
 
 def _check_templates(source: str, data: Any, config: TaskConfig, roles: Iterable[str]) -> None:
@@ -168,7 +224,7 @@ def _check_templates(source: str, data: Any, config: TaskConfig, roles: Iterable
             _require(source, data, ("templates",), name, roles)
 
 
-def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: Iterable[str]) -> None:
+def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: Iterable[str], place: str = "") -> None:
     """Refuse an unknown name, with its place.
 
     Raises:
@@ -176,7 +232,9 @@ def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: It
     """
     names = tuple(known)
     if name not in names:
-        raise ConfigError(f"{source} is not valid: {_at(data, path)}: unknown name '{name}'; {one_of(names, name)}")
+        raise ConfigError(
+            f"{source} is not valid: {place or _at(data, path)}: unknown name '{name}'; {one_of(names, name)}"
+        )
 
 
 def _at(data: Any, path: tuple[str, ...]) -> str:
@@ -207,20 +265,138 @@ def _section(data: Mapping[str, Any], key: str) -> Any:
     return {} if value is None else value
 
 
-def load_task_config(name: str = DEFAULT_TASK) -> TaskConfig:
+@dataclass(frozen=True, kw_only=True)
+class CellConfig:
+    """Part of a mix: every combination of its tasks and models is a cell with a number of episodes of its own."""
+
+    tasks: tuple[str, ...]
+    """Names in ``config/tasks``, or files, each of one skill."""
+    models: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Role to object models, each of which makes a cell of its own; roles left out vary as the task says."""
+    exclude: tuple[dict[str, str], ...] = ()
+    """Cells that are left out: ``task`` and roles, all of which agree, e.g. ``{task: pick_up, target: apple}``."""
+    episodes: int = 1
+    """Episodes of each cell."""
+    set: dict[str, Any] = field(default_factory=dict)
+    """Keys of the task that are replaced, e.g. ``{reset: {cameras: {names: [right]}}}``."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: When there is no episode or no task.
+        """
+        if self.episodes < 1 or not self.tasks:
+            raise ConfigError(f"a cell needs episodes >= 1 and at least one task, got {self.episodes}, {self.tasks}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixConfig:
+    """A YAML file of ``config/tasks`` with several tasks: a dataset with exact counts."""
+
+    cells: tuple[CellConfig, ...]
+    """The parts."""
+    set: dict[str, Any] = field(default_factory=dict)
+    """Keys that are replaced in every task."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskMix:
+    """Several task configurations, each with an exact number of episodes.
+
+    Cells take turns in proportion to their counts, so that any beginning of the dataset is balanced as well. The order
+    is a function of the index; after all episodes it starts again.
+    """
+
+    cells: tuple[TaskConfig, ...]
+    """One configuration per cell."""
+    counts: tuple[int, ...]
+    """Episodes of each."""
+
+    @property
+    def order(self) -> tuple[tuple[int, int], ...]:
+        """Cell, and number within it, of each episode."""
+        return _turns(self.counts)
+
+    def at(self, index: int) -> tuple[TaskConfig, int]:
+        """Return the configuration of an episode and its number within its cell."""
+        rounds, place = divmod(index, sum(self.counts))
+        cell, number = self.order[place]
+        return self.cells[cell], rounds * self.counts[cell] + number
+
+
+@lru_cache(maxsize=8)
+def _turns(counts: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    slots = [((k + 0.5) / count, cell, k) for cell, count in enumerate(counts) for k in range(count)]
+    return tuple((cell, k) for _, cell, k in sorted(slots))
+
+
+def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
+    """Build a mix from plain data.
+
+    Raises:
+        ConfigError: Listing every wrong key with its path, line and what is allowed.
+    """
+    mix = from_plain(data, MixConfig, source=source)
+    cells, counts = [], []
+    for number, cell in enumerate(mix.cells):
+        for task, *models in itertools.product(cell.tasks, *cell.models.values()):
+            names = dict(zip(cell.models, models, strict=True))
+            if any((names | {"task": task}).items() >= excluded.items() for excluded in cell.exclude):
+                continue
+            plain = to_builtin(load_yaml(named_config("tasks", task)))
+            for change in (
+                mix.set,
+                cell.set,
+                {"objects": {role: {"models": {"values": [m]}} for role, m in names.items()}},
+            ):
+                plain = merged(plain, change)
+            cells.append(task_config(plain, source=f"{source}: cells[{number}], task '{task}'"))
+            counts.append(cell.episodes)
+    if not cells:
+        raise ConfigError(f"{source} is not valid: every cell is excluded")
+    return TaskMix(cells=tuple(cells), counts=tuple(counts))
+
+
+def merged(base: Any, change: Any) -> Any:
+    """Return plain data with keys replaced, mapping by mapping; a list or a choice is replaced as a whole."""
+    if not isinstance(base, Mapping) or not isinstance(change, Mapping) or "values" in change or "lower" in change:
+        return change
+    return {**base, **{key: merged(base.get(key), value) for key, value in change.items()}}
+
+
+def to_builtin(data: Any) -> Any:
+    """Return YAML data without the line numbers that its containers carry."""
+    if isinstance(data, Mapping):
+        return {str(key): to_builtin(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [to_builtin(value) for value in data]
+    return data
+
+
+def any_task_config(data: Any, *, source: str) -> TaskConfig | TaskMix:
+    """Build a task configuration, or a mix when there are ``cells``; see `task_config` and `task_mix`."""
+    return (
+        task_mix(data, source=source)
+        if isinstance(data, Mapping) and "cells" in data
+        else task_config(data, source=source)
+    )
+
+
+def load_task_config(name: str = DEFAULT_TASK) -> TaskConfig | TaskMix:
     """Load ``config/tasks/<name>.yaml``, or a path to a YAML file.
 
     Raises:
         ConfigError: When there is no such file or it is wrong.
     """
     path = named_config("tasks", name)
-    return task_config(load_yaml(path), source=str(path))
+    return any_task_config(load_yaml(path), source=str(path))
 
 
-def parse_task_config(text: str) -> TaskConfig:
+def parse_task_config(text: str) -> TaskConfig | TaskMix:
     """Parse a task configuration given as YAML text (what a service request carries).
 
     Raises:
         ConfigError: When it is wrong.
     """
-    return task_config(parse_yaml(text, source="task configuration"))
+    return any_task_config(parse_yaml(text, source="task configuration"), source="task configuration")

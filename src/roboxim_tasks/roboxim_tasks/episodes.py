@@ -12,10 +12,10 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
-from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.config import TaskConfig, TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
-from roboxim_tasks.roles import description, task_objects
+from roboxim_tasks.roles import description, fits_description, task_objects
 from roboxim_tasks.skills import SKILLS
 
 
@@ -27,19 +27,30 @@ class EpisodeGenerator:
         self._library = library
         self._arms: dict[str, ArmKinematics] = {}
 
-    def draw(self, seed: SeedPath, config: TaskConfig) -> Draw:
-        """Draw the episode of a seed path.
+    def draw(self, seed: SeedPath, config: TaskConfig | TaskMix) -> Draw:
+        """Draw the episode of a seed path; of a mix, that of the cell whose turn it is.
 
         Raises:
             TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
             ConfigError: When the configuration names what does not exist.
         """
-        skill = SKILLS[config.skill]
-        task = skill.generate(GenerationContext(seed=seed, config=config, library=self._library))
-        scene = self.reset(seed, config, task)
-        return Draw(task=task, scene=scene, max_steps=config.max_steps, config_json=to_json(config))
+        cell, ordinal = config.at(seed.index)
+        task = self.task(seed, config)
+        scene = self.reset(seed, cell, task, ordinal)
+        return Draw(task=task, scene=scene, max_steps=cell.max_steps, config_json=to_json(cell))
 
-    def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec) -> SceneSpec:
+    def task(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
+        """Draw the task of a seed path, without its scene.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE`` when no objects or distractors suit.
+            ConfigError: When the configuration names what does not exist.
+        """
+        cell, ordinal = config.at(seed.index)
+        context = GenerationContext(seed=seed, config=cell, library=self._library, ordinal=ordinal)
+        return SKILLS[cell.skill].generate(context)
+
+    def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
         """Draw the scene of a task.
 
         Components that place objects are drawn again until every constraint of the skill holds; the others once, so
@@ -52,7 +63,12 @@ class EpisodeGenerator:
         base = named("scenes", config.scene, SceneSpec)
         _check_unambiguous(base, config, task, self._library)
         context = ResetContext(
-            seed=seed, config=config, task=task, library=self._library, arm=self._arm(base.robot.model)
+            seed=seed,
+            config=config,
+            task=task,
+            library=self._library,
+            arm=self._arm(base.robot.model),
+            ordinal=ordinal,
         )
         constraints = SKILLS[config.skill].constraints(context)
         components = [COMPONENTS[name](section) for name, section in config.reset.items()]
@@ -82,11 +98,10 @@ class EpisodeGenerator:
 
 def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, library: ModelLibrary) -> None:
     """Refuse a scene that already has an object which an instruction names."""
-    named = {description(thing) for thing in task_objects(task)}
     for entity in base.entities:
         noun = library.entity_model(entity).name
         thing = PhysicalObject(entity=entity.name, model=entity.model, name=noun, modifiers=entity.modifiers)
-        if description(thing) in named:
+        if any(fits_description(thing, named, library) for named in task_objects(task)):
             raise ConfigError(
                 f"scene '{config.scene}' already has a {description(thing)} ('{entity.name}'), so '{task.instruction}' "
                 "would not name one solution; take it out of the scene or restrict the task's objects"

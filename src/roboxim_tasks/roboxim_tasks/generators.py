@@ -5,16 +5,19 @@ Every property draws from a stream of its own, so two datasets that differ in on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from roboxim_core.errors import ErrorCode, TaskError
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PHYSICAL
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import PhysicalObject, TaskSpec
+from roboxim_core.specs import PhysicalObject, Scalar, TaskSpec
 from roboxim_tasks.choices import Choice
-from roboxim_tasks.roles import description, distractor_role
+from roboxim_tasks.roles import SPOKEN, description, distractor_role, fits_description
 
 if TYPE_CHECKING:
     from roboxim_tasks.config import TaskConfig
@@ -32,12 +35,29 @@ class GenerationContext:
     """Task configuration."""
     library: ModelLibrary
     """Where the objects' nouns come from."""
+    ordinal: int | None = None
+    """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
+
+    @property
+    def index(self) -> int:
+        """Number that ordered lists go by."""
+        return self.seed.index if self.ordinal is None else self.ordinal
+
+    @property
+    def parameters(self) -> Any:
+        """The skill's parameters, with those drawn that vary; lenient ones where a policy is evaluated."""
+        base = self.config.lenient if self.seed.purpose == "eval" else self.config.parameters
+        drawn = {
+            name: choice.draw(self.seed.rng(f"argument/{name}"), self.index)
+            for name, choice in self.config.arguments.items()
+        }
+        return replace(base, **drawn)
 
 
 def generate_object(
     context: GenerationContext, entity: str, models: Choice, modifiers: Mapping[str, Choice], attempt: int = 0
 ) -> PhysicalObject:
-    """Draw an object: its model, then each modifier.
+    """Draw an object: its model, then each modifier that the model takes, of the values that it allows.
 
     Args:
         context: What to draw from.
@@ -49,14 +69,59 @@ def generate_object(
     Raises:
         ConfigError: When a model, a modifier or its value is unknown.
     """
-    index = context.seed.index
     suffix = f"/{attempt}" if attempt else ""
-    model = str(models.draw(context.seed.rng(f"{entity}/model{suffix}"), index))
-    drawn = {
-        name: choice.draw(context.seed.rng(f"{entity}/{name}{suffix}"), index) for name, choice in modifiers.items()
-    }
+    model = str(models.draw(context.seed.rng(f"{entity}/model{suffix}"), context.index))
+    allowed = context.library.object_modifiers(model)
+    drawn = {}
+    for name, choice in modifiers.items():
+        mine = choice.only(allowed[name].words(name)) if name in allowed and name in SPOKEN else choice
+        if mine is not None and (name in allowed or name in PHYSICAL):
+            drawn[name] = mine.draw(context.seed.rng(f"{entity}/{name}{suffix}"), context.index)
     noun = context.library.object(model, drawn).name
     return PhysicalObject(entity=entity, model=model, name=noun, modifiers=drawn)
+
+
+def generate_objects(
+    context: GenerationContext, suits: Callable[[Mapping[str, ObjectModel]], bool]
+) -> dict[str, PhysicalObject]:
+    """Draw the objects that the instruction speaks of: each can be told from the others, and together they suit.
+
+    Args:
+        context: What to draw from.
+        suits: Whether models by role make sense together, e.g. whether the one fits into the other.
+
+    Returns:
+        Role to object.
+
+    Raises:
+        TaskError: With code ``RESET_INFEASIBLE`` when none of many draws does.
+    """
+    library = context.library
+    objects: dict[str, PhysicalObject] = {}
+    roles = context.config.objects
+    for role, config in roles.items():
+        refused: Counter[str] = Counter()
+        for attempt in range(MAX_TRIES):
+            thing = generate_object(context, role, config.models, config.modifiers, attempt)
+            drawn = objects | {role: thing}
+            models = {name: library.object(t.model, t.modifiers) for name, t in drawn.items()}
+            if any(_confusable(thing, other, library) for other in objects.values()):
+                refused["objects_distinct"] += 1
+            elif len(drawn) == len(roles) and not suits(models):
+                refused["objects_suit"] += 1
+            elif any(_matches(drawn, combination) for combination in context.config.exclude):
+                refused["excluded"] += 1
+            else:
+                objects = drawn
+                break
+        else:
+            (worst, _), *_ = refused.most_common(1)
+            raise TaskError(
+                f"no object for role '{role}' of {context.config.skill}: {worst} refused {MAX_TRIES} draws, the last "
+                f"one a {description(thing)}; give objects.{role} other models or more modifiers, or exclude less",
+                ErrorCode.RESET_INFEASIBLE,
+            )
+    return objects
 
 
 def generate_distractors(
@@ -76,54 +141,74 @@ def generate_distractors(
     """
     config = context.config.distractors
     count = int(context.seed.rng("distractors/count").integers(config.minimum, config.maximum + 1))
-    taken = {description(thing) for thing in objects.values()}
     distractors = {}
     for number in range(1, count + 1):
         role = distractor_role(number)
         for attempt in range(MAX_TRIES):
             thing = generate_object(context, role, config.models, config.modifiers, attempt)
-            if description(thing) not in taken:
+            if not any(fits_description(thing, named, context.library) for named in objects.values()):
                 distractors[role] = thing
                 break
         else:
             raise TaskError(
-                f"no distractor can be told from {sorted(taken)}: distractor_distinct refused {MAX_TRIES} draws; "
+                f"no distractor can be told from {sorted(description(thing) for thing in objects.values())}: "
+                f"distractor_distinct refused {MAX_TRIES} draws; "
                 "give distractors.modifiers.color or distractors.models more values",
                 ErrorCode.RESET_INFEASIBLE,
             )
     return distractors
 
 
-def generate_instruction(context: GenerationContext, objects: Mapping[str, PhysicalObject]) -> str:
+def generate_instruction(
+    context: GenerationContext, objects: Mapping[str, PhysicalObject], words: Mapping[str, str]
+) -> str:
     """Draw a template and fill in the objects' descriptions.
 
     Args:
         context: What to draw from.
         objects: The task's objects by role.
+        words: What else a template may name, e.g. an angle.
     """
     assert context.config.templates is not None
-    template = str(context.config.templates.draw(context.seed.rng("instruction"), context.seed.index))
-    return template.format_map({role: description(thing) for role, thing in objects.items()})
+    template = str(context.config.templates.draw(context.seed.rng("instruction"), context.index))
+    return template.format_map({role: description(thing) for role, thing in objects.items()} | dict(words))
 
 
-def generate_task(context: GenerationContext, *, arguments: Any) -> TaskSpec:
+def generate_task(
+    context: GenerationContext,
+    *,
+    arguments: Any = None,
+    words: Mapping[str, str] | None = None,
+    suits: Callable[[Mapping[str, ObjectModel]], bool] = lambda _: True,
+) -> TaskSpec:
     """Compose a task: an object per role, distractors, the instruction, and the skill's parameters as arguments.
 
     Args:
         context: What to draw from.
-        arguments: Frozen dataclass of scalars: what the skill's evaluator needs to know.
+        arguments: Frozen dataclass of scalars: what the skill's evaluator needs to know; none: the parameters.
+        words: What else than roles a template may name.
+        suits: Whether models by role make sense together.
 
     Raises:
-        TaskError: With code ``RESET_INFEASIBLE`` when no distinct distractor can be drawn.
+        TaskError: With code ``RESET_INFEASIBLE`` when no objects suit or no distinct distractor can be drawn.
         ConfigError: When the configuration names what does not exist.
     """
-    objects = {
-        role: generate_object(context, role, config.models, config.modifiers)
-        for role, config in context.config.objects.items()
-    }
+    objects = generate_objects(context, suits)
     return TaskSpec(
         skill=context.config.skill,
         objects=objects | generate_distractors(context, objects),
-        arguments=asdict(arguments),
-        instruction=generate_instruction(context, objects),
+        arguments=asdict(arguments if arguments is not None else context.parameters),
+        instruction=generate_instruction(context, objects, words or {}),
     )
+
+
+def _matches(objects: Mapping[str, PhysicalObject], combination: Mapping[str, Mapping[str, Scalar]]) -> bool:
+    """Tell whether objects by role are an excluded combination; a role that is not drawn yet is not."""
+    return all(
+        role in objects and wanted.items() <= {**objects[role].modifiers, "model": objects[role].model}.items()
+        for role, wanted in combination.items()
+    )
+
+
+def _confusable(a: PhysicalObject, b: PhysicalObject, library: ModelLibrary) -> bool:
+    return fits_description(a, b, library) or fits_description(b, a, library)

@@ -48,7 +48,7 @@ def place(
     Raises:
         RejectedError: When none of a number of draws has room; names what refused most of them.
     """
-    rng, index = context.rng(component), context.seed.index
+    rng, index = context.rng(component), context.index
     model = context.library.object(thing.model, thing.modifiers)
     refused: dict[str, int] = {}
     for _ in range(TRIES_PER_OBJECT):

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Sequence
 
-from roboxim_core.poses import Pose, distance
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.motion import grasp_poses, retreated, shifted
@@ -12,6 +16,8 @@ from roboxim_tasks.script import APPROACH_M, LIFT_M
 
 START_CLEARANCE_M = 0.08
 LIMIT_MARGIN_RAD = 0.03
+BESIDE_M = 0.03
+YAWS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)
 
 
 def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Constraint:
@@ -50,5 +56,32 @@ def reaches(context: ResetContext, *poses: Pose) -> bool:
 
 
 def _apart(context: ResetContext, tcp: Pose, entity: EntitySpec) -> bool:
-    radius = float(np.linalg.norm(context.library.entity_model(entity).size)) / 2
-    return distance(tcp, entity.pose)[0] > radius + START_CLEARANCE_M
+    model = context.library.entity_model(entity)
+    width, depth, height = model.size
+    middle = (0.0, 0.0, height / 2 - model.rest_height)
+    outside = np.abs(entity.pose.inverse().apply(tcp.position) - middle) - (width / 2, depth / 2, height / 2)
+    return float(np.linalg.norm(np.maximum(outside, 0.0))) > START_CLEARANCE_M
+
+
+def downward_reachable(context: ResetContext, position: Sequence[float]) -> bool:
+    """Tell whether the tool, pointing down, gets to a position in the base from above at some yaw [m]."""
+    x, y, z = position
+    for yaw in YAWS:
+        rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", math.pi)
+        pose = Pose.from_arrays((x, y, z), rotation)
+        if reaches(context, shifted(pose, APPROACH_M), pose):
+            return True
+    return False
+
+
+def above_reachable(context: ResetContext, role: str) -> Constraint:
+    """Return the constraint that the tool, pointing down, reaches just above a role's object at some yaw."""
+    entity = context.task.objects[role].entity
+
+    def holds(scene: SceneSpec) -> bool:
+        spec = scene.entity(entity)
+        model = context.library.entity_model(spec)
+        x, y, z = (scene.robot.pose.inverse() @ spec.pose).position
+        return downward_reachable(context, (x, y, z + model.size[2] - model.rest_height + BESIDE_M))
+
+    return Constraint(name=f"{role}_reachable", holds=holds)

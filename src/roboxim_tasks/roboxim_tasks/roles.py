@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import PhysicalObject, TaskSpec
 
 DISTRACTOR = "distractor"
@@ -22,7 +23,25 @@ def task_distractors(task: TaskSpec) -> tuple[PhysicalObject, ...]:
     return tuple(thing for role, thing in task.objects.items() if role.startswith(f"{DISTRACTOR}_"))
 
 
+SPOKEN = ("size", "color", "material")
+"""Modifiers that instructions name, in the order in which they are said."""
+
+
 def description(thing: PhysicalObject) -> str:
-    """Return how an instruction names an object, e.g. ``red cube``."""
-    color = thing.modifiers.get("color")
-    return f"{color} {thing.name}" if color else thing.name
+    """Return how an instruction names an object, e.g. ``small red cube``."""
+    return " ".join((*(str(thing.modifiers[kind]) for kind in SPOKEN if kind in thing.modifiers), thing.name))
+
+
+def fits_description(thing: PhysicalObject, named: PhysicalObject, library: ModelLibrary) -> bool:
+    """Tell whether a thing could be what an instruction means that names another one.
+
+    Modifiers that the thing was drawn without have the values that its model has by default: an apple is red even if
+    nobody says so.
+    """
+    defaults = library.object_modifiers(thing.model)
+
+    def value(kind: str) -> object:
+        return thing.modifiers.get(kind, defaults[kind].default if kind in defaults else None)
+
+    spoken = {kind: named.modifiers[kind] for kind in SPOKEN if kind in named.modifiers}
+    return thing.name == named.name and all(value(kind) == wanted for kind, wanted in spoken.items())

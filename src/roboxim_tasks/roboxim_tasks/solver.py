@@ -14,6 +14,7 @@ import numpy as np
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import PlannerError, PolicyError
 from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_between
+from roboxim_core.kinematics.delta import ControllerState
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
 from roboxim_tasks.motion import ExpertScene, Stage
@@ -47,6 +48,21 @@ class _Blocked:
     reason: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Rolled:
+    """A verified beginning of a candidate."""
+
+    pose: Pose
+    """Reference pose at its end."""
+    state: ControllerState
+    """Controller at its end."""
+    reference: tuple[ReferencePoint, ...] = ()
+    path: tuple[tuple[float, ...], ...] = ()
+
+
+_Cache = dict[tuple[Stage, ...], _Rolled | _Blocked]
+
+
 class Solver:
     """Finds the first candidate that holds. Not thread-safe (kinematics)."""
 
@@ -66,7 +82,8 @@ class Solver:
     def solve(self, view: ExpertScene, candidates: Iterable[tuple[Stage, ...]], seed: int) -> Solution:
         """Return the first candidate that holds.
 
-        Non-obvious: a candidate that begins with the stages at which an earlier one was refused is passed over.
+        Non-obvious: beginnings that candidates share, up to where the arm stands still, are rolled out and verified
+        once; a candidate that begins with stages at which an earlier one was refused is passed over.
 
         Args:
             view: The scene as it is.
@@ -78,72 +95,101 @@ class Solver:
         """
         reasons: list[str] = []
         dead_ends: set[tuple[Stage, ...]] = set()
+        cache: _Cache = {}
         tried = 0
         for stages in candidates:
-            if any(stages[: len(end)] == end for end in dead_ends):
+            if any(stages[:end] in dead_ends for end in range(1, len(stages) + 1)):
                 continue
             if tried == MAX_CANDIDATES:
                 break
             tried += 1
-            result = self._try(view, stages, seed)
+            result = self._try(view, stages, seed, cache)
             if isinstance(result, _Blocked):
                 dead_ends.add(stages[: result.stage + 1])
                 reasons.append(f"{stages[result.stage].name}: {result.reason}")
                 continue
-            return replace(result, refused=tuple(reasons))
+            return Solution(
+                stages=stages, reference=list(result.reference), path=np.array(result.path), refused=tuple(reasons)
+            )
         raise PolicyError(
             f"the expert finds no motion for '{view.task.instruction}'; "
             f"candidates refused: {'; '.join(dict.fromkeys(reasons)) or '(none)'}"
         )
 
-    def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int) -> Solution | _Blocked:
-        """Make a candidate's reference and verify it, with a planned way around what blocks a free stage."""
-        legs = [Leg(stage=stage) for stage in stages]
-        while True:
-            reference = make_reference(view.pose_tcp, legs, self._config, view.scene.control_rate_hz)
-            path, blocked = self._roll_out(view, reference)
-            blocked = self._verify(view, stages, reference, path) or blocked
-            if blocked is None:
-                return Solution(stages=stages, reference=reference, path=path, refused=())
-            leg = legs[blocked.stage]
-            if not leg.stage.free or leg.via:
-                return blocked
-            first = next(i for i, point in enumerate(reference) if point.stage == blocked.stage)
-            try:
-                via = self._detour(view, leg.stage, path[first], seed)
-            except PlannerError as error:
-                return replace(blocked, reason=f"{blocked.reason}; {error}")
-            legs[blocked.stage] = replace(leg, via=via)
-
-    def _roll_out(self, view: ExpertScene, reference: Sequence[ReferencePoint]) -> tuple[Array, _Blocked | None]:
-        """Return the joint path that the delta controller makes of a reference, the start included."""
+    def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int, cache: _Cache) -> _Rolled | _Blocked:
+        """Roll out and verify a candidate, one run between standstills after the other."""
         controller = DeltaController(
             self._arm(view.scene.robot.model),
             workspace=view.scene.workspace,
             pose_base_in_world=view.scene.robot.pose,
             semantics=ActionSemantics(rate_hz=view.scene.control_rate_hz),
         )
-        state = controller.start(view.state.robot.joint_commands, view.state.robot.gripper_command)
-        path = [state.joints]
-        for point in reference:
-            step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
-            state = step.state
-            path.append(state.joints)
-            off = float(np.linalg.norm(np.subtract(state.pose.position, point.pose.position)))
-            if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
-                word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
-                return np.array(path), _Blocked(stage=point.stage, reason=f"{word} at {_short(point.pose)}")
-        return np.array(path), None
+        start = controller.start(view.state.robot.joint_commands, view.state.robot.gripper_command)
+        rolled: _Rolled | _Blocked = _Rolled(pose=view.pose_tcp, state=start, path=(start.joints,))
+        begin = 0
+        while begin < len(stages):
+            assert isinstance(rolled, _Rolled)
+            end = begin + 1
+            if stages[begin].pose is not None:
+                while end < len(stages) and stages[end].pose is not None:
+                    end += 1
+            key = stages[:end]
+            if key not in cache:
+                cache[key] = self._extend(view, controller, rolled, stages[begin:end], begin, seed)
+            rolled = cache[key]
+            if isinstance(rolled, _Blocked):
+                return rolled
+            begin = end
+        return rolled
+
+    def _extend(
+        self,
+        view: ExpertScene,
+        controller: DeltaController,
+        before: _Rolled,
+        stages: Sequence[Stage],
+        first: int,
+        seed: int,
+    ) -> _Rolled | _Blocked:
+        """Add a run of stages, with a planned way around what blocks a free one."""
+        legs = [Leg(stage=stage) for stage in stages]
+        while True:
+            points = make_reference(before.pose, legs, self._config, view.scene.control_rate_hz)
+            state, path, blocked = _roll_out(controller, before.state, points)
+            blocked = self._verify(view, stages, points, path) or blocked
+            if blocked is None:
+                return _Rolled(
+                    pose=points[-1].pose if points else before.pose,
+                    state=state,
+                    reference=before.reference + tuple(replace(p, stage=p.stage + first) for p in points),
+                    path=(*before.path, *path[1:]),
+                )
+            leg = legs[blocked.stage]
+            refused = replace(blocked, stage=blocked.stage + first)
+            if not leg.stage.free or leg.via:
+                return refused
+            tick = next(i for i, point in enumerate(points) if point.stage == blocked.stage)
+            try:
+                via = self._detour(view, leg.stage, np.array(path[tick]), seed)
+            except PlannerError as error:
+                return replace(refused, reason=f"{blocked.reason}; {error}")
+            legs[blocked.stage] = replace(leg, via=via)
 
     def _verify(
-        self, view: ExpertScene, stages: Sequence[Stage], reference: Sequence[ReferencePoint], path: Array
+        self,
+        view: ExpertScene,
+        stages: Sequence[Stage],
+        points: Sequence[ReferencePoint],
+        path: Sequence[tuple[float, ...]],
     ) -> _Blocked | None:
+        """Check what was rolled out of each stage that moves."""
         period_s = 1.0 / view.scene.control_rate_hz
         for index, stage in enumerate(stages):
-            ticks = [i for i, point in enumerate(reference) if point.stage == index]
+            ticks = [i for i, point in enumerate(points) if point.stage == index]
             if stage.pose is None or not ticks or ticks[-1] + 2 > len(path):
                 continue
-            problem = self._planner.check_path(path[ticks[0] : ticks[-1] + 2], period_s, _around(view, stage))
+            joints = np.array(path[ticks[0] : ticks[-1] + 2])
+            problem = self._planner.check_path(joints, period_s, _around(view, stage))
             if problem:
                 return _Blocked(stage=index, reason=problem)
         return None
@@ -163,6 +209,22 @@ class Solver:
         if model not in self._arms:
             self._arms[model] = ArmKinematics(self._library.robot(model))
         return self._arms[model]
+
+
+def _roll_out(
+    controller: DeltaController, state: ControllerState, points: Sequence[ReferencePoint]
+) -> tuple[ControllerState, list[tuple[float, ...]], _Blocked | None]:
+    """Return the controller's last state, the joint path that it makes of a reference, and where it cannot follow."""
+    path = [state.joints]
+    for point in points:
+        step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
+        state = step.state
+        path.append(state.joints)
+        off = float(np.linalg.norm(np.subtract(state.pose.position, point.pose.position)))
+        if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
+            word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
+            return state, path, _Blocked(stage=point.stage, reason=f"{word} at {_short(point.pose)}")
+    return state, path, None
 
 
 def _around(view: ExpertScene, stage: Stage) -> Surroundings:

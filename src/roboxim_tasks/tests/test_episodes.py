@@ -190,7 +190,7 @@ def test_every_skill_fills_its_own_templates(name):
     assert skill.templates
     assert set(skill.components) <= set(COMPONENTS)
     for template in skill.templates:
-        assert template.format_map(dict.fromkeys(skill.roles, "thing")) != template
+        assert template.format_map(dict.fromkeys((*skill.roles, *skill.words), "thing")) != template
 
 
 def test_a_component_of_one_s_own_is_one_class_and_one_key(draw):

@@ -57,11 +57,18 @@ class ResetContext:
     """Robots and objects."""
     arm: ArmKinematics
     """Kinematics of the scene's robot."""
+    ordinal: int | None = None
+    """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
     draws: int = 0
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)
     """Constraint to the number of placements that it refused."""
     _streams: dict[str, np.random.Generator] = field(default_factory=dict)
+
+    @property
+    def index(self) -> int:
+        """Number that ordered lists go by."""
+        return self.seed.index if self.ordinal is None else self.ordinal
 
     def rng(self, component: str) -> np.random.Generator:
         """Return a component's own stream; a second draw goes on where the first ended."""

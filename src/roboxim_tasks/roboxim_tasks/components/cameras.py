@@ -70,7 +70,7 @@ class CamerasReset(ResetComponent):
         return replace(scene, cameras=tuple(self._draw(name, context) for name in self.config.names))
 
     def _draw(self, name: str, context: ResetContext) -> CameraSpec:
-        config, index = self.config, context.seed.index
+        config, index = self.config, context.index
         view = name
         if name in config.views:
             view = str(config.views[name].draw(context.rng(f"{self.name}/{name}/view"), index))

@@ -51,7 +51,7 @@ class RobotReset(ResetComponent):
             RejectedError: When no draw is reachable.
             ConfigError: When configured joints do not fit the arm.
         """
-        rng, index, arm = context.rng(self.name), context.seed.index, context.arm
+        rng, index, arm = context.rng(self.name), context.index, context.arm
         opening = self.config.gripper_opening.draw_number(rng, index)
         if self.config.joints is not None:
             self.config.joints.require_size(len(arm.lower), "reset.robot.joints")

@@ -53,7 +53,7 @@ class SurfacesReset(ResetComponent):
         for surface in ("table", "floor", "wall"):
             config: SurfaceConfig = getattr(self.config, surface)
             material: MaterialSpec = getattr(scene.look, surface)
-            rng, index = context.rng(f"{self.name}/{surface}"), context.seed.index
+            rng, index = context.rng(f"{self.name}/{surface}"), context.index
             if config.color is not None:
                 r, g, b = config.color.draw(rng, index).tolist()
                 material = replace(material, color=(r, g, b))

@@ -1,6 +1,11 @@
-"""Skills: one file each, with its four sides; registered by name."""
+"""Skills: one file each, with its four sides; registered by name. Every module of this folder is one, or helps one."""
 
-from roboxim_tasks.skills import pick_up
+import importlib
+import pkgutil
+
 from roboxim_tasks.skills.base import SKILLS, Assessment, Evaluator, Role, Skill, parameters_of, register
 
-__all__ = ["SKILLS", "Assessment", "Evaluator", "Role", "Skill", "parameters_of", "pick_up", "register"]
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
+
+__all__ = ["SKILLS", "Assessment", "Evaluator", "Role", "Skill", "parameters_of", "register"]

@@ -47,6 +47,8 @@ class Skill(ABC):
     """Objects that the instruction speaks of, in the order in which they are placed."""
     templates: ClassVar[tuple[str, ...]] = ()
     """Instruction templates with roles and parameters in braces; the first is the canonical one, others paraphrase."""
+    words: ClassVar[tuple[str, ...]] = ()
+    """What else than roles the templates may name; the generator says the words."""
     components: ClassVar[tuple[str, ...]] = ("robot", "objects", "distractors", "cameras", "lights")
     """Reset components that it always uses, in order."""
     reset: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -58,7 +60,7 @@ class Skill(ABC):
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task (generator)."""
-        return generate_task(context, arguments=context.config.parameters)
+        return generate_task(context)
 
     @abstractmethod
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:

@@ -1,0 +1,251 @@
+"""Place an object to the left of, to the right of, in front of or behind another one: four skills, one each.
+
+Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
+
+Success: from the reference the object lies more than ``along_m`` in the direction, less than ``lateral_ratio`` of that
+to the side, no farther than ``farthest_m``, on the table, let go and at rest for ``hold_s``; the reference has moved by
+less than ``reference_shift_m``.
+
+Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, in front of = towards the base.
+With ``viewpoint: facing`` they are those of a person across the table who looks at the robot. The generator puts the
+direction in the world into the task's arguments, so that a bag is judged without the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.files import named
+from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.motion import ExpertScene, Stage
+from roboxim_tasks.placement import refusal
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, offset, shift, table_force
+from roboxim_tasks.reach import downward_reachable, graspable, start_clear
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, raised, upright
+
+VIEWPOINTS = ("robot", "facing")
+GAPS_M = (0.05, 0.08, 0.03, 0.12, 0.16)
+SLOPES = (0.0, 0.25, -0.25, 0.45, -0.45)
+FREE_GAP_M = 0.012
+GOALS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelationParameters:
+    """Thresholds of success, and what the words mean."""
+
+    viewpoint: str = "robot"
+    """Who sees left and right: ``robot``, or ``facing``: a person across the table who looks at it."""
+    along_m: float = 0.03
+    """Smallest distance from the reference in the direction [m]."""
+    lateral_ratio: float = 0.7
+    """Largest distance to the side, as a fraction of the distance in the direction."""
+    farthest_m: float = 0.35
+    """Largest distance in the direction [m]."""
+    reference_shift_m: float = 0.03
+    """How far the reference may be moved [m]."""
+    hold_s: float = 0.3
+    """How long it must lie still [s]."""
+    direction_x: float = 0.0
+    """The direction in the world; set by the generator."""
+    direction_y: float = 0.0
+    """The direction in the world; set by the generator."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a threshold makes no sense.
+        """
+        if self.viewpoint not in VIEWPOINTS:
+            raise ConfigError(f"unknown viewpoint; {one_of(VIEWPOINTS, self.viewpoint)}")
+        if not 0 < self.along_m < self.farthest_m or self.lateral_ratio <= 0 or self.hold_s < 0:
+            raise ConfigError(f"needs 0 < along_m < farthest_m, lateral_ratio > 0 and hold_s >= 0, got {self}")
+
+
+class PlaceRelation(Skill):
+    """Generator, resetter, executor and evaluator of the four relations."""
+
+    direction: ClassVar[tuple[float, float]]
+    """The direction in the robot's base, seen by the robot."""
+    roles = {"reference": Role(), "target": Role(affordance="graspable")}
+    max_steps = 200
+    Parameters = RelationParameters
+
+    def generate(self, context: GenerationContext) -> TaskSpec:
+        """Draw a task, and the direction in the world that its words mean."""
+        task = generate_task(context)
+        robot = named("scenes", context.config.scene, SceneSpec).robot.pose
+        sign = 1.0 if task.arguments["viewpoint"] == "robot" else -1.0
+        x, y, _ = robot.rotation.apply((*self.direction, 0.0)) * sign
+        return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """The target is not there already, and there is a free place that the arm reaches."""
+        target, reference = (context.task.objects[role].entity for role in ("target", "reference"))
+        parameters: RelationParameters = parameters_of(context.task, RelationParameters)
+        direction = np.array([parameters.direction_x, parameters.direction_y])
+
+        def unsolved(scene: SceneSpec) -> bool:
+            away = np.subtract(scene.entity(target).pose.position, scene.entity(reference).pose.position)[:2]
+            along, lateral = _components(away, direction)
+            return not (along > 0.0 and lateral < parameters.lateral_ratio * along)
+
+        def free(scene: SceneSpec) -> bool:
+            goals = free_goals(scene, target, reference, direction, parameters, context.library)
+            base = scene.robot.pose.inverse()
+            return any(downward_reachable(context, (base @ goal).position) for goal in goals)
+
+        return (
+            graspable(context, "target"),
+            Constraint(name="not_there_already", holds=unsolved),
+            Constraint(name="free_place", holds=free),
+            start_clear(context),
+        )
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Pick it up, put it on a free place in the direction, the nearest comfortable one first."""
+        target, reference = (scene.task.objects[role].entity for role in ("target", "reference"))
+        parameters: RelationParameters = parameters_of(scene.task, RelationParameters)
+        direction = np.array([parameters.direction_x, parameters.direction_y])
+        now = _with_poses(scene.scene, scene.state)
+        goals = free_goals(now, target, reference, direction, parameters, scene.library)
+        return put(scene, target, [scene.in_base(goal) for goal in goals])
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """In the direction, on the table, let go and at rest, the reference where it was."""
+        parameters: RelationParameters = parameters_of(task, RelationParameters)
+        target, reference = (task.objects[role].entity for role in ("target", "reference"))
+        direction = np.array([parameters.direction_x, parameters.direction_y])
+
+        def components(state: StateRecord) -> tuple[float, float]:
+            return _components(offset(state, target, reference)[:2], direction)
+
+        along = Measure(name="along_m", of=lambda state: components(state)[0])
+        ratio = Measure(name="lateral_ratio", of=lambda state: components(state)[1] / max(components(state)[0], 1e-6))
+        placed = (
+            Condition(
+                name="reference_stayed", measure=shift(reference, initial, "reference_shift_m"),
+                most=parameters.reference_shift_m, reason="moved_reference",
+            ),
+            Condition(
+                name="in_direction", measure=along, least=above(parameters.along_m), most=parameters.farthest_m
+            ),
+            Condition(name="not_beside", measure=ratio, most=parameters.lateral_ratio, reason="too_far_to_the_side"),
+            Condition(name="on_table", measure=table_force(target), least=above(0.0)),
+        )  # fmt: skip
+        return Conditions(lies_still(target, initial, placed, reference), hold_s=parameters.hold_s)
+
+
+def free_goals(
+    scene: SceneSpec,
+    target: str,
+    reference: str,
+    direction: Array,
+    parameters: RelationParameters,
+    library: ModelLibrary,
+) -> list[Pose]:
+    """Return poses of the target in the world that satisfy the relation and touch nothing, best first."""
+    spec, other = scene.entity(target), scene.entity(reference)
+    model, other_model = library.entity_model(spec), library.entity_model(other)
+    others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
+    side = np.array([-direction[1], direction[0]])
+    height = scene.table.center[2] + model.rest_height
+    found = []
+    for gap_m in GAPS_M:
+        for slope in SLOPES:
+            for yaw in GOAL_YAWS[:3]:
+                rotation = upright(spec.pose, (0.0, 0.0, 0.0), yaw).rotation
+                along = half_extent(model, rotation, direction) + gap_m
+                along += half_extent(other_model, other.pose.rotation, direction)
+                along = max(along, parameters.along_m + 0.02)
+                if along > parameters.farthest_m - 0.02 or abs(slope) > parameters.lateral_ratio - 0.15:
+                    continue
+                xy = np.array(other.pose.position[:2]) + direction * along + side * slope * along
+                goal = raised(upright(spec.pose, (*xy, 0.0), yaw), height)
+                if not refusal(others, replace(spec, pose=goal), FREE_GAP_M, library):
+                    found.append(goal)
+                    if len(found) == GOALS:
+                        return found
+    return found
+
+
+def half_extent(model: ObjectModel, rotation: Rotation, direction: Array) -> float:
+    """Return how far an upright object reaches from its origin in a horizontal direction [m]."""
+    x, y, _ = rotation.inv().apply((*direction, 0.0))
+    return float(abs(x) * model.size[0] + abs(y) * model.size[1]) / 2
+
+
+def _components(away: Array, direction: Array) -> tuple[float, float]:
+    along = float(away @ direction)
+    return along, float(abs(away[0] * direction[1] - away[1] * direction[0]))
+
+
+def _with_poses(scene: SceneSpec, state: StateRecord) -> SceneSpec:
+    entities: list[EntitySpec] = [replace(e, pose=state.entity(e.name).pose) for e in scene.entities]
+    return replace(scene, entities=tuple(entities))
+
+
+@register
+class PlaceLeftOf(PlaceRelation):
+    """``place_left_of``."""
+
+    name = "place_left_of"
+    direction = (0.0, 1.0)
+    templates = (
+        "Place the {target} to the left of the {reference}",
+        "Put the {target} left of the {reference}",
+        "Move the {target} to the left side of the {reference}",
+    )
+
+
+@register
+class PlaceRightOf(PlaceRelation):
+    """``place_right_of``."""
+
+    name = "place_right_of"
+    direction = (0.0, -1.0)
+    templates = (
+        "Place the {target} to the right of the {reference}",
+        "Put the {target} right of the {reference}",
+        "Move the {target} to the right side of the {reference}",
+    )
+
+
+@register
+class PlaceInFrontOf(PlaceRelation):
+    """``place_in_front_of``."""
+
+    name = "place_in_front_of"
+    direction = (-1.0, 0.0)
+    templates = (
+        "Place the {target} in front of the {reference}",
+        "Put the {target} before the {reference}",
+        "Move the {target} to the front of the {reference}",
+    )
+
+
+@register
+class PlaceBehind(PlaceRelation):
+    """``place_behind``."""
+
+    name = "place_behind"
+    direction = (1.0, 0.0)
+    templates = (
+        "Place the {target} behind the {reference}",
+        "Put the {target} at the back of the {reference}",
+        "Move the {target} behind the {reference}",
+    )

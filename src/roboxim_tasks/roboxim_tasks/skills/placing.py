@@ -1,0 +1,95 @@
+"""What the skills that put something somewhere share: goals on surfaces and in containers, and when it lies there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import ObjectModel, Region
+from roboxim_core.poses import Pose
+from roboxim_core.state import StateRecord
+from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasps_of
+from roboxim_tasks.predicates import Condition, at_rest, fallen_off, lift, released
+from roboxim_tasks.script import Script
+
+GOAL_YAWS = (0.0, math.pi / 2, -math.pi / 2, math.pi / 4, -math.pi / 4, math.pi)
+GRASPS_TRIED = 8
+
+
+def region_of(model: ObjectModel, kind: str, name: str = "") -> Region:
+    """Return a model's best region of a kind.
+
+    Raises:
+        ConfigError: When it has none of that kind and name.
+    """
+    found = [region for region in model.regions if region.kind == kind]
+    for region in found:
+        if not name or region.name == name:
+            return region
+    raise ConfigError(
+        f"object '{model.id}' has no {kind} '{name}'; {one_of([r.name for r in found], name)}"
+        if found
+        else f"object '{model.id}' has no {kind} to put things on or into"
+    )
+
+
+def region_pose(scene: ExpertScene, entity: str, region: Region) -> Pose:
+    """Return the pose of an entity's region in the base, at its present joint positions."""
+    state, model = scene.state.entity(entity), scene.model_of(entity)
+    links = object_link_poses(model, dict(zip(state.joint_names, state.joint_positions, strict=True)))
+    return scene.pose_of(entity) @ links[region.link or model.links[0].name] @ region.pose
+
+
+def fits(model: ObjectModel, region: Region) -> bool:
+    """Tell whether an object lies within a region at every yaw."""
+    return math.hypot(*model.size[:2]) <= min(region.size[:2])
+
+
+def upright(pose: Pose, position: Sequence[float], yaw_rad: float) -> Pose:
+    """Return a pose at a position, turned about the vertical by an angle from another pose."""
+    return Pose.from_arrays(position, Rotation.from_euler("z", yaw_rad) * pose.rotation)
+
+
+def put(
+    scene: ExpertScene, target: str, goals: Iterable[Pose], *, onto: str = TABLE, drops_m: Sequence[float] = (0.002,)
+) -> Iterator[tuple[Stage, ...]]:
+    """Yield the ways to pick up an entity and put it at one of some poses.
+
+    Args:
+        scene: The scene.
+        target: What to move.
+        goals: Poses of the entity in the base, best first.
+        onto: What it may touch when it gets there.
+        drops_m: Heights above the pose at which it is let go, best first [m].
+    """
+    wanted = list(goals)
+    grasps: list[Grasp | None] = [None] if scene.held == target else list(grasps_of(scene, target))
+    for grasp in grasps[: GRASPS_TRIED * 2]:
+        for goal in wanted:
+            for drop_m in drops_m:
+                script = Script(scene)
+                if grasp is not None:
+                    script.pick(target, grasp)
+                script.place(goal, onto=onto, drop_m=drop_m)
+                yield script.stages
+
+
+def lies_still(
+    target: str, initial: StateRecord, conditions: Sequence[Condition], reference: str = ""
+) -> tuple[Condition, ...]:
+    """Return the conditions that an object was put somewhere: nothing fell, the skill's own, let go, at rest."""
+    fallen = [fallen_off(lift(target, initial))]
+    if reference:
+        gain = lift(reference, initial, "reference_lift_m")
+        fallen.append(fallen_off(gain, "reference_not_fallen"))
+    return (*fallen, *conditions, released(target), *at_rest(target))
+
+
+def raised(pose: Pose, height_m: float) -> Pose:
+    """Return a pose at a height in its parent frame."""
+    return replace(pose, position=(*pose.position[:2], height_m))
