@@ -25,7 +25,8 @@ import click
 sys.path.insert(0, str(Path(__file__).parent))
 from _contenders import contenders, toppra_measure
 from _harness import Bench
-from _motions import OURS, Draw, Store, hard_draws, run_problems, summary, tabletop_draws, unsolved
+from _motions import OURS, Draw, Store, file_draws, hard_draws, run_problems, summary, tabletop_draws, unsolved
+from _problem_files import ProblemFileError, load_problems
 
 SECTIONS = ("tabletop", "hard")
 
@@ -62,13 +63,28 @@ def main() -> None:
         measure = toppra_measure()
         for process in (*asked, *([measure] if measure else [])):
             stack.enter_context(process).start()
+        if options.problems is not None:
+            draws, rows = read_problems(options.problems), []
+            share = problem_rows(bench, options.problems.stem, draws, asked, measure, store, 1, until)
         if "tabletop" in rows:
             draws = tabletop_draws(options.count or (40 if bench.quick else 1000), options.seed)
             share = problem_rows(bench, "tabletop", draws, asked, measure, store, 1, until)
         if "hard" in rows:
             draws = hard_draws(options.hard_count or (2 if bench.quick else 100), options.seed)
             problem_rows(bench, "hard", draws, asked, measure, store, options.peers_every, until)
-    bench.finish("valid share of tabletop problems", share, "", at_least=0.999)
+    what = "tabletop problems" if options.problems is None else f"the problems of {options.problems.name}"
+    bench.finish(f"valid share of {what}", share, "", at_least=0.999)
+
+
+def read_problems(path: Path) -> list[Draw]:
+    """Return the problems of a file; say which are left out."""
+    try:
+        problems, left_out = load_problems(path)
+    except ProblemFileError as error:
+        sys.exit(str(error))
+    for line in left_out:
+        click.echo(f"  left out: {line}")
+    return file_draws(problems)
 
 
 def problem_rows(

@@ -1,0 +1,325 @@
+"""The referee catches what is planted, the problems are what they claim to be, and published files are read."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+START = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.8])
+END = np.array([0.9, -0.2, 0.2, -2.0, 0.1, 1.9, 0.5])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _benchmarks_importable() -> Iterator[None]:
+    sys.path.insert(0, str(BENCHMARKS))
+    yield
+    sys.path.remove(str(BENCHMARKS))
+
+
+def quintic(start: np.ndarray, end: np.ndarray, duration: float = 2.0) -> np.ndarray:
+    """A smooth motion along the joint line, a sample per millisecond."""
+    s = np.arange(round(duration * 1000) + 1) / (duration * 1000)
+    return start + (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (end - start)
+
+
+def judge(positions, solids=(), held=None, goal=END, start=START):
+    from _referee import Referee
+
+    return Referee(solids, held).judge(positions, (len(positions) - 1) * 1e-3, start, goal)
+
+
+def test_a_smooth_free_motion_is_valid() -> None:
+    from _referee import Referee
+
+    assert judge(quintic(START, END)).clean
+    assert judge(quintic(START, END), goal=Referee([]).tcp(END)).clean
+
+
+def test_a_thin_pole_on_the_way_is_hit() -> None:
+    from _referee import Referee, Solid
+
+    middle = Referee([]).tcp(0.5 * (START + END)).translation
+    pole = Solid(kind="cylinder", size=(0.002, 0.05), position=tuple(middle))
+    assert judge(quintic(START, END)).clean
+    [fault] = judge(quintic(START, END, 0.9), [pole]).faults
+    assert "collision" in fault
+    assert "#0" in fault
+
+
+def test_what_is_held_collides_with_obstacles_and_with_the_arm_but_not_with_the_fingers() -> None:
+    from _referee import Referee, Solid
+
+    tip = Referee([]).tcp(START)
+    stick = Solid(kind="box", size=(0.02, 0.02, 0.3), position=(0.0, 0.0, 0.12))
+    below = tip.act(np.array([0.0, 0.0, 0.2]))
+    ball = Solid(kind="sphere", size=(0.03,), position=tuple(below))
+    assert not Referee([ball]).collides(START)
+    assert Referee([ball], stick).collides(START)
+    assert not Referee([], stick).collides(START)
+    long = Solid(kind="box", size=(0.02, 0.02, 0.9), position=(0.0, 0.0, -0.3))
+    assert Referee([], long).collides(START)
+
+
+def test_a_self_collision_is_found() -> None:
+    folded = np.array([0.0, 1.7, 0.0, -3.05, 0.0, 0.0, 0.0])
+    assert any("collision" in fault for fault in judge(quintic(START, folded, 4.0), goal=folded).faults)
+
+
+def test_too_fast_is_a_violation() -> None:
+    verdict = judge(quintic(START, END, 0.75))
+    assert not verdict.faults
+    assert any("velocity of joint 1" in line for line in verdict.violations)
+
+
+def test_a_step_of_acceleration_within_its_limit_breaks_only_the_jerk_limit() -> None:
+    times = np.arange(601) * 1e-3
+    way = np.where(times < 0.3, times**2, 0.18 - (0.6 - times) ** 2) / 0.18
+    for turn, broken in ((0.3, []), (0.4, ["jerk"])):  # at the switch the acceleration steps by turn / 0.09 in 1 ms
+        end = START.copy()
+        end[1] += turn
+        verdict = judge(START + way[:, None] * (end - START), goal=end)
+        assert not verdict.faults
+        assert [line.split()[0] for line in verdict.violations] == broken
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda q: q + 2e-4, "start"),
+        (lambda q: q[:-200], "goal"),
+        (lambda q: q[:-200], "rest"),
+        (lambda q: np.vstack([q[:500], np.full((1, 7), np.nan), q[501:]]), "not finite"),
+    ],
+)
+def test_a_spoiled_motion_is_caught(spoil, said: str) -> None:
+    assert any(said in fault for fault in judge(spoil(quintic(START, END))).faults)
+
+
+def test_a_goal_missed_by_a_hair_is_caught() -> None:
+    from _referee import Referee
+
+    goal = Referee([]).tcp(END)
+    for off in (pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.0012])), pin.SE3(pin.utils.rotate("x", 0.012), np.zeros(3))):
+        assert any("goal" in fault for fault in judge(quintic(START, END), goal=goal * off).faults)
+
+
+def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
+    from _referee import UPPER, Referee
+
+    end = END.copy()
+    end[6] = UPPER[6] + 0.01
+    assert "joint range" in judge(quintic(START, end), goal=end).faults
+    thin = quintic(START, END)[::10]
+    assert any("per millisecond" in fault for fault in Referee([]).judge(thin, 2.0, START, END).faults)
+
+
+def test_skipping_what_cannot_collide_misses_nothing() -> None:
+    from _problems import tabletop
+    from _referee import LOWER, UPPER
+
+    rng = np.random.default_rng(3)
+    referee = tabletop(0).referee()
+    for _ in range(12):
+        ends = rng.uniform(LOWER, UPPER, (2, 7))
+        path = ends[0] + np.linspace(0.0, 1.0, 400)[:, None] * (ends[1] - ends[0])
+        expected = next((i for i, q in enumerate(path) if referee.collides(q)), -1)
+        assert referee.first_collision(path) == expected
+
+
+def test_tabletop_problems_are_what_they_claim() -> None:
+    from _problems import tabletop
+
+    problems = [tabletop(seed) for seed in range(20)]
+    assert sum(p.detour for p in problems) >= 10
+    assert all(p.detour for p in problems[::2])
+    assert {p.held is not None for p in problems} == {True, False}
+    for p in problems:
+        assert 3 <= len(p.solids) - 1 <= 10
+        assert not p.referee().collides(np.array(p.start))
+    assert tabletop(3) == problems[3]
+    assert tabletop(3, salt=1) != problems[3]
+
+
+def test_every_hard_family_gives_problems() -> None:
+    from _problems_hard import FAMILIES, hard
+
+    for family in FAMILIES:
+        p = hard(family, 1)
+        assert p.family == family
+        assert p == hard(family, 1)
+        assert not p.referee().collides(np.array(p.start))
+
+
+def test_the_search_tells_solvable_from_walled_in() -> None:
+    from _exhaustive import is_solvable
+    from _problems import problem, tabletop
+    from _referee import Referee, Solid
+
+    assert is_solvable(tabletop(1), 10.0)
+    # walls between here and there that begin close to the base, and a roof that keeps the arm from standing upright
+    turn = (0.0, 0.0, np.sin(np.pi / 8), np.cos(np.pi / 8))
+    walls = [
+        Solid(kind="box", size=(2.0, 0.02, 3.0), position=(side * 0.792, side * 0.792, 1.5), quat_xyzw=turn)
+        for side in (-1.0, 1.0)
+    ]
+    roof = Solid(kind="box", size=(3.0, 3.0, 0.02), position=(0.0, 0.0, 0.85))
+    referee = Referee([*walls, roof])
+    here = np.array([0.0, 0.6, 0.0, -1.5, 0.0, 2.0, 0.8])
+    there = here + [np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert not referee.collides(here)
+    assert not referee.collides(there)
+    assert not is_solvable(problem("walled-0", referee, here, there, joints=True), 1.0)
+
+
+SCENE = {
+    "world": {
+        "collision_objects": [
+            {
+                "header": {"frame_id": "panda_link0"},
+                "id": "shelf",
+                "primitives": [{"type": "box", "dimensions": [0.4, 0.6, 0.02]}],
+                "primitive_poses": [{"position": [0.7, 0.0, 0.2], "orientation": [0, 0, 0, 1]}],
+            },
+            {
+                "id": "can",
+                "pose": {"position": {"x": 0.7, "y": 0.1, "z": 0.3}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+                "primitives": [
+                    {"type": "cylinder", "dimensions": [0.14, 0.03]},
+                    {"type": "sphere", "dimensions": [0.02]},
+                ],
+                "primitive_poses": [
+                    {"position": [0, 0, 0], "orientation": [0, 0, 0, 1]},
+                    {"position": [0, 0, 0.1], "orientation": [0, 0, 0, 1]},
+                ],
+            },
+        ]
+    }
+}
+NAMES = [f"panda_joint{i}" for i in range(1, 8)]
+REQUEST = {
+    "start_state": {
+        "joint_state": {"name": ["panda_finger_joint1", *NAMES[::-1]], "position": [0.04, *START[::-1].tolist()]}
+    },
+    "goal_constraints": [
+        {"joint_constraints": [{"joint_name": n, "position": float(q)} for n, q in zip(NAMES, END, strict=True)]}
+    ],
+}
+COLLECTION = {
+    "robot": "panda",
+    "joints": NAMES,
+    "problems": {
+        "shelf_panda": [
+            {
+                "box": [{"name": "shelf", "half_extents": [0.2, 0.3, 0.01], "position": [0.7, 0.0, 0.2]}],
+                "cylinder": [{"name": "can", "radius": 0.03, "length": 0.14, "position": [0.7, 0.1, 0.3]}],
+                "sphere": [{"radius": 0.02, "position": [0.7, 0.1, 0.4]}],
+                "start": START.tolist(),
+                "goals": [END.tolist()],
+                "index": 1,
+            }
+        ]
+    },
+}
+
+
+def write_pairs(folder: Path) -> Path:
+    pair = folder / "shelf_panda"
+    pair.mkdir(parents=True)
+    (pair / "scene0001.yaml").write_text(yaml.safe_dump(SCENE))
+    (pair / "request0001.yaml").write_text(yaml.safe_dump(REQUEST))
+    return pair
+
+
+def test_published_formats_say_the_same(tmp_path: Path) -> None:
+    from _problem_files import load_problems
+
+    pair = write_pairs(tmp_path / "set")
+    archive = tmp_path / "problems.tar.bz2"
+    with tarfile.open(archive, "w:bz2") as tar:
+        tar.add(pair.parent, "panda")
+    collection = tmp_path / "problems.json"
+    collection.write_text(json.dumps(COLLECTION))
+    found = [load_problems(p)[0] for p in (pair.parent, pair, pair / "scene0001.yaml", archive, collection)]
+    assert [len(problems) for problems in found] == [1] * 5
+    assert {problems[0] for problems in found} == {found[0][0]}
+    problem = found[0][0]
+    assert problem.name == "shelf_panda-1"
+    assert problem.goal_is_joints
+    assert problem.start == tuple(START)
+    assert {(s.kind, s.size) for s in problem.solids} == {
+        ("box", (0.4, 0.6, 0.02)),
+        ("cylinder", (0.03, 0.14)),
+        ("sphere", (0.02,)),
+    }
+
+
+def test_a_problem_that_begins_in_collision_is_left_out_by_name(tmp_path: Path) -> None:
+    from _problem_files import load_problems
+
+    content = json.loads(json.dumps(COLLECTION))
+    content["problems"]["shelf_panda"][0]["sphere"][0] = {"radius": 0.2, "position": [0.4, 0.0, 0.5]}
+    path = tmp_path / "problems.json"
+    path.write_text(json.dumps(content))
+    problems, left_out = load_problems(path)
+    assert problems == []
+    assert left_out == ["shelf_panda-1: start in collision"]
+
+
+@pytest.mark.parametrize("damage", ["no folder", "empty", "no request", "mesh", "pose goal", "joints"])
+def test_a_file_that_cannot_be_read_says_where(tmp_path: Path, damage: str) -> None:
+    from _problem_files import ProblemFileError, load_problems
+
+    pair = write_pairs(tmp_path / "set")
+    path = pair
+    scene, request = json.loads(json.dumps(SCENE)), json.loads(json.dumps(REQUEST))
+    if damage == "no folder":
+        path = tmp_path / "nothing"
+    elif damage == "empty":
+        path = tmp_path / "empty"
+        path.mkdir()
+    elif damage == "no request":
+        (pair / "request0001.yaml").unlink()
+    elif damage == "mesh":
+        scene["world"]["collision_objects"][0]["meshes"] = [{}]
+    elif damage == "pose goal":
+        request["goal_constraints"][0]["joint_constraints"] = []
+    else:
+        path = tmp_path / "problems.json"
+        path.write_text(json.dumps(COLLECTION | {"joints": ["shoulder_pan_joint"]}))
+    if damage in ("mesh", "pose goal"):
+        (pair / "scene0001.yaml").write_text(yaml.safe_dump(scene))
+        (pair / "request0001.yaml").write_text(yaml.safe_dump(request))
+    said = {"no folder": "no such", "empty": "no problems", "no request": "request0001", "mesh": "meshes"}
+    with pytest.raises(ProblemFileError, match=said.get(damage, "joint")):
+        load_problems(path)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "signal 9"), ("import time; time.sleep(60)", "hung")],
+)
+def test_a_contender_that_dies_or_hangs_has_failed(tmp_path: Path, body: str, said: str) -> None:
+    from _contenders import Contender
+
+    script = tmp_path / "run.py"
+    script.write_text(f"print('{{\"ready\": true}}', flush=True)\ninput()\n{body}\n")
+    with Contender("x", Path(sys.executable), str(script)) as contender:
+        assert said in contender.ask({}, limit_s=1.0)["error"]
+
+
+def test_a_fault_of_a_contenders_script_stops_the_benchmark(tmp_path: Path) -> None:
+    from _contenders import Contender
+
+    script = tmp_path / "run.py"
+    script.write_text("print('{\"ready\": true}', flush=True)\ninput()\nraise KeyError('typo')\n")
+    with Contender("x", Path(sys.executable), str(script)) as contender, pytest.raises(RuntimeError, match="typo"):
+        contender.ask({}, limit_s=5.0)
