@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.context import Context
-from roboxim_interfaces.action import PlanMotion
+from roboxim_interfaces.action import PlanMotion, PlanSequence
 from roboxim_interfaces.msg import MotionRequest
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -27,21 +29,24 @@ from roboxim_interfaces.srv import (
     PlanCartesian,
     PlanToJoints,
     PlanToPose,
+    RetimePath,
 )
+from roboxim_interfaces.srv import PlanSequence as PlanSequenceSrv
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RequestTimeoutError, RoboximError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_planner import conversions as convert
-from roboxim_planner.paths import Watch
-from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Plan, Planner, PlannerConfig
+from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
+from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig
+from roboxim_planner.queries import Answer, Query, run_query
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.tracker import SceneTracker
 from roboxim_ros import qos
 from roboxim_ros.conversions import fill_pose, from_msg
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.on_demand import OnDemandGroup
 
 FEEDBACK_PERIOD_S = 0.1
 
@@ -61,20 +66,8 @@ class PlannerNodeConfig:
     timeout_s: float = _parameter(5.0, "wall-clock limit of requests without one [s]", 0.001, 600.0)
     padding_m: float = _parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
     scene_wait_s: float = _parameter(1.0, "longest wait for a scene revision that is still under way [s]", 0.0, 60.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Request:
-    """A motion request, checked and converted."""
-
-    planner: Planner
-    scene: PlanningScene
-    start: Any
-    options: MotionOptions
-    watch: Watch
-    period_s: float
-    tcp_poses: bool
-    begun: float
+    dump_dir: str = _parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
+    dumps_kept: int = _parameter(100, "how many dumps the folder may hold; 0: none are written", 0, 100000)
 
 
 class PlannerNode(RoboximNode):
@@ -92,42 +85,73 @@ class PlannerNode(RoboximNode):
         self._busy = threading.Lock()
         self._planner(self._config.robot)
         self._tracker = SceneTracker(self._library)
-        topics = MutuallyExclusiveCallbackGroup()
-        self.create_subscription(SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=topics)
-        self.create_subscription(StateRecordMsg, "sim/state", self._on_state, qos.STATE, callback_group=topics)
+        self.create_subscription(
+            SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+        self._waiting = False
+        self._states = OnDemandGroup()  # a state per tick: only those of a new scene's start and of requests are heard
+        self.create_subscription(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
             (PlanToPose, "plan_to_pose", self._on_plan_to_pose),
             (PlanToJoints, "plan_to_joints", self._on_plan_to_joints),
             (PlanCartesian, "plan_cartesian", self._on_plan_cartesian),
+            (PlanSequenceSrv, "plan_sequence", self._on_plan_sequence),
+            (RetimePath, "retime_path", self._on_retime_path),
             (ComputeIK, "compute_ik", self._on_compute_ik),
             (ComputeFK, "compute_fk", self._on_compute_fk),
             (CheckState, "check_state", self._on_check_state),
             (CheckTrajectory, "check_trajectory", self._on_check_trajectory),
         ):
             self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests)
-        self._action = ActionServer(
-            self,
-            PlanMotion,
-            "planner/plan_motion",
-            execute_callback=self._on_plan_motion,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-            result_timeout=10,
-        )
+        self._actions = [
+            ActionServer(
+                self,
+                kind,
+                f"planner/{name}",
+                execute_callback=execute,
+                goal_callback=lambda _: GoalResponse.ACCEPT,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=ReentrantCallbackGroup(),
+                result_timeout=10,
+            )
+            for kind, name, execute in (
+                (PlanMotion, "plan_motion", self._execute_motion),
+                (PlanSequence, "plan_sequence", self._execute_sequence),
+            )
+        ]
 
     def destroy_node(self) -> None:
         """Destroy the node."""
-        self._action.destroy()
+        for action in self._actions:
+            action.destroy()
         super().destroy_node()
 
     def _on_scene(self, msg: SceneSpecMsg, info: dict[str, Any]) -> None:
         self._tracker.scene_arrived(from_msg(msg, SceneSpec), info["source_timestamp"])
+        self._hear_state()
 
     def _on_state(self, msg: StateRecordMsg, info: dict[str, Any]) -> None:
         sent_ns = info["source_timestamp"]
         self._tracker.state_arrived(msg.episode_id, int(msg.seq), lambda: from_msg(msg, StateRecord), sent_ns)
+        if not self._waiting:
+            self._states.open = False
+
+    def _revision(self, episode_id: str, seq: int) -> PlanningScene:
+        """Return a revision of the scene; wait for it if it is on its way."""
+        self._states.take()
+        self._waiting = True
+        try:
+            if not self._tracker.has(episode_id, seq):
+                self._hear_state()
+            return self._tracker.revision(episode_id, seq, self._config.scene_wait_s)
+        finally:
+            self._waiting = self._states.open = False
+
+    def _hear_state(self) -> None:
+        self._states.open = True
+        if self.executor is not None:
+            self.executor.wake()
 
     def _one_at_a_time(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
         def guarded(request: Any, response: Any) -> None:
@@ -147,17 +171,39 @@ class PlannerNode(RoboximNode):
         """Return a request's scene, waiting a moment for a revision that is still under way."""
         named = None
         if msg.episode_id:
-            named = self._tracker.revision(msg.episode_id, int(msg.seq), self._config.scene_wait_s)
-        return convert.scene_from_msg(msg, named)
+            named = self._revision(msg.episode_id, int(msg.seq))
+        return convert.scene_from_msg(msg, named, self._library)
 
-    def _start(self, msg: Any, planner: Planner, scene: PlanningScene, *, what: str = "start_state") -> Any:
-        if len(msg.position):
-            return convert.joints_from_msg(msg, planner.robot.description, what=what)
-        if not scene.joint_command:
-            raise InvalidRequestError(f"{what} is empty; it may be only when the scene is named by episode_id and seq")
-        return np.array(scene.joint_command)
+    def _common(self, msg: MotionRequest, *, with_start: bool = True) -> convert.Common:
+        """Check and convert what all motion requests have in common."""
+        options, period = convert.options_from_msg(msg), convert.sample_period(msg)
+        planner = self._planner(msg.robot)
+        scene = self._scene(msg.scene)
+        start = convert.start_from_msg(msg.start_state, planner.robot, scene) if with_start else None
+        return convert.Common(
+            planner=planner, scene=scene, start=start, options=options, period_s=period, tcp_poses=msg.with_tcp_poses
+        )
 
-    def _request(self, msg: MotionRequest, cancelled: Callable[[str, int], None] | None = None) -> _Request:
+    def _plan(
+        self,
+        msg: MotionRequest,
+        make: Callable[[convert.Common], Query],
+        response: Any,
+        *,
+        with_start: bool = True,
+        progress: Callable[[str, int], None] = lambda *_: None,
+        entered: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        """Answer a motion request.
+
+        Args:
+            msg: What all motion requests have in common.
+            make: Makes the query.
+            response: Where the plan or plans go; a line that ends early answers with its part and an error.
+            with_start: Whether the request needs a start.
+            progress: Called with stage and iterations; raises to cancel.
+            entered: Called with the stage of a sequence.
+        """
         begun = time.monotonic()
         timeout = float(msg.timeout) or self._config.timeout_s
         if not (math.isfinite(timeout) and timeout > 0.0):
@@ -168,95 +214,77 @@ class PlannerNode(RoboximNode):
                 raise RequestTimeoutError(
                     f"time out after {timeout:g} s in stage '{stage}', {iterations} iterations; give more time"
                 )
-            if cancelled is not None:
-                cancelled(stage, iterations)
+            progress(stage, iterations)
 
-        options = convert.options_from_msg(msg)
-        period = convert.sample_period(msg)
-        planner = self._planner(msg.robot)
-        scene = self._scene(msg.scene)
-        start = self._start(msg.start_state, planner, scene)
-        return _Request(
-            planner=planner, scene=scene, start=start, options=options, watch=watch, period_s=period,
-            tcp_poses=bool(msg.with_tcp_poses), begun=begun,
-        )  # fmt: skip
+        common = self._common(msg, with_start=with_start)
+        try:
+            answer = self._run(common.planner, make(common), watch, entered)
+        except PathIncompleteError as error:
+            convert.fill_answer(response, Answer(plans=(error.partial,), goal_indices=(-1,)), common, begun)
+            raise
+        convert.fill_answer(response, answer, common, begun)
 
-    def _answer(self, request: _Request, plan: Plan, response: Any) -> None:
-        msg = convert.plan_to_msg(plan, request.planner.robot, request.scene, request.period_s, request.tcp_poses)
-        request.watch("answer", 0)
-        msg.planning_time = time.monotonic() - request.begun
-        response.plan = msg
+    def _run(
+        self,
+        planner: Planner,
+        query: Query,
+        watch: Callable[[str, int], None],
+        entered: Callable[[int], None] = lambda _: None,
+    ) -> Answer:
+        """Run a query; what fails though it was well formed leaves a dump whose name ends the message."""
+        steps = Steps(watch)
+        try:
+            return run_query(query, planner, steps, entered)
+        except RoboximError as error:
+            if error.code not in (ErrorCode.CANCELLED, ErrorCode.INVALID_REQUEST):
+                error.args = (f"{error}{self._dump(planner, query, str(error), error.code, steps.count)}",)
+            raise
+        except Exception as error:
+            said = "".join(traceback.format_exception_only(error)).strip()
+            self.get_logger().error(f"{said}{self._dump(planner, query, said, ErrorCode.INTERNAL, steps.count)}")
+            raise
 
-    def _targets(self, request: _Request, poses: list[Any], frame: str) -> list[Pose]:
-        start = request.planner.robot.check_joints(request.start, what="start_state")
-        robot, base = request.planner.robot, request.scene.robot_pose
-        return [convert.pose_in_world(pose, frame, robot, base, start) for pose in poses]
+    def _dump(self, planner: Planner, query: Query, said: str, code: ErrorCode, steps: int) -> str:
+        """Write a dump of a failure and return what to say of it."""
+        if not self._config.dumps_kept:
+            return ""
+        dump = Dump(
+            query=query,
+            outcome=Outcome(error_code=int(code), error_msg=said, steps=steps),
+            config=planner.config,
+            robot_digest=self._library.digest(query.robot),
+        )
+        folder = Path(self._config.dump_dir).expanduser() if self._config.dump_dir else dump_folder()
+        name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{query.kind}-{code.name.lower()}"
+        try:
+            path = write_dump(dump, folder, name, kept=self._config.dumps_kept)
+        except OSError as error:
+            self.get_logger().warning(f"no dump of a failed request in {folder}: {error}")
+            return ""
+        return f"; dump: {path}"
 
     def _on_plan_to_pose(self, msg: PlanToPose.Request, response: PlanToPose.Response) -> None:
         response.goal_index = -1
-        request = self._request(msg.request)
-        poses = [msg.target.pose, *msg.alternatives]
-        plan = self._to_pose(request, poses, msg.target.header.frame_id)
-        self._answer(request, plan, response)
-        response.goal_index = plan.goal_index
-
-    def _to_pose(self, request: _Request, poses: list[Any], frame: str) -> Plan:
-        targets = self._targets(request, poses, frame)
-        return request.planner.plan_to_pose(request.scene, request.start, targets, request.options, request.watch)
+        poses, frame = [msg.target.pose, *msg.alternatives], msg.target.header.frame_id
+        self._plan(msg.request, lambda common: convert.pose_query(common, poses, frame), response)
 
     def _on_plan_to_joints(self, msg: PlanToJoints.Request, response: PlanToJoints.Response) -> None:
-        request = self._request(msg.request)
-        self._answer(request, self._to_joints(request, msg.target, msg.named_state), response)
-
-    def _to_joints(self, request: _Request, target: Any, named_state: str) -> Plan:
-        planner = request.planner
-        if len(target.position):
-            goal = convert.joints_from_msg(target, planner.robot.description, what="target")
-        elif named_state:
-            goal = planner.named_state(named_state)
-        else:
-            raise InvalidRequestError("give a target or a named_state")
-        return planner.plan_to_joints(request.scene, request.start, goal, request.options, request.watch)
+        self._plan(msg.request, lambda common: convert.joints_query(common, msg.target, msg.named_state), response)
 
     def _on_plan_cartesian(self, msg: PlanCartesian.Request, response: PlanCartesian.Response) -> None:
-        request = self._request(msg.request)
-        self._answer_cartesian(request, msg, response)
+        self._plan(msg.request, lambda common: convert.line_query(common, msg), response)
 
-    def _answer_cartesian(self, request: _Request, msg: Any, response: Any) -> None:
-        """Answer with the plan; a line that ends early answers with its part and an error."""
-        targets = [t for p in msg.waypoints for t in self._targets(request, [p.pose], p.header.frame_id)]
-        try:
-            plan = request.planner.plan_cartesian(
-                request.scene,
-                request.start,
-                targets,
-                request.options,
-                min_fraction=float(msg.min_fraction) or 1.0,
-                ignore_collisions=bool(msg.ignore_collisions),
-                watch=request.watch,
-            )
-        except PathIncompleteError as error:
-            self._answer(request, error.partial, response)
-            raise
-        self._answer(request, plan, response)
+    def _on_plan_sequence(self, msg: PlanSequenceSrv.Request, response: PlanSequenceSrv.Response) -> None:
+        self._plan(msg.request, lambda common: convert.sequence_query(common, msg.stages), response)
+
+    def _on_retime_path(self, msg: RetimePath.Request, response: RetimePath.Response) -> None:
+        self._plan(msg.request, lambda common: convert.retime_query(common, msg), response, with_start=False)
 
     def _on_compute_ik(self, msg: ComputeIK.Request, response: ComputeIK.Response) -> None:
         planner = self._planner(msg.robot)
-        robot = planner.robot.description
-        scene = self._scene(msg.scene)
-        near = np.array(robot.home)
-        if len(msg.seed_state.position):
-            near = convert.joints_from_msg(msg.seed_state, robot, what="seed_state")
-        target = convert.pose_in_world(msg.target.pose, msg.target.header.frame_id, planner.robot, scene.robot_pose)
-        solutions = planner.inverse_kinematics(
-            target,
-            near,
-            scene=scene if msg.avoid_collisions else None,
-            robot_pose=scene.robot_pose,
-            count=int(msg.max_solutions) or 1,
-            seed=int(msg.seed),
-        )
-        response.solutions = [convert.joints_to_msg(q, robot) for q in solutions]
+        query = convert.ik_query(planner, self._scene(msg.scene), msg)
+        answer = self._run(planner, query, lambda *_: None)
+        response.solutions = [convert.joints_to_msg(q, planner.robot.description) for q in answer.solutions]
 
     def _on_compute_fk(self, msg: ComputeFK.Request, response: ComputeFK.Response) -> None:
         planner = self._planner(msg.robot)
@@ -275,7 +303,8 @@ class PlannerNode(RoboximNode):
     def _on_check_state(self, msg: CheckState.Request, response: CheckState.Response) -> None:
         planner = self._planner(msg.robot)
         scene = self._scene(msg.scene)
-        finding = planner.check_state(scene, self._start(msg.state, planner, scene, what="state"))
+        state = convert.start_from_msg(msg.state, planner.robot, scene, what="state")
+        finding = planner.check_state(scene, state)
         response.valid = finding.valid
         response.contacts = [convert.contact_to_msg(contact) for contact in finding.contacts]
         response.violations = list(finding.violations)
@@ -291,8 +320,31 @@ class PlannerNode(RoboximNode):
         response.contacts = [convert.contact_to_msg(contact) for contact in finding.contacts]
         response.violations = list(finding.violations)
 
-    def _on_plan_motion(self, goal: ServerGoalHandle) -> PlanMotion.Result:
+    def _execute_motion(self, goal: ServerGoalHandle) -> PlanMotion.Result:
+        msg = goal.request
         result = PlanMotion.Result(goal_index=-1)
+        return self._execute(
+            goal, result, PlanMotion.Feedback(), lambda common: convert.motion_query(common, msg), lambda _: None
+        )
+
+    def _execute_sequence(self, goal: ServerGoalHandle) -> PlanSequence.Result:
+        stages, feedback = goal.request.stages, PlanSequence.Feedback()
+
+        def entered(index: int) -> None:
+            feedback.stage_index = index
+
+        return self._execute(
+            goal, PlanSequence.Result(), feedback, lambda common: convert.sequence_query(common, stages), entered
+        )
+
+    def _execute(
+        self,
+        goal: ServerGoalHandle,
+        result: Any,
+        feedback: Any,
+        make: Callable[[convert.Common], Query],
+        entered: Callable[[int], None],
+    ) -> Any:
         begun, last = time.monotonic(), 0.0
 
         def progress(stage: str, iterations: int) -> None:
@@ -302,10 +354,11 @@ class PlannerNode(RoboximNode):
             now = time.monotonic()
             if now - last > FEEDBACK_PERIOD_S:
                 last = now
-                goal.publish_feedback(PlanMotion.Feedback(stage=stage, iterations=iterations, elapsed=now - begun))
+                feedback.stage, feedback.iterations, feedback.elapsed = stage, iterations, now - begun
+                goal.publish_feedback(feedback)
 
-        with self.answering("planner/plan_motion", result), self._busy:
-            self._plan_motion(goal.request, self._request(goal.request.request, progress), result)
+        with self.answering("an action of the planner", result), self._busy:
+            self._plan(goal.request.request, make, result, progress=progress, entered=entered)
         if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:
             goal.canceled()
         elif result.error_code:
@@ -313,18 +366,3 @@ class PlannerNode(RoboximNode):
         else:
             goal.succeed()
         return result
-
-    def _plan_motion(self, msg: PlanMotion.Goal, request: _Request, result: PlanMotion.Result) -> None:
-        if msg.kind == PlanMotion.Goal.JOINTS:
-            self._answer(request, self._to_joints(request, msg.joint_target, msg.named_state), result)
-        elif msg.kind == PlanMotion.Goal.CARTESIAN:
-            self._answer_cartesian(request, msg, result)
-        elif msg.kind == PlanMotion.Goal.POSE:
-            frames = {pose.header.frame_id for pose in msg.waypoints}
-            if len(frames) != 1:
-                raise InvalidRequestError(f"POSE needs at least one waypoint, all in one frame; got {sorted(frames)}")
-            plan = self._to_pose(request, [pose.pose for pose in msg.waypoints], frames.pop())
-            self._answer(request, plan, result)
-            result.goal_index = plan.goal_index
-        else:
-            raise InvalidRequestError(f"kind must be POSE (0), JOINTS (1) or CARTESIAN (2), got {msg.kind}")

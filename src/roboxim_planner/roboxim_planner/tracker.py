@@ -74,6 +74,11 @@ class SceneTracker:
             self._state, self._state_ns = _Tick(episode_id, seq, read), sent_ns
             self._changed.notify_all()
 
+    def has(self, episode_id: str, seq: int) -> bool:
+        """Tell whether `revision` need not wait."""
+        with self._changed:
+            return self._has(episode_id, seq)
+
     def revision(self, episode_id: str, seq: int, wait_s: float = 0.0) -> PlanningScene:
         """Return the planning scene of a revision.
 

@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import Point, PoseStamped
 from rclpy.action import ActionClient
 from roboxim_interfaces.action import PlanMotion
-from roboxim_interfaces.msg import AllowedContact, AttachedObject, CollisionObject
+from roboxim_interfaces.action import PlanSequence as PlanSequenceAction
+from roboxim_interfaces.msg import AllowedContact, AttachedObject, CollisionObject, MotionStage
 from roboxim_interfaces.msg import PlanningScene as SceneMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -20,17 +24,24 @@ from roboxim_interfaces.srv import (
     ComputeFK,
     ComputeIK,
     PlanCartesian,
+    PlanSequence,
     PlanToJoints,
     PlanToPose,
+    RetimePath,
 )
 from sensor_msgs.msg import JointState
-from shape_msgs.msg import Mesh, SolidPrimitive
+from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError, RoboximError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
+from roboxim_planner.dumps import list_dumps, read_dump
 from roboxim_planner.node import PlannerNode
+from roboxim_planner.pipeline import MotionOptions, Planner
+from roboxim_planner.scene import PlanningScene
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_pose, to_msg
@@ -62,8 +73,10 @@ def state(episode: str, seq: int) -> StateRecord:
 class Graph:
     """A planner node, clients, and a stand-in for the sim's topics."""
 
-    def __init__(self, host: NodeHost) -> None:
-        self.node = host.add(lambda context: PlannerNode(context=context, parameters={"scene_wait_s": 0.3}))
+    def __init__(self, host: NodeHost, dumps: Path) -> None:
+        self.dumps = dumps
+        parameters = {"scene_wait_s": 0.3, "dump_dir": str(dumps), "dumps_kept": 5}
+        self.node = host.add(lambda context: PlannerNode(context=context, parameters=parameters))
         self.clients = Clients("test_clients", context=host.context)
         self.scenes = self.clients.node.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self.states = self.clients.node.create_publisher(StateRecordMsg, "sim/state", qos.STATE)
@@ -78,9 +91,9 @@ class Graph:
 
 
 @pytest.fixture(scope="module")
-def graph() -> Iterator[Graph]:
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
-        graph = Graph(host)
+        graph = Graph(host, tmp_path_factory.mktemp("dumps"))
         yield graph
         graph.clients.close()
 
@@ -169,7 +182,7 @@ def test_bad_requests_get_their_code_and_words(graph: Graph) -> None:
     robot.request.robot = "pandda"
     case(robot, RoboximError, ErrorCode.UNKNOWN_MODEL, "panda")
     bad = obstacle()
-    bad.primitives[0].type = SolidPrimitive.CONE
+    bad.primitives[0].type = SolidPrimitive.PRISM
     shape.request.scene.objects = [bad]
     case(shape, InvalidRequestError, ErrorCode.INVALID_REQUEST, "BOX")
     for field, value, words in (
@@ -312,6 +325,237 @@ def _wait(future: Any) -> Any:
     future.add_done_callback(lambda _: done.set())
     assert done.wait(20.0)
     return future.result()
+
+
+def stages(retreat: float = 0.12) -> list[MotionStage]:
+    """Approach the cube from above, grasp it, retreat."""
+    approach = MotionStage(name="approach", kind=MotionStage.POSE, goals=[target(0.5, 0.2, 0.12)])
+    grasp = MotionStage(name="grasp", kind=MotionStage.CARTESIAN, goals=[target(0.0, 0.0, 0.1, frame="tcp")])
+    fill_pose(grasp.goals[0].pose, Pose(position=(0.0, 0.0, 0.1)))
+    grasp.allowed_contacts = [AllowedContact(body_a="cube", body_b="gripper")]
+    up = MotionStage(name="retreat", kind=MotionStage.CARTESIAN, relative=True, attach=["cube"], gripper_opening=[0.5])
+    up.goals = [PoseStamped()]
+    up.goals[0].header.frame_id = "world"
+    up.goals[0].pose.position.z = retreat
+    return [approach, grasp, up]
+
+
+def cube() -> CollisionObject:
+    """Return a cube of the model library a little above the ground."""
+    msg = CollisionObject(name="cube", model="cube")
+    fill_pose(msg.pose, Pose(position=(0.5, 0.2, 0.03)))
+    return msg
+
+
+def sequence(**kwargs: Any) -> PlanSequence.Request:
+    request = PlanSequence.Request(stages=stages(**kwargs))
+    request.request.start_state = JointState(position=HOME)
+    request.request.scene.objects = [cube()]
+    request.request.with_tcp_poses = True
+    request.request.timeout = 30.0
+    return request
+
+
+def test_sequence_grasps_and_lifts(graph: Graph) -> None:
+    answer = graph.call(PlanSequence, "plan_sequence", sequence())
+    assert list(answer.goal_indices) == [0, -1, -1]
+    heights = [plan.tcp_poses[-1].position.z for plan in answer.plans]
+    assert heights == pytest.approx([0.12, 0.02, 0.14], abs=1e-4)
+    for before, after in zip(answer.plans, answer.plans[1:], strict=False):
+        end = np.array(before.trajectory.points[-1].positions)
+        assert np.abs(end - np.array(after.trajectory.points[0].positions)).max() < 1e-6
+    error = graph.refused(PlanSequence, "plan_sequence", sequence(retreat=1.2))
+    assert error.code == ErrorCode.PATH_INCOMPLETE
+    assert "stage 'retreat' (3 of 3)" in str(error)
+    assert "of stage 'approach' tried" in str(error)
+
+
+def test_sequence_as_an_action_can_be_cancelled(graph: Graph) -> None:
+    client = ActionClient(graph.clients.node, PlanSequenceAction, "planner/plan_sequence")
+    try:
+        assert client.wait_for_server(10.0)
+        asked = sequence()
+        goal = PlanSequenceAction.Goal(request=asked.request, stages=asked.stages)
+        assert len(_result(graph.clients, client, goal).plans) == 3
+        divide = PlanSequenceAction.Goal()
+        divide.request.start_state = JointState(position=[1.2, *FOLDED])
+        divide.request.scene.objects = divided()
+        divide.request.timeout = 30.0
+        divide.stages = [MotionStage(kind=MotionStage.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))]
+        assert _result(graph.clients, client, divide, cancel=True).error_code == ErrorCode.CANCELLED
+    finally:
+        client.destroy()
+
+
+def trajectory(*rows: list[float]) -> JointTrajectory:
+    return JointTrajectory(points=[JointTrajectoryPoint(positions=row) for row in rows])
+
+
+def test_retime_keeps_the_limits_and_the_path(graph: Graph) -> None:
+    rows = [HOME, [q + 0.4 for q in HOME], [HOME[0] + 0.8, *HOME[1:]]]
+    request = RetimePath.Request(path=trajectory(*rows), stop_at_points=True)
+    request.request.max_velocity_scaling_factor = 0.5
+    plan = graph.call(RetimePath, "retime_path", request).plan
+    assert plan.route == "retimed"
+    points = np.array([p.positions for p in plan.trajectory.points])
+    assert [np.abs(points - row).max(axis=1).min() < 1e-2 for row in rows] == [True] * 3
+    model = ModelLibrary().robot("panda")
+    speeds = np.abs([p.velocities for p in plan.trajectory.points]).max(axis=0)
+    assert (speeds <= 0.5 * np.array(model.limits.velocity) * 1.001).all()
+    request.stop_at_points = False
+    assert graph.call(RetimePath, "retime_path", request).plan.trajectory.points[-1].time_from_start.nanosec
+    request.check_collisions = True
+    request.request.scene.objects = [obstacle()]
+    fill_pose(request.request.scene.objects[0].pose, Pose(position=(0.45, 0.3, 0.3)))
+    assert "overlap" in str(graph.refused(RetimePath, "retime_path", request))
+
+
+def test_ik_any_nearest_all(graph: Graph) -> None:
+    def solve(mode: int, most: int = 0) -> list[np.ndarray]:
+        request = ComputeIK.Request(target=target(), mode=mode, max_solutions=most)
+        return [np.array(s.position) for s in graph.call(ComputeIK, "compute_ik", request).solutions]
+
+    every = solve(ComputeIK.Request.ALL)
+    assert len(every) > 5
+    away = [float(np.abs(q - HOME).max()) for q in every]
+    assert away == sorted(away)
+    nearest = solve(ComputeIK.Request.NEAREST)
+    assert len(nearest) == 1
+    assert np.abs(nearest[0] - HOME).max() == pytest.approx(away[0])
+    assert len(solve(ComputeIK.Request.ALL, 3)) == 3
+    assert len(solve(ComputeIK.Request.ANY)) == 1
+    error = graph.refused(ComputeIK, "compute_ik", ComputeIK.Request(target=target(), mode=7))
+    assert "mode must be" in str(error)
+
+
+def test_objects_by_model_cone_and_mesh(graph: Graph) -> None:
+    request = CheckState.Request(state=JointState(position=HOME))
+    request.scene.gripper_opening = [0.2]
+    at = graph.call(ComputeFK, "compute_fk", ComputeFK.Request(state=request.state)).poses[0].pose
+    model, cone, mesh = (CollisionObject(name=name, pose=at) for name in ("by_model", "cone", "mesh"))
+    model.model = "cube"
+    model.modifiers = [KeyValue(key="color", value='"red"')]
+    cone.primitives = [SolidPrimitive(type=SolidPrimitive.CONE, dimensions=[0.1, 0.05])]
+    corners = [(-0.1, -0.1, 0.0), (0.1, -0.1, 0.0), (0.1, 0.1, 0.0), (-0.1, 0.1, 0.0)]
+    sheet = Mesh(vertices=[Point(x=x, y=y, z=z) for x, y, z in corners])
+    sheet.triangles = [MeshTriangle(vertex_indices=[0, 1, 2]), MeshTriangle(vertex_indices=[0, 2, 3])]
+    mesh.meshes = [sheet]
+    for item in (model, cone, mesh):
+        request.scene.objects = [item]
+        contacts = graph.call(CheckState, "check_state", request).contacts
+        assert {c.body_b for c in contacts} | {c.body_a for c in contacts} >= {item.name, "panda_leftfinger"}, item.name
+    model.model = "cbe"
+    request.scene.objects = [model]
+    assert "did you mean 'cube'" in str(graph.refused(CheckState, "check_state", request))
+    model.model, model.modifiers[0].value = "cube", "red"
+    assert "must be JSON" in str(graph.refused(CheckState, "check_state", request))
+
+
+def _requests() -> dict[str, tuple[Any, Any]]:
+    """Return a good request to each service that has a start or state and a goal."""
+    start = JointState(position=HOME)
+    joints, line = PlanToJoints.Request(named_state="ready"), PlanCartesian.Request(waypoints=[target(0.5, 0.0, 0.3)])
+    joints.request.start_state = line.request.start_state = start
+    return {
+        "plan_to_pose": (PlanToPose, to_pose()),
+        "plan_to_joints": (PlanToJoints, joints),
+        "plan_cartesian": (PlanCartesian, line),
+        "plan_sequence": (PlanSequence, sequence()),
+        "retime_path": (RetimePath, RetimePath.Request(path=trajectory(HOME, [q + 0.1 for q in HOME]))),
+        "compute_ik": (ComputeIK, ComputeIK.Request(target=target(), seed_state=start)),
+        "compute_fk": (ComputeFK, ComputeFK.Request(state=start)),
+        "check_state": (CheckState, CheckState.Request(state=start)),
+        "check_trajectory": (CheckTrajectory, CheckTrajectory.Request(trajectory=trajectory(HOME, HOME))),
+    }
+
+
+def _positions(name: str, request: Any) -> Any:
+    """Return the message of a request that holds its joint positions."""
+    if name in ("retime_path", "check_trajectory"):
+        return (request.path if name == "retime_path" else request.trajectory).points[0]
+    if name == "compute_ik":
+        return request.seed_state
+    return request.state if name in ("compute_fk", "check_state") else request.request.start_state
+
+
+@pytest.mark.parametrize("name", sorted(_requests()))
+def test_every_service_answers_and_refuses_nan_and_a_wrong_joint_count(graph: Graph, name: str) -> None:
+    kind, request = _requests()[name]
+    graph.call(kind, name, request)
+    field = "positions" if hasattr(_positions(name, request), "positions") else "position"
+    for values, words in (([float("nan"), *HOME[1:]], "finite"), (HOME[:6], "6")):
+        _, request = _requests()[name]
+        setattr(_positions(name, request), field, values)
+        error = graph.refused(kind, name, request)
+        assert error.code == ErrorCode.INVALID_REQUEST
+        assert words in str(error)
+
+
+def test_unknown_frames_are_named(graph: Graph) -> None:
+    line = _requests()["plan_cartesian"][1]
+    line.waypoints[0].header.frame_id = "tpc"
+    ik = ComputeIK.Request(target=target(frame="pana_base"))
+    staged = sequence()
+    staged.stages[0].goals[0].header.frame_id = "pana_base"
+    for kind, name, request, hint in (
+        (PlanCartesian, "plan_cartesian", line, "tcp"),
+        (ComputeIK, "compute_ik", ik, "panda_base"),
+        (PlanSequence, "plan_sequence", staged, "panda_base"),
+    ):
+        error = graph.refused(kind, name, request)
+        assert error.code == ErrorCode.UNKNOWN_FRAME
+        assert f"did you mean '{hint}'" in str(error)
+
+
+def test_a_deadline_of_a_millisecond_ends_in_timeout_and_its_dump_says_the_same(graph: Graph) -> None:
+    request = PlanToJoints.Request(target=JointState(position=[-1.2, *FOLDED]))
+    request.request.start_state = JointState(position=[1.2, *FOLDED])
+    request.request.scene.objects = divided()
+    request.request.timeout = 1e-3
+    error = graph.refused(PlanToJoints, "plan_to_joints", request)
+    assert error.code == ErrorCode.TIMEOUT
+    assert "time out after 0.001 s in stage" in str(error)
+    dump = read_dump(Path(str(error).partition("; dump: ")[2]))
+    again, _ = dump.run_again(ModelLibrary())
+    assert (again.error_code, again.error_msg) == (ErrorCode.TIMEOUT, str(error).partition("; dump: ")[0])
+
+
+def test_failures_leave_dumps_that_run_again_and_their_folder_stays_bounded(graph: Graph) -> None:
+    request = to_pose(y=0.22, z=0.03)
+    request.request.scene.objects = [cube()]
+    for x in (1.5, 1.6, 1.7, 0.5):
+        request.target.pose.position.x = x
+        for _ in range(2):
+            error = graph.refused(PlanToPose, "plan_to_pose", request)
+    assert error.code == ErrorCode.GOAL_IN_COLLISION
+    dumps = list_dumps(graph.dumps)
+    assert len(dumps) == 5
+    path = Path(str(error).partition("; dump: ")[2])
+    assert path == dumps[0]
+    dump = read_dump(path)
+    again, _ = dump.run_again(ModelLibrary())
+    assert f"{again.error_msg}; dump: {path}" == str(error)
+    assert again.error_code == error.code
+
+
+@pytest.mark.slow
+def test_a_service_costs_at_most_3_ms_over_the_core(graph: Graph) -> None:
+    request = to_pose(y=-0.3)
+    client = graph.clients.client(PlanToPose, "planner/plan_to_pose")
+    planner = Planner(ModelLibrary().robot("panda"))
+    goal = Pose(position=(0.5, -0.3, 0.25), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
+
+    def usual(call: Any) -> float:
+        call()
+        spent = []
+        for _ in range(30):
+            begun = time.perf_counter()
+            call()
+            spent.append(time.perf_counter() - begun)
+        return float(np.percentile(spent, 25))
+
+    core = usual(lambda: planner.plan_to_pose(PlanningScene(), HOME, [goal], MotionOptions()).sample(0.01))
+    assert usual(lambda: client.call(request)) - core < 3e-3
 
 
 def test_arrays_keep_their_bits(graph: Graph) -> None:

@@ -1,0 +1,222 @@
+"""Failures in files: a query, how it was answered, and running it again.
+
+A dump holds all that the answer depends on: the scene with the geometry itself, the request, its seed, the planner's
+configuration. Running it again therefore gives the same answer. A time-out came at some moment of wall clock time; it
+is repeated at the same step of the work.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.errors import ConfigError, ErrorCode, RequestTimeoutError, RoboximError, one_of
+from roboxim_core.models.description import Shape
+from roboxim_core.models.library import ModelLibrary
+from roboxim_planner.geometry import mesh_points
+from roboxim_planner.paths import Watch
+from roboxim_planner.pipeline import Planner, PlannerConfig, no_watch
+from roboxim_planner.queries import QUERIES, Answer, Query, run_query
+from roboxim_planner.scene import Body, PlanningScene, PointHull
+
+FORMAT = 1
+
+
+class Steps:
+    """A watch that counts its calls and hands them on."""
+
+    def __init__(self, watch: Watch = no_watch) -> None:
+        """Wrap a watch."""
+        self._watch = watch
+        self.count = 0
+
+    def __call__(self, stage: str, iterations: int) -> None:
+        """Count, then call."""
+        self.count += 1
+        self._watch(stage, iterations)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a query was answered."""
+
+    error_code: int = 0
+    """0 or a code of `ErrorCode`."""
+    error_msg: str = ""
+    """Why there is no answer."""
+    steps: int = 0
+    """How often the watch had been called by then."""
+    digest: str = ""
+    """`Answer.digest`; empty after an error."""
+
+    def __str__(self) -> str:
+        """Say it."""
+        return f"{ErrorCode(self.error_code).name}: {self.error_msg}" if self.error_code else f"OK, {self.digest}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dump:
+    """A query and how it was answered."""
+
+    query: Query
+    """The query."""
+    outcome: Outcome
+    """Its answer."""
+    config: PlannerConfig
+    """The planner's configuration."""
+    robot_digest: str
+    """`ModelLibrary.digest` of the robot."""
+
+    def run_again(self, library: ModelLibrary, *, deadline: bool = True) -> tuple[Outcome, Answer | None]:
+        """Answer the query once more.
+
+        Args:
+            library: Where the robot comes from.
+            deadline: Stop at the step where the first run timed out or was cancelled; false: let it finish.
+
+        Returns:
+            The outcome, and the answer if there is one.
+        """
+        return answered(self.query, Planner(library.robot(self.query.robot), self.config), self._watch(deadline))
+
+    def _watch(self, deadline: bool) -> Watch:
+        first = self.outcome
+        if not deadline or first.error_code not in (ErrorCode.TIMEOUT, ErrorCode.CANCELLED):
+            return no_watch
+        calls = 0
+
+        def watch(stage: str, iterations: int) -> None:
+            nonlocal calls
+            calls += 1
+            if calls >= first.steps:
+                kind = RequestTimeoutError if first.error_code == ErrorCode.TIMEOUT else RoboximError
+                raise kind(first.error_msg, ErrorCode(first.error_code))
+
+        return watch
+
+
+def answered(query: Query, planner: Planner, watch: Watch = no_watch) -> tuple[Outcome, Answer | None]:
+    """Run a query; an error becomes an outcome."""
+    steps = Steps(watch)
+    try:
+        answer = run_query(query, planner, steps)
+    except RoboximError as error:
+        return Outcome(error_code=int(error.code), error_msg=str(error), steps=steps.count), None
+    return Outcome(steps=steps.count, digest=answer.digest), answer
+
+
+def self_contained(query: Query) -> Query:
+    """Return a query whose scene holds the points of its hulls instead of the names of their files."""
+    return replace(query, scene=_embedded(query.scene))
+
+
+def _embedded(scene: PlanningScene) -> PlanningScene:
+    def embed(body: Body) -> Body:
+        shapes = tuple(
+            PointHull(points=mesh_points(shape.mesh, shape.scale), pose=shape.pose)
+            if isinstance(shape, Shape) and shape.kind == "hull"
+            else shape
+            for shape in body.shapes
+        )
+        return replace(body, shapes=shapes)
+
+    return replace(
+        scene,
+        bodies=tuple(embed(body) for body in scene.bodies),
+        attached=tuple(replace(held, body=embed(held.body)) for held in scene.attached),
+    )
+
+
+def write_dump(dump: Dump, folder: Path, name: str, *, kept: int) -> Path:
+    """Write a dump and remove the oldest ones.
+
+    Args:
+        dump: What to write.
+        folder: Where; made if it is not there.
+        name: Beginning of the file's name; sorts by age.
+        kept: How many dumps the folder may hold, >= 1.
+
+    Returns:
+        The file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    data = {
+        "format": FORMAT,
+        "kind": dump.query.kind,
+        "outcome": to_plain(dump.outcome),
+        "robot_digest": dump.robot_digest,
+        "config": to_plain(dump.config),
+        "query": _finite(to_plain(self_contained(dump.query))),
+    }
+    number = 0
+    while (path := folder / f"{name}-{number}.json").exists():
+        number += 1
+    with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".partial", delete=False) as file:
+        json.dump(data, file, allow_nan=False)
+    os.replace(file.name, path)
+    for old in list_dumps(folder)[kept:]:
+        with contextlib.suppress(OSError):
+            old.unlink()
+    return path
+
+
+def read_dump(path: Path) -> Dump:
+    """Read a dump.
+
+    Raises:
+        ConfigError: When the file cannot be read or is no dump of this version.
+    """
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read the dump {path}: {error}") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("kind") not in QUERIES:
+        raise ConfigError(f"{path} is not a planner dump of format {FORMAT}")
+    return Dump(
+        query=from_plain(data["query"], QUERIES[data["kind"]], source=str(path)),
+        outcome=from_plain(data["outcome"], Outcome, source=str(path)),
+        config=from_plain(data["config"], PlannerConfig, source=str(path)),
+        robot_digest=str(data["robot_digest"]),
+    )
+
+
+def list_dumps(folder: Path) -> list[Path]:
+    """Return the dumps of a folder, newest first."""
+    return sorted(folder.glob("*.json"), key=lambda path: (path.stat().st_mtime_ns, path.name), reverse=True)
+
+
+def find_dump(name: str, folder: Path) -> Path:
+    """Return a dump by its path, its name in the folder, or ``latest``.
+
+    Raises:
+        ConfigError: When there is no such dump; lists the newest.
+    """
+    dumps = list_dumps(folder)
+    if name == "latest" and dumps:
+        return dumps[0]
+    for path in (Path(name).expanduser(), folder / name):
+        if path.is_file():
+            return path
+    raise ConfigError(f"no dump '{name}' in {folder}; {one_of((path.name for path in dumps[:10]), name)}")
+
+
+def dump_folder() -> Path:
+    """Return where dumps go by default: ``roboxim/planner`` in the user's cache folder."""
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(cache).expanduser() / "roboxim" / "planner"
+
+
+def _finite(data: Any) -> Any:
+    """Leave out keys whose value is infinite, JSON having none; their defaults are."""
+    if isinstance(data, dict):
+        return {k: _finite(v) for k, v in data.items() if not (isinstance(v, float) and math.isinf(v))}
+    if isinstance(data, list | tuple):
+        return [_finite(item) for item in data]
+    return data
