@@ -21,7 +21,10 @@ def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
     if not 0 < radius <= half.min():
         raise ValueError("the radius must be > 0 and at most half of the smallest extent")
     bend = radius * np.tan(np.radians([45.0, 22.5]))
-    vertices, normals, uv, faces = [], [], [], []
+    vertices: list[Array] = []
+    normals: list[Array] = []
+    uv: list[Array] = []
+    faces: list[Array] = []
     for axis in range(3):
         first, second = (axis + 1) % 3, (axis + 2) % 3
         ticks = []
@@ -35,8 +38,7 @@ def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
             inside = np.clip(on_cube, radius - half, half - radius)
             normal = on_cube - inside
             normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-            start = sum(len(block) for block in vertices)
-            index = start + np.arange(a.size).reshape(a.shape)
+            index = sum(map(len, vertices)) + np.arange(a.size).reshape(a.shape)
             p, q, r, s = (x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
             block = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
             faces.append(block if side > 0 else block[:, ::-1])

@@ -118,7 +118,7 @@ def _spline(points: Array) -> Array:
 
 def _fraction(path: Array) -> Array:
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    return np.asarray(np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum())
 
 
 def _length(path: Array) -> float:
