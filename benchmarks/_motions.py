@@ -165,6 +165,10 @@ def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[
         "p95_ms": round(float(np.percentile(times, 95)), 2),
         "max_ms": round(max(times), 1),
     }
+    if contender != OURS:
+        theirs = {o.problem for o in mine}
+        ours = [o.ms for o in outcomes if o.contender == OURS and o.problem in theirs]
+        row["our_p95_by_theirs"] = round(float(np.percentile(ours, 95) / np.percentile(times, 95)), 3)
     if ratios:
         row["duration_vs_toppra"] = round(float(np.median(ratios)), 3)
     return row

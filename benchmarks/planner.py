@@ -9,6 +9,10 @@ own, asked in turn with the same problem; peers come with ``make planner-peers``
 tabletop   3 to 10 obstacles on a table, every third with a stick in the hand, more than half detours
 hard       shelves, a crate, a cage, cluttered tables, in the manner of MotionBenchMaker
 ik         10,000 reachable poses
+retreat    a pose and 12 cm straight back from it as one request, where a brute-force search finds it feasible
+memory     growth of the process over 10,000 plans
+
+What a service adds to the core's time is ``benchmarks/planner_service.py``.
 """
 
 from __future__ import annotations
@@ -23,12 +27,13 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parent))
-from _contenders import contenders, toppra_measure
+from _abilities import ik_row, memory_row, retreat_row
+from _contenders import Contender, contenders, toppra_measure
 from _harness import Bench
 from _motions import OURS, Draw, Store, file_draws, hard_draws, run_problems, summary, tabletop_draws, unsolved
 from _problem_files import ProblemFileError, load_problems
 
-SECTIONS = ("tabletop", "hard")
+SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +59,7 @@ def main() -> None:
         sys.exit(f"--rows: unknown {set(rows) - set(SECTIONS)}; there are {', '.join(SECTIONS)}")
     store = Store(options.resume)
     until = time.monotonic() + options.stop_after
-    share = 0.0
+    headlines: list[tuple[str, float, str, float]] = []
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         asked, missing = contenders([OURS, *filter(None, options.peers.split(","))], folder)
@@ -63,17 +68,73 @@ def main() -> None:
         measure = toppra_measure()
         for process in (*asked, *([measure] if measure else [])):
             stack.enter_context(process).start()
+        sets = Sets(bench, asked, measure, store, until)
         if options.problems is not None:
-            draws, rows = read_problems(options.problems), []
-            share = problem_rows(bench, options.problems.stem, draws, asked, measure, store, 1, until)
+            share = sets.run(options.problems.stem, read_problems(options.problems))
+            headlines.append((f"valid share of the problems of {options.problems.name}", share, "", 0.999))
+            rows = []
         if "tabletop" in rows:
             draws = tabletop_draws(options.count or (40 if bench.quick else 1000), options.seed)
-            share = problem_rows(bench, "tabletop", draws, asked, measure, store, 1, until)
+            headlines.append(("valid share of tabletop problems", sets.run("tabletop", draws, detours=0.5), "", 0.999))
         if "hard" in rows:
             draws = hard_draws(options.hard_count or (2 if bench.quick else 100), options.seed)
-            problem_rows(bench, "hard", draws, asked, measure, store, options.peers_every, until)
-    what = "tabletop problems" if options.problems is None else f"the problems of {options.problems.name}"
-    bench.finish(f"valid share of {what}", share, "", at_least=0.999)
+            share = sets.run("hard", draws, peers_every=options.peers_every)
+            headlines.append(("valid share of hard problems", share, "", 0.995))
+        ours = asked[0]
+        if "ik" in rows:
+            row = ik_row(ours, 1000 if bench.quick else 10_000, options.seed)
+            headlines.append(("share of reachable poses solved", float(row["valid_share"]), "", 1.0))
+            bench.row(**row)
+        if "retreat" in rows:
+            row = retreat_row(ours, 12 if bench.quick else 200, options.seed)
+            headlines.append(("share of feasible retreats", float(row["valid_share"]), "", 0.95))
+            bench.row(**row)
+        if "memory" in rows:
+            row = memory_row(ours, 1000 if bench.quick else 10_000, options.seed)
+            bench.row(**row)
+            headlines.append(("memory left of 1 MB", 1.0 - float(row["grown_mib"]), "MiB", 0.0))
+    name, value, unit, goal = headlines[0]
+    bench.finish(name, value, unit, at_least=goal)
+
+
+class Sets:
+    """Runs sets of problems and adds their rows."""
+
+    def __init__(
+        self, bench: Bench, asked: list[Contender], measure: Contender | None, store: Store, until: float
+    ) -> None:
+        """Take the contenders, ours first."""
+        self._bench, self._asked, self._measure, self._store, self._until = bench, asked, measure, store, until
+
+    def run(self, name: str, draws: list[Draw], *, peers_every: int = 1, detours: float = 0.0) -> float:
+        """Run a set and return our share of motions without any fault.
+
+        Args:
+            name: For the table.
+            draws: The problems.
+            peers_every: Peers get every so many-th.
+            detours: Least share of problems whose direct line collides.
+        """
+        outcomes, done = run_problems(
+            draws, self._asked, self._store, measure=self._measure, peers_every=peers_every, until=self._until
+        )
+        if not done:
+            click.echo(f"{name}: stopped after {len(outcomes)} outcomes; the same command goes on")
+        hopeless = unsolved(
+            outcomes, draws, self._store, search_s=0.0 if self._bench.quick else self._bench.options.search
+        )
+        mine = [o for o in outcomes if o.contender == OURS and o.problem not in hopeless]
+        if sum(o.detour for o in mine) < detours * len(mine):
+            raise AssertionError(f"only {sum(o.detour for o in mine)} of {len(mine)} {name} problems need a detour")
+        families = dict.fromkeys(o.problem.rsplit("-", 1)[0] for o in mine)
+        for family in families if len(families) > 1 else []:
+            chosen = [o for o in mine if o.problem.rsplit("-", 1)[0] == family]
+            self._bench.row(problems=family, contender=OURS, **summary(chosen, OURS, hopeless))
+        for contender in self._asked:
+            row = summary(outcomes, contender.name, hopeless)
+            if row:
+                self._bench.row(problems=name, contender=contender.name, **row)
+        return sum(o.clean for o in mine) / max(1, len(mine))
 
 
 def read_problems(path: Path) -> list[Draw]:
@@ -85,24 +146,6 @@ def read_problems(path: Path) -> list[Draw]:
     for line in left_out:
         click.echo(f"  left out: {line}")
     return file_draws(problems)
-
-
-def problem_rows(
-    bench: Bench, name: str, draws: list[Draw], asked: list, measure, store: Store, peers_every: int, until: float
-) -> float:
-    """Run a set of problems, add its rows, and return our valid share."""
-    outcomes, done = run_problems(draws, asked, store, measure=measure, peers_every=peers_every, until=until)
-    if not done:
-        click.echo(f"{name}: stopped after {len(outcomes)} outcomes; the same command goes on")
-    hopeless = unsolved(outcomes, draws, store, search_s=0.0 if bench.quick else bench.options.search)
-    families = sorted({o.problem.rsplit("-", 1)[0] for o in outcomes})
-    for family in families if len(families) > 1 else []:
-        chosen = [o for o in outcomes if o.problem.rsplit("-", 1)[0] == family]
-        bench.row(problems=family, contender=OURS, **summary(chosen, OURS, hopeless))
-    for contender in asked:
-        bench.row(problems=name, contender=contender.name, **summary(outcomes, contender.name, hopeless))
-    mine = [o for o in outcomes if o.contender == OURS and o.problem not in hopeless]
-    return sum(o.clean for o in mine) / max(1, len(mine))
 
 
 if __name__ == "__main__":

@@ -1,56 +1,108 @@
-"""RoboXim's planner as a contender. ``ms`` includes setting up the scene, which is part of each request."""
+"""RoboXim's planner as a contender. ``ms`` includes setting up the scene, which is part of each request.
+
+Beyond the contenders' protocol it answers requests with an ``op``: ``ik``, ``retreat`` and ``repeat``.
+"""
 
 from __future__ import annotations
 
+import gc
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from _serve import Answer, pack, serve
+import numpy as np
+from _serve import Answer, pack, serve, unpack
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
-from roboxim_planner.pipeline import MotionOptions, Planner
+from roboxim_planner.pipeline import MotionOptions, Plan, Planner, no_watch
 from roboxim_planner.scene import Attached, Body, PlanningScene
+from roboxim_planner.sequence import Stage, StageGoal, plan_sequence
 
 
 def make() -> Callable[[dict[str, Any]], Answer]:
     """Load the robot."""
     planner = Planner(ModelLibrary().robot("panda"))
     planner.plan_to_joints(PlanningScene(), planner.named_state("home"), planner.named_state("ready"))
+    answers = {"plan": plan, "ik": inverse_kinematics, "retreat": retreat, "repeat": repeat}
+    return lambda request: answers[request.get("op", "plan")](planner, request)
 
-    def handle(request: dict[str, Any]) -> Answer:
-        problem = request["problem"]
-        options = MotionOptions(seed=request["seed"], padding_m=problem["padding_m"])
+
+def plan(planner: Planner, request: dict[str, Any]) -> Answer:
+    """Plan to the problem's goal."""
+    begun = time.perf_counter()
+
+    def watch(stage: str, iterations: int) -> None:
+        if time.perf_counter() - begun > request["limit_s"]:
+            raise TimeoutError(f"in stage {stage}")
+
+    try:
+        found = _plan(planner, request["problem"], request["seed"], watch)
+    except RoboximError as error:
+        return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"{error.code.name}: {error}"}
+    except TimeoutError as error:
+        return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"TIMEOUT: {error}"}
+    ms = 1e3 * (time.perf_counter() - begun)
+    positions = pack(found.sample(1e-3).positions)
+    return {"ms": ms, "error": "", "route": found.route, "positions": positions, "duration_s": found.duration}
+
+
+def _plan(planner: Planner, problem: dict[str, Any], seed: int, watch: Callable[[str, int], None]) -> Plan:
+    scene = scene_of(problem)
+    options = MotionOptions(seed=seed, padding_m=problem["padding_m"])
+    if problem["goal_is_joints"]:
+        return planner.plan_to_joints(scene, problem["start"], problem["goal"], options, watch)
+    goal = pose_of(problem["goal"][:3], problem["goal"][3:])
+    return planner.plan_to_pose(scene, problem["start"], [goal], options, watch)
+
+
+def inverse_kinematics(planner: Planner, request: dict[str, Any]) -> Answer:
+    """Solve poses (N, 7), position and quaternion; answers joints (N, 7), NaN where there are none, and times (N,)."""
+    reference = planner.named_state("home")
+    joints, times = [], []
+    for row in unpack(request["poses"]).tolist():
         begun = time.perf_counter()
-
-        def watch(stage: str, iterations: int) -> None:
-            if time.perf_counter() - begun > request["limit_s"]:
-                raise TimeoutError(f"in stage {stage}")
-
-        scene = scene_of(problem)
         try:
-            if problem["goal_is_joints"]:
-                plan = planner.plan_to_joints(scene, problem["start"], problem["goal"], options, watch)
-            else:
-                goal = pose_of(problem["goal"][:3], problem["goal"][3:])
-                plan = planner.plan_to_pose(scene, problem["start"], [goal], options, watch)
-        except RoboximError as error:
-            return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"{error.code.name}: {error}"}
-        except TimeoutError as error:
-            return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"TIMEOUT: {error}"}
-        ms = 1e3 * (time.perf_counter() - begun)
-        return {
-            "ms": ms,
-            "error": "",
-            "route": plan.route,
-            "positions": pack(plan.sample(1e-3).positions),
-            "duration_s": plan.duration,
-        }
+            found = planner.inverse_kinematics(pose_of(row[:3], row[3:]), reference)[0]
+        except RoboximError:
+            found = np.full(planner.robot.dof, np.nan)
+        times.append(1e3 * (time.perf_counter() - begun))
+        joints.append(found)
+    return {"error": "", "joints": pack(np.array(joints)), "ms": pack(np.array(times))}
 
-    return handle
+
+def retreat(planner: Planner, request: dict[str, Any]) -> Answer:
+    """Plan to the problem's pose and straight back from there as one request; answers whether both succeed."""
+    problem = request["problem"]
+    back = StageGoal(pose=Pose(position=(0.0, 0.0, -request["distance_m"])), frame="tcp")
+    stages = (
+        Stage(kind="pose", goals=(StageGoal(pose=pose_of(problem["goal"][:3], problem["goal"][3:])),)),
+        Stage(kind="cartesian", goals=(back,)),
+    )
+    begun = time.perf_counter()
+    try:
+        found = plan_sequence(planner, scene_of(problem), problem["start"], stages)
+    except RoboximError as error:
+        return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"{error.code.name}: {error}"}
+    ms = 1e3 * (time.perf_counter() - begun)
+    motions = [(pack(part.sample(1e-3).positions), part.duration) for part in found.plans]
+    return {"ms": ms, "error": "", "motions": motions}
+
+
+def repeat(planner: Planner, request: dict[str, Any]) -> Answer:
+    """Plan a number of problems without keeping the plans; answers how much memory the process has then [MiB]."""
+    for k, problem in enumerate(request["problems"]):
+        try:
+            _plan(planner, problem, request["seed"] + k, no_watch)
+        except RoboximError:
+            continue
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return {"error": "", "rss_mib": pages * os.sysconf("SC_PAGESIZE") / 2**20}
 
 
 def scene_of(problem: dict[str, Any]) -> PlanningScene:

@@ -1,0 +1,149 @@
+"""What else the planner promises, measured with the referee's eyes: inverse kinematics, straight retreats, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from _contenders import Contender
+from _problems import Problem, arm, configuration_at, tabletop
+from _referee import LOWER, PERIOD_S, UPPER, Referee
+from peers._serve import pack, unpack
+from roboxim_core.poses import Pose
+
+Array = npt.NDArray[np.float64]
+Row = dict[str, str | float]
+IK_M, IK_RAD = 1e-4, 1e-3
+RETREAT_M = 0.12
+CANDIDATES = 120
+"""Goal configurations that the brute-force search tries."""
+STEPS = 48
+"""Steps in which it follows the line."""
+
+
+def ik_row(ours: Contender, count: int, salt: int) -> Row:
+    """Solve for the tcp poses of random configurations within the limits; a solution is checked by the referee."""
+    referee = Referee([])
+    rng = np.random.default_rng([20262, salt])
+    targets = [referee.tcp(q) for q in rng.uniform(LOWER, UPPER, (count, 7))]
+    poses = np.array([pin.SE3ToXYZQUAT(target) for target in targets])
+    answer = ours.ask({"op": "ik", "poses": pack(poses)}, 300.0)
+    joints, times = unpack(answer["joints"]), unpack(answer["ms"])
+    solved = sum(_reaches(referee, q, target) for q, target in zip(joints, targets, strict=True))
+    return {
+        "problems": "inverse kinematics, reachable poses",
+        "contender": ours.name,
+        "count": count,
+        "valid": solved,
+        "valid_share": round(solved / count, 5),
+        "median_ms": round(float(np.median(times)), 4),
+        "p95_ms": round(float(np.percentile(times, 95)), 4),
+        "max_ms": round(float(times.max()), 3),
+    }
+
+
+def _reaches(referee: Referee, joints: Array, target: pin.SE3) -> bool:
+    if not np.isfinite(joints).all() or (joints < LOWER - 1e-9).any() or (joints > UPPER + 1e-9).any():
+        return False
+    off = referee.tcp(joints).actInv(target)
+    return float(np.linalg.norm(off.translation)) <= IK_M and float(np.linalg.norm(pin.log3(off.rotation))) <= IK_RAD
+
+
+def retreat_row(ours: Contender, count: int, salt: int) -> Row:
+    """Reach tabletop poses and go 12 cm straight back from there, where a brute-force search says that it can be done.
+
+    The search tries many goal configurations and follows the line from each, so it says that a configuration at the
+    pose exists from which the line is free; the planner is asked for both motions as one request and must choose it.
+    """
+    times, valid, feasible, seed, faults = [], 0, 0, 0, []
+    while feasible < count:
+        problem = tabletop(100_000 + seed, salt)
+        seed += 1
+        if not is_retreat_feasible(problem):
+            continue
+        feasible += 1
+        answer = ours.ask({"op": "retreat", "problem": problem.plain(), "distance_m": RETREAT_M}, 60.0)
+        times.append(answer["ms"])
+        fault = answer["error"] or "; ".join(_retreat_faults(problem, answer["motions"]))
+        valid += not fault
+        if fault:
+            faults.append(f"{problem.name}: {fault[:160]}")
+    for line in faults:
+        print(f"  retreat from {line}")
+    return {
+        "problems": f"pose and straight retreat of {100 * RETREAT_M:.0f} cm",
+        "contender": ours.name,
+        "count": count,
+        "valid": valid,
+        "valid_share": round(valid / count, 4),
+        "median_ms": round(float(np.median(times)), 2),
+        "p95_ms": round(float(np.percentile(times, 95)), 2),
+        "max_ms": round(max(times), 1),
+    }
+
+
+def is_retreat_feasible(problem: Problem) -> bool:
+    """Tell whether any of many free configurations at the goal can go straight back by `RETREAT_M`."""
+    goal, referee = problem.goal_value, problem.referee()
+    assert isinstance(goal, pin.SE3)
+    rng = np.random.default_rng(7)
+    return any(_line_is_free(referee, goal, q) for q in _configurations(rng, goal) if not referee.collides(q))
+
+
+def _configurations(rng: np.random.Generator, goal: pin.SE3) -> Iterator[Array]:
+    for _ in range(CANDIDATES):
+        joints = configuration_at(rng, goal)
+        if joints is not None:
+            yield joints
+
+
+def _line_is_free(referee: Referee, goal: pin.SE3, joints: Array) -> bool:
+    path = [joints]
+    for part in np.linspace(0.0, RETREAT_M, STEPS + 1)[1:]:
+        pose = goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, -part]))
+        found = arm().ik_near(Pose.from_matrix(pose.homogeneous), path[-1])
+        inside = ((found.joints >= LOWER) & (found.joints <= UPPER)).all()
+        if not found.converged or not inside or np.abs(found.joints - path[-1]).max() > 0.2:
+            return False
+        path.append(found.joints)
+    return not any(referee.edge_collides(a, b) for a, b in zip(path[:-1], path[1:], strict=True))
+
+
+def _retreat_faults(problem: Problem, motions: list[tuple[dict[str, Any], float]]) -> list[str]:
+    """Judge both motions, and how straight the second is."""
+    referee, goal = problem.referee(), problem.goal_value
+    assert isinstance(goal, pin.SE3)
+    away = goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, -RETREAT_M]))
+    (first, first_s), (second, second_s) = ((unpack(packed), duration) for packed, duration in motions)
+    verdicts = [
+        referee.judge(first, first_s, np.array(problem.start), goal),
+        referee.judge(second, second_s, first[-1], away),
+    ]
+    faults = [str(verdict) for verdict in verdicts if not verdict.clean]
+    along = [goal.actInv(referee.tcp(q)) for q in second[:: round(0.01 / PERIOD_S)]]
+    aside = max(float(np.hypot(*off.translation[:2])) for off in along)
+    turned = max(float(np.linalg.norm(pin.log3(off.rotation))) for off in along)
+    if aside > 1e-3 or turned > 1e-2:
+        faults.append(f"the retreat leaves its line by {1e3 * aside:.2g} mm, {turned:.2g} rad")
+    return faults
+
+
+def memory_row(ours: Contender, plans: int, salt: int) -> Row:
+    """Plan again and again and say by how much the process has grown, after a tenth as a warm-up."""
+    problems = [tabletop(seed, salt).plain() for seed in range(100)]
+    sizes = []
+    for batch in range(plans // 100 + plans // 1000):
+        answer = ours.ask({"op": "repeat", "problems": problems, "seed": 100 * batch}, 300.0)
+        sizes.append(answer["rss_mib"])
+    warm = sizes[plans // 1000 - 1]
+    return {
+        "problems": f"memory over {plans} plans",
+        "contender": ours.name,
+        "count": plans,
+        "grown_mib": round(sizes[-1] - warm, 2),
+        "rss_mib": round(sizes[-1], 1),
+    }
