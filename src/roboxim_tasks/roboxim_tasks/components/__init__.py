@@ -1,6 +1,8 @@
-"""Reset components: one file each, registered by name."""
+"""Reset components: one file each, registered by name. Every module of this folder is one."""
 
-from roboxim_tasks.components import cameras, distractors, lights, objects, robot, surfaces
+import importlib
+import pkgutil
+
 from roboxim_tasks.components.base import (
     COMPONENTS,
     Constraint,
@@ -11,6 +13,9 @@ from roboxim_tasks.components.base import (
     register,
 )
 
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
+
 __all__ = [
     "COMPONENTS",
     "Constraint",
@@ -18,11 +23,5 @@ __all__ = [
     "RejectedError",
     "ResetComponent",
     "ResetContext",
-    "cameras",
-    "distractors",
-    "lights",
-    "objects",
     "register",
-    "robot",
-    "surfaces",
 ]

@@ -1,0 +1,59 @@
+"""Reset component ``toppled``: the target of the task lies on its side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.poses import Pose
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_tasks.choices import Choice
+from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.placement import refusal
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToppledResetConfig:
+    """How it lies."""
+
+    yaw_rad: Choice = Choice(lower=-3.141592653589793, upper=3.141592653589793)
+    """Rotation about the vertical [rad]."""
+    gap_m: float = 0.03
+    """Free space around it [m]."""
+
+
+@register
+class ToppledReset(ResetComponent):
+    """Topples the target where the component ``objects`` has put it: on one of the sides on which its model can lie."""
+
+    name = "toppled"
+    Config = ToppledResetConfig
+    places = True
+
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Draw a side and a yaw.
+
+        Raises:
+            RejectedError: When it has no room lying.
+            ConfigError: When its model cannot lie toppled.
+        """
+        target = scene.entity(context.task.objects["target"].entity)
+        lying = self._drawn(scene, target, context)
+        others = replace(scene, entities=tuple(e for e in scene.entities if e.name != target.name))
+        reason = refusal(others, lying, self.config.gap_m, context.library)
+        if reason:
+            raise RejectedError(f"target_toppled_{reason}")
+        return replace(scene, entities=tuple(lying if e.name == target.name else e for e in scene.entities))
+
+    def _drawn(self, scene: SceneSpec, target: EntitySpec, context: ResetContext) -> EntitySpec:
+        rng, index = context.rng(self.name), context.index
+        sides = context.library.entity_model(target).toppled
+        if not sides:
+            raise ConfigError(f"object '{target.model}' has no pose in which it lies toppled")
+        side = sides[int(rng.integers(len(sides)))]
+        yaw = self.config.yaw_rad.draw_number(rng, index)
+        x, y, _ = target.pose.position
+        ground = Pose.from_arrays((x, y, scene.table.center[2]), Rotation.from_euler("z", yaw))
+        return replace(target, pose=ground @ side)

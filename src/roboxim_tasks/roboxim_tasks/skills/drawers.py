@@ -1,0 +1,215 @@
+"""What the skills that move drawers share: handles, the way that a drawer takes, and where it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import Handle, JointModel, ObjectModel
+from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.motion import retreated
+from roboxim_tasks.placement import footprint, overlap
+from roboxim_tasks.predicates import Condition, Measure, joint_position, released
+from roboxim_tasks.reach import reaches
+
+APPROACH_M = 0.08
+OVERSHOOT_M = 0.02
+OTHERS_M = 0.02
+AT_REST_M_S = 0.01
+CLEARANCE_M = 0.02
+PITCHES = tuple(math.radians(angle) for angle in (0, -6, 6, -12, 12))
+CABINET_PLACES: Mapping[str, Any] = {
+    "area": {"lower": [0.66, -0.22], "upper": [0.78, 0.22]},
+    "yaw_rad": {"lower": math.pi - 0.5, "upper": math.pi + 0.5},
+}
+"""Behind the middle of the table, its front towards the robot."""
+
+
+def generate_drawer_task(context: GenerationContext) -> TaskSpec:
+    """Draw a task about the configured drawer, and note the name of its joint.
+
+    Raises:
+        ConfigError: When the object has no such drawer.
+    """
+    task = generate_task(context, words={"drawer": context.parameters.drawer})
+    target = task.objects["target"]
+    handle = handle_of(context.library.object(target.model, target.modifiers), str(task.arguments["drawer"]))
+    return replace(task, arguments=task.arguments | {"joint": handle.joint})
+
+
+def handle_of(model: ObjectModel, drawer: str) -> Handle:
+    """Return the handle of a drawer.
+
+    Raises:
+        ConfigError: When there is none of that name.
+    """
+    for handle in model.handles:
+        if handle.name == drawer:
+            return handle
+    raise ConfigError(
+        f"object '{model.id}' has no drawer '{drawer}'; {one_of([h.name for h in model.handles], drawer)}"
+    )
+
+
+def joint_of(model: ObjectModel, handle: Handle) -> JointModel:
+    """Return the joint that a handle moves."""
+    return next(joint for joint in model.joints if joint.name == handle.joint)
+
+
+def link_pose(model: ObjectModel, base: Pose, joints: Mapping[str, float], link: str) -> Pose:
+    """Return a link's pose in the frame that the object's base pose is given in."""
+    return base @ object_link_poses(model, dict(joints))[link]
+
+
+def opening_axis(model: ObjectModel, handle: Handle, base: Pose) -> Array:
+    """Return the unit vector along which a drawer opens, in the frame of the object's base pose, shape (3,)."""
+    joint = joint_of(model, handle)
+    parent = link_pose(model, base, {}, joint.parent)
+    axis = (parent @ joint.pose).rotation.apply(joint.axis)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def handle_grasps(model: ObjectModel, handle: Handle, base: Pose, joints: Mapping[str, float]) -> Iterator[Pose]:
+    """Yield poses of the tool that grasp a handle, best first: as annotated, then pitched a little otherwise."""
+    link = link_pose(model, base, joints, handle.link)
+    for pitch in PITCHES:
+        for grasp in handle.grasps:
+            for flip in (0.0, math.pi):
+                turn = Rotation.from_euler("z", flip) * Rotation.from_euler("y", pitch)
+                yield link @ grasp.pose @ Pose.from_arrays((0.0, 0.0, 0.0), turn)
+
+
+def moved_by(pose: Pose, vector: Array) -> Pose:
+    """Return a pose moved along a vector of its parent frame [m]."""
+    return Pose.from_arrays(np.add(pose.position, vector), pose.rotation)
+
+
+def way_clear(context: ResetContext, role: str, open_m: float = 0.0) -> Constraint:
+    """Return the constraint that nothing stands where a drawer moves.
+
+    Args:
+        context: The reset.
+        role: Role of the cabinet.
+        open_m: How far it will be opened, from where it is at the start [m].
+    """
+    entity = context.task.objects[role].entity
+    joint = str(context.task.arguments["joint"])
+
+    def holds(scene: SceneSpec) -> bool:
+        spec = scene.entity(entity)
+        model = context.library.entity_model(spec)
+        handle = next(h for h in model.handles if h.joint == joint)
+        start = spec.joint_positions.get(joint, 0.0)
+        corners, lowest = _swept(model, handle, spec, (0.0, max(start, open_m)))
+        others = [other for other in scene.entities if other.name != entity]
+        return not any(
+            _top(context, other) > lowest - CLEARANCE_M and overlap(corners, footprint(other, context.library))
+            for other in others
+        )
+
+    return Constraint(name="way_clear", holds=holds)
+
+
+def handle_reachable(context: ResetContext, role: str, position_m: float, before_m: float = 0.0) -> Constraint:
+    """Return the constraint that the arm reaches a drawer's handle and moves it.
+
+    Args:
+        context: The reset.
+        role: Role of the cabinet.
+        position_m: Where the drawer is moved to, 0 = shut [m].
+        before_m: How far in front of the handle the tool begins [m].
+    """
+    entity = context.task.objects[role].entity
+    joint = str(context.task.arguments["joint"])
+
+    def holds(scene: SceneSpec) -> bool:
+        spec = scene.entity(entity)
+        model = context.library.entity_model(spec)
+        handle = next(h for h in model.handles if h.joint == joint)
+        base = scene.robot.pose.inverse() @ spec.pose
+        axis = opening_axis(model, handle, base)
+        way = axis * (position_m - spec.joint_positions.get(joint, 0.0))
+        grasps = (moved_by(g, axis * before_m) for g in handle_grasps(model, handle, base, spec.joint_positions))
+        return any(reaches(context, retreated(grasp, APPROACH_M), grasp, moved_by(grasp, way)) for grasp in grasps)
+
+    return Constraint(name=f"{role}_reachable", holds=holds)
+
+
+def drawer_rests(task: TaskSpec, initial: StateRecord, goal: Condition) -> tuple[Condition, ...]:
+    """Return the conditions of a drawer that was moved: where it should be, still, let go, the others where they were.
+
+    Args:
+        task: The task.
+        initial: State of tick 0.
+        goal: The condition on the drawer's position.
+    """
+    cabinet, joint = task.objects["target"].entity, str(task.arguments["joint"])
+    return (
+        goal,
+        Condition(name="others_stayed", measure=_others_moved(cabinet, joint, initial), most=OTHERS_M,
+                  reason="moved_other_drawer"),
+        released(cabinet),
+        Condition(name="at_rest", measure=_joint_speed(cabinet, joint, initial), most=AT_REST_M_S),
+    )  # fmt: skip
+
+
+def drawer_position(task: TaskSpec) -> Measure:
+    """How far the task's drawer is open [m]."""
+    return joint_position(task.objects["target"].entity, str(task.arguments["joint"]), "drawer_m")
+
+
+def _others_moved(cabinet: str, joint: str, initial: StateRecord) -> Measure:
+    start = initial.entity(cabinet)
+    others = [i for i, name in enumerate(start.joint_names) if name != joint]
+
+    def moved(state: StateRecord) -> float:
+        now = state.entity(cabinet).joint_positions
+        return max((abs(now[i] - start.joint_positions[i]) for i in others), default=0.0)
+
+    return Measure(name="others_moved_m", of=moved)
+
+
+def _joint_speed(cabinet: str, joint: str, initial: StateRecord) -> Measure:
+    number = initial.entity(cabinet).joint_names.index(joint)
+    last = [initial]
+
+    def speed(state: StateRecord) -> float:
+        before, last[0] = last[0], state
+        seconds = (state.stamp_ns - before.stamp_ns) / 1e9
+        travel = abs(state.entity(cabinet).joint_positions[number] - before.entity(cabinet).joint_positions[number])
+        return travel / seconds if seconds > 0 else 0.0
+
+    return Measure(name="drawer_speed_m_s", of=speed)
+
+
+def _swept(model: ObjectModel, handle: Handle, spec: EntitySpec, positions: Sequence[float]) -> tuple[Array, float]:
+    """Return the rectangle on the table that a drawer sweeps, shape (4, 2), and the lowest height in it [m]."""
+    link = next(link for link in model.links if link.name == handle.link)
+    points = []
+    for position in positions:
+        pose = link_pose(model, spec.pose, {**spec.joint_positions, handle.joint: position}, handle.link)
+        for shape in link.collision:
+            half = np.array(shape.size) / 2
+            signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+            points.append((pose @ shape.pose).apply(signs * half))
+    cloud = np.concatenate(points)
+    along = opening_axis(model, handle, spec.pose)[:2]
+    frame = np.array([along, [-along[1], along[0]]])
+    (a, b), (c, d) = (cloud[:, :2] @ frame.T).min(axis=0), (cloud[:, :2] @ frame.T).max(axis=0)
+    return np.array([(c, d), (a, d), (a, b), (c, b)]) @ frame, float(cloud[:, 2].min())
+
+
+def _top(context: ResetContext, entity: EntitySpec) -> float:
+    model = context.library.entity_model(entity)
+    return entity.pose.position[2] + max(model.size[2] - model.rest_height, max(model.size[:2]) / 2)

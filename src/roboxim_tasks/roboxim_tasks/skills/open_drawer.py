@@ -1,0 +1,125 @@
+"""Open a drawer by its handle.
+
+Randomisation: the cabinet's place, yaw and colour; where the end effector starts; distractors beside and
+in front of it.
+
+Success: the drawer is open by more than ``open_m`` and still, the other drawers have moved by less than 2 cm, and the
+robot does not touch the cabinet, for ``hold_s``.
+
+Non-obvious: the hand comes down at 62 degrees: steeper it would hit the handle above, flatter joint 6 is at its limit.
+The expert pulls 2 cm farther than is asked. A scene in which something stands in the drawer's way is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.specs import TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.generators import GenerationContext
+from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, retreated
+from roboxim_tasks.predicates import Condition, Conditions, above
+from roboxim_tasks.reach import start_clear
+from roboxim_tasks.script import SLOW, Script
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.drawers import (
+    APPROACH_M,
+    CABINET_PLACES,
+    OVERSHOOT_M,
+    drawer_position,
+    drawer_rests,
+    generate_drawer_task,
+    handle_grasps,
+    handle_of,
+    handle_reachable,
+    joint_of,
+    moved_by,
+    opening_axis,
+    way_clear,
+)
+
+GRASP_OPENING = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenDrawerParameters:
+    """Which drawer, and thresholds of success."""
+
+    drawer: str = "top"
+    """Name of the drawer, as the cabinet's handles say it."""
+    open_m: float = 0.10
+    """How far it must be open [m]."""
+    hold_s: float = 0.3
+    """How long it must stay open [s]."""
+    joint: str = ""
+    """Name of its joint; follows from the drawer."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a threshold makes no sense.
+        """
+        if self.open_m <= 0 or self.hold_s < 0:
+            raise ConfigError(f"needs open_m > 0 and hold_s >= 0, got {self}")
+
+
+@register
+class OpenDrawer(Skill):
+    """Generator, resetter, executor and evaluator of ``open_drawer``."""
+
+    name = "open_drawer"
+    roles = {"target": Role(affordance="openable", models=("cabinet",))}
+    templates = (
+        "Open the {drawer} drawer",
+        "Pull the {drawer} drawer open",
+        "Open the {drawer} drawer of the {target}",
+    )
+    components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
+    reset = {"objects": CABINET_PLACES}
+    max_steps = 150
+    Parameters = OpenDrawerParameters
+
+    def generate(self, context: GenerationContext) -> TaskSpec:
+        """Draw a task."""
+        return generate_drawer_task(context)
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """The arm reaches the handle and pulls it; nothing stands in the drawer's way."""
+        goal_m = parameters_of(context.task, OpenDrawerParameters).open_m + OVERSHOOT_M
+        return (
+            way_clear(context, "target", goal_m),
+            handle_reachable(context, "target", goal_m),
+            start_clear(context),
+        )
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Grasp the handle, pull, let go, withdraw."""
+        parameters: OpenDrawerParameters = parameters_of(scene.task, OpenDrawerParameters)
+        cabinet = scene.task.objects["target"].entity
+        model, base, state = scene.model_of(cabinet), scene.pose_of(cabinet), scene.state.entity(cabinet)
+        handle = handle_of(model, parameters.drawer)
+        joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
+        goal_m = min(parameters.open_m + OVERSHOOT_M, joint_of(model, handle).upper)
+        way = opening_axis(model, handle, base) * (goal_m - joints[handle.joint])
+        touching = ((GRIPPER, cabinet),)
+        for grasp in handle_grasps(model, handle, base, joints):
+            script = Script(scene)
+            script.opening = GRASP_OPENING
+            script.move(retreated(grasp, APPROACH_M), name="approach", free=True)
+            script.move(grasp, name="reach", speed=SLOW, touching=touching)
+            script.grip(0.0, name="close")
+            script.move(moved_by(grasp, way), name="pull", speed=SLOW, touching=touching)
+            script.set_entity(cabinet, joints={handle.joint: goal_m})
+            script.grip(GRASP_OPENING, name="release")
+            script.move(retreated(script.pose, APPROACH_M), name="retreat", touching=touching)
+            yield script.stages
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """Open far enough, still, let go, and no other drawer moved."""
+        parameters: OpenDrawerParameters = parameters_of(task, OpenDrawerParameters)
+        opened = Condition(name="opened", measure=drawer_position(task), least=above(parameters.open_m))
+        return Conditions(drawer_rests(task, initial, opened), hold_s=parameters.hold_s)

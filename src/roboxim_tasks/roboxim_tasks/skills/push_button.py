@@ -1,0 +1,140 @@
+"""Push a button.
+
+Randomisation: the button's place, yaw and colour; where the end effector starts; distractors, other buttons among them.
+
+Success: the button has been pressed in by more than ``travel_m`` in any physics step, and no other button has.
+
+Non-obvious: the press is latched, because a button springs back at once. It need not be pressed when the episode ends.
+The expert dwells at the bottom, because the reference rounds corners where it does not stop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.poses import Pose
+from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, retreated
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, joint_highest_ever
+from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.script import SLOW, Script
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+
+APPROACH_M = 0.08
+DEPTH_M = 0.011
+DWELL_S = 0.2
+YAWS = tuple(math.radians(angle) for angle in (0, 90, -90, 45, -45, 30, -30, 60, -60, 15, -15, 75, -75))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushButtonParameters:
+    """Thresholds of success."""
+
+    travel_m: float = 0.006
+    """How far it must be pressed in [m]."""
+    joint: str = ""
+    """Name of its joint; follows from the button's model."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a threshold makes no sense.
+        """
+        if not 0 < self.travel_m <= 0.01:
+            raise ConfigError(f"needs 0 < travel_m <= 0.01, got {self}")
+
+
+@register
+class PushButton(Skill):
+    """Generator, resetter, executor and evaluator of ``push_button``."""
+
+    name = "push_button"
+    roles = {"target": Role(affordance="pressable", models=("button",))}
+    templates = ("Push the {target}", "Press the {target}", "Press down on the {target}")
+    max_steps = 100
+    Parameters = PushButtonParameters
+
+    def generate(self, context: GenerationContext) -> TaskSpec:
+        """Draw a task and note the name of the button's joint."""
+        task = generate_task(context)
+        target = task.objects["target"]
+        (point, *_) = context.library.object(target.model, target.modifiers).press_points
+        return replace(task, arguments=task.arguments | {"joint": point.joint})
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """The arm reaches the button and presses it."""
+        entity = context.task.objects["target"].entity
+
+        def reachable(scene: SceneSpec) -> bool:
+            spec: EntitySpec = scene.entity(entity)
+            face = _face(context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose)
+            pressed = (_pressed(face, yaw) for yaw in YAWS)
+            return any(reaches(context, retreated(pose, APPROACH_M), pose) for pose in pressed)
+
+        return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Go above it with closed fingers, press, withdraw; the yaw that the tool has first."""
+        entity = scene.task.objects["target"].entity
+        face = _face(scene.model_of(entity), scene.pose_of(entity))
+        now = scene.pose_tcp.rotation.apply([1.0, 0.0, 0.0])
+        heading = math.atan2(now[1], now[0])
+        for yaw in YAWS:
+            pressed = _pressed(face, heading + yaw)
+            script = Script(scene)
+            script.opening = 0.0
+            script.move(retreated(pressed, APPROACH_M), name="approach", free=True)
+            script.move(pressed, name="press", speed=SLOW, touching=((GRIPPER, entity),))
+            script.wait(DWELL_S, name="dwell")
+            script.move(retreated(pressed, APPROACH_M), name="withdraw", touching=((GRIPPER, entity),))
+            yield script.stages
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """Pressed at some time, and no other button."""
+        parameters: PushButtonParameters = parameters_of(task, PushButtonParameters)
+        target = task.objects["target"].entity
+        return Conditions(
+            (
+                Condition(
+                    name="others_left", measure=_others_travel(target, parameters.joint, initial),
+                    most=parameters.travel_m, reason="pressed_other_button", fatal=True,
+                ),
+                Condition(
+                    name="pressed", measure=joint_highest_ever(target, parameters.joint, "travel_m"),
+                    least=above(parameters.travel_m),
+                ),
+            ),
+            hold_s=0.0,
+        )  # fmt: skip
+
+
+def _face(model: ObjectModel, base: Pose) -> Pose:
+    """Return the pose of the button's face, z outwards, in the frame of its base pose."""
+    point = model.press_points[0]
+    return base @ object_link_poses(model, {})[point.link] @ point.pose
+
+
+def _pressed(face: Pose, yaw_rad: float) -> Pose:
+    """Return the pose of the tool that has pressed the button in, its x axis at a heading in the base."""
+    x, y, z = face.apply((0.0, 0.0, -DEPTH_M)).tolist()
+    return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))
+
+
+def _others_travel(target: str, joint: str, initial: StateRecord) -> Measure:
+    """Farthest that any other button has been pressed in so far [m]."""
+    others = [e.name for e in initial.entities if e.name != target and joint in e.joint_names]
+    measures = [joint_highest_ever(name, joint) for name in others]
+    return Measure(
+        name="others_travel_m", of=lambda state: max((measure.of(state) for measure in measures), default=0.0)
+    )

@@ -1,0 +1,236 @@
+"""Push an object over the table to the left, to the right, forward or back.
+
+Randomisation: which object and colour; where it stands and at what yaw; where the end effector starts; distractors.
+
+Success: the object has moved by at least ``least_m`` in the direction and by less than ``lateral_ratio`` of that to the
+side, it stands as upright as before, on the table, still, and the robot does not touch it, for ``hold_s``. It must not
+have been lifted at any time.
+
+Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, forward = away from its base. The
+gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away; a drawn scene
+has room for the object on its way and behind it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.files import named
+from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, shifted
+from roboxim_tasks.placement import refusal
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
+from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.script import APPROACH_M, SLOW, Script
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.placing import lies_still
+
+DIRECTIONS = {
+    "to the left": (0.0, 1.0),
+    "to the right": (0.0, -1.0),
+    "forward": (1.0, 0.0),
+    "back": (-1.0, 0.0),
+}
+"""Words of the instruction to the direction in the robot's base."""
+WAY_M = 0.12
+STANDOFF_M = 0.02
+BACK_OFF_M = 0.03
+FINGER_M = 0.011
+"""Half the width of a finger's flat side [m]."""
+HEIGHT_M = 0.02
+LIFTED_M = 0.03
+TILTED_RAD = 0.35
+DWELL_S = 0.2
+SPREAD = 0.6
+"""Opening between the fingers as a fraction of the object's width."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushObjectParameters:
+    """Where to, and thresholds of success."""
+
+    direction: str = "to the left"
+    """``to the left``, ``to the right``, ``forward`` or ``back``, seen from the robot."""
+    least_m: float = 0.08
+    """Smallest way in the direction [m]."""
+    lateral_ratio: float = 0.4
+    """Largest way to the side, as a fraction of the way in the direction."""
+    hold_s: float = 0.3
+    """How long it must stand still [s]."""
+    direction_x: float = 0.0
+    """The direction in the world; set by the generator."""
+    direction_y: float = 0.0
+    """The direction in the world; set by the generator."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a value makes no sense.
+        """
+        if self.direction not in DIRECTIONS:
+            raise ConfigError(f"unknown direction '{self.direction}'; {one_of(DIRECTIONS, self.direction)}")
+        if not 0 < self.least_m <= 0.1 or self.lateral_ratio <= 0 or self.hold_s < 0:
+            raise ConfigError(f"needs 0 < least_m <= 0.1, lateral_ratio > 0 and hold_s >= 0, got {self}")
+
+
+@register
+class PushObject(Skill):
+    """Generator, resetter, executor and evaluator of ``push_object``."""
+
+    name = "push_object"
+    roles = {"target": Role(affordance="pushable")}
+    templates = ("Push the {target} {direction}", "Slide the {target} {direction}", "Move the {target} {direction}")
+    max_steps = 100
+    Parameters = PushObjectParameters
+
+    def generate(self, context: GenerationContext) -> TaskSpec:
+        """Draw a task, and the direction in the world that its words mean."""
+        task = generate_task(context, words={"direction": context.parameters.direction})
+        robot = named("scenes", context.config.scene, SceneSpec).robot.pose
+        x, y, _ = robot.rotation.apply((*DIRECTIONS[str(task.arguments["direction"])], 0.0))
+        return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """The object's way is free and on the table, and the arm reaches from behind it to the way's end."""
+        entity = context.task.objects["target"].entity
+        parameters: PushObjectParameters = parameters_of(context.task, PushObjectParameters)
+        direction = np.array([parameters.direction_x, parameters.direction_y, 0.0])
+
+        def way_free(scene: SceneSpec) -> bool:
+            spec = scene.entity(entity)
+            others = replace(scene, entities=tuple(e for e in scene.entities if e.name != entity))
+            places = (Pose.from_arrays(spec.pose.position + direction * way, spec.pose.rotation)
+                      for way in np.linspace(0.0, WAY_M, 5))  # fmt: skip
+            return not any(refusal(others, replace(spec, pose=place), 0.01, context.library) for place in places)
+
+        def reachable(scene: SceneSpec) -> bool:
+            spec = scene.entity(entity)
+            base = scene.robot.pose.inverse()
+            toward = base.rotation.apply(direction)
+            pushes = pushing_poses(context.library.entity_model(spec), base @ spec.pose, toward)
+            return any(
+                reaches(context, shifted(begin, APPROACH_M), begin, _along(begin, toward, WAY_M + STANDOFF_M))
+                for begin, _ in pushes
+            )
+
+        return (
+            Constraint(name="way_free", holds=way_free),
+            Constraint(name="target_reachable", holds=reachable),
+            start_clear(context),
+        )
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Go down behind it, push, back off, rise."""
+        entity = scene.task.objects["target"].entity
+        parameters: PushObjectParameters = parameters_of(scene.task, PushObjectParameters)
+        in_world = np.array([parameters.direction_x, parameters.direction_y, 0.0])
+        toward = scene.scene.robot.pose.rotation.inv().apply(in_world)
+        pose = scene.pose_of(entity)
+        touching = ((GRIPPER, entity),)
+        for begin, opening in pushing_poses(scene.model_of(entity), pose, toward):
+            script = Script(scene)
+            script.opening = opening
+            script.move(shifted(begin, APPROACH_M), name="approach", free=True)
+            script.move(begin, name="descend", speed=SLOW)
+            script.move(_along(begin, toward, WAY_M + STANDOFF_M), name="push", speed=SLOW, touching=touching)
+            script.set_entity(entity, pose=_along(pose, toward, WAY_M))
+            script.wait(DWELL_S, name="dwell")
+            script.move(_along(script.pose, toward, -BACK_OFF_M), name="back_off", touching=touching)
+            script.move(shifted(script.pose, APPROACH_M), name="rise")
+            yield script.stages
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """Far enough in the direction, never lifted, upright, on the table, let go and at rest."""
+        parameters: PushObjectParameters = parameters_of(task, PushObjectParameters)
+        entity = task.objects["target"].entity
+        direction = np.array([parameters.direction_x, parameters.direction_y])
+        start = np.array(initial.entity(entity).pose.position[:2])
+        up = tuple(initial.entity(entity).pose.rotation.inv().apply([0.0, 0.0, 1.0]).tolist())
+        height = lift(entity, initial)
+        highest = [0.0]
+
+        def moved(state: StateRecord) -> Array:
+            return np.subtract(state.entity(entity).pose.position[:2], start)
+
+        def sideways(state: StateRecord) -> float:
+            along = float(moved(state) @ direction)
+            return float(np.linalg.norm(moved(state) - along * direction)) / max(along, 1e-6)
+
+        def highest_lift(state: StateRecord) -> float:
+            highest[0] = max(highest[0], height.of(state))
+            return highest[0]
+
+        pushed = (
+            Condition(
+                name="not_lifted", measure=Measure(name="highest_lift_m", of=highest_lift), most=LIFTED_M,
+                reason="lifted", fatal=True,
+            ),
+            Condition(name="pushed", measure=Measure(name="along_m", of=lambda s: float(moved(s) @ direction)),
+                      least=parameters.least_m),
+            Condition(name="straight", measure=Measure(name="lateral_ratio", of=sideways),
+                      most=parameters.lateral_ratio),
+            Condition(name="upright", measure=tilt(entity, up), most=TILTED_RAD, reason="toppled"),
+            Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
+        )  # fmt: skip
+        return Conditions(lies_still(entity, initial, pushed), hold_s=parameters.hold_s)
+
+
+def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[tuple[Pose, float]]:
+    """Yield poses of the tool from which to push an object, with the gripper's opening, best first.
+
+    Args:
+        model: The object.
+        pose: Its pose in the base.
+        direction: Horizontal unit vector in the base, shape (3,).
+    """
+    across = np.array([-direction[1], direction[0], 0.0])
+    behind, beside = extent(model, pose, -direction), min(extent(model, pose, across), extent(model, pose, -across))
+    height = pose.position[2] - model.rest_height + min(HEIGHT_M, model.size[2] / 2)
+    heading = math.atan2(direction[1], direction[0])
+    spread = min(1.0, SPREAD * 2 * beside / 0.08)
+    for turn, opening in ((0.0, spread), (math.pi, spread), (math.pi / 2, 0.0), (-math.pi / 2, 0.0)):
+        x, y, _ = pose.position - direction * (behind + FINGER_M + STANDOFF_M)
+        rotation = Rotation.from_euler("z", heading + turn) * Rotation.from_euler("x", math.pi)
+        yield Pose.from_arrays((x, y, height), rotation), opening
+
+
+def extent(model: ObjectModel, pose: Pose, direction: Array) -> float:
+    """Return how far an object reaches from its origin in a direction [m], by its collision shapes.
+
+    Args:
+        model: The object; only its base link counts.
+        pose: Its pose.
+        direction: Unit vector in the frame of the pose, shape (3,).
+    """
+    farthest = 0.0
+    for shape in model.links[0].collision:
+        placed = pose @ shape.pose
+        local = placed.rotation.inv().apply(direction)
+        if shape.kind == "box":
+            reach = float(np.abs(local) @ np.array(shape.size) / 2)
+        elif shape.kind == "sphere":
+            reach = shape.size[0]
+        elif shape.kind in ("cylinder", "capsule"):
+            radius, length = shape.size
+            share = 1.0 if shape.kind == "capsule" else math.sqrt(max(0.0, 1.0 - local[2] ** 2))
+            reach = radius * share + abs(float(local[2])) * length / 2
+        else:
+            reach = math.hypot(*model.size[:2]) / 2
+        farthest = max(farthest, float(np.subtract(placed.position, pose.position) @ direction) + reach)
+    return farthest
+
+
+def _along(pose: Pose, direction: Array, way_m: float) -> Pose:
+    return Pose.from_arrays(pose.position + np.asarray(direction) * way_m, pose.rotation)

@@ -1,0 +1,190 @@
+"""Put a toppled object upright: a can, a bottle, a mug, a carton.
+
+Randomisation: which object and colour; where it lies, on which side and at what yaw; where the end effector starts;
+distractors.
+
+Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up, it stands on the table, still, and
+the robot does not touch it, for ``hold_s``.
+
+Non-obvious: the tool leans towards the object's foot while it lies and away from it when it stands, by angles that
+together make the right angle; a tool that points straight down at first would have to be level at the end, and the arm
+does not get that low. Upright, the object may have any yaw, so the expert tries several.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import GraspAnnotation, ObjectModel
+from roboxim_core.poses import Pose
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.motion import RELEASE_CLEARANCE_M, ExpertScene, Grasp, Stage, grasp_poses, retreated, shifted
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, table_force, tilt
+from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.script import APPROACH_M, LIFT_M, Script
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.placing import lies_still
+from roboxim_tasks.skills.push_object import extent
+
+YAWS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90))
+LEANS = tuple(math.radians(angle) for angle in range(-90, 91, 10))
+MOST_LEAN_RAD = math.radians(65)
+PALM_M = 0.034
+"""Room between the tool centre point and the palm, along the tool [m]."""
+PAD_M = 0.012
+STEP_M = 0.01
+OPENING_M = 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnUprightParameters:
+    """Thresholds of success."""
+
+    tilt_deg: float = 10.0
+    """Largest angle between its axis and the vertical [degrees]."""
+    hold_s: float = 0.5
+    """How long it must stand still [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a value makes no sense.
+        """
+        if not 0 < self.tilt_deg <= 30 or self.hold_s < 0:
+            raise ConfigError(f"needs 0 < tilt_deg <= 30 and hold_s >= 0, got {self}")
+
+
+@register
+class TurnUpright(Skill):
+    """Generator, resetter, executor and evaluator of ``turn_upright``."""
+
+    name = "turn_upright"
+    roles = {"target": Role(affordance="upright", models=("soda_can",))}
+    templates = ("Turn the {target} upright", "Put the {target} upright", "Stand the {target} up")
+    components = ("robot", "objects", "toppled", "distractors", "cameras", "lights")
+    max_steps = 150
+    Parameters = TurnUprightParameters
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """The arm reaches a grasp of the lying object, and the same grasp of the standing one."""
+        entity = context.task.objects["target"].entity
+
+        def reachable(scene: SceneSpec) -> bool:
+            spec = scene.entity(entity)
+            model, pose = context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose
+            for grasp in leaning_grasps(model, pose):
+                tool = pose @ grasp.pose
+                if not reaches(context, retreated(tool, APPROACH_M), tool, shifted(tool, LIFT_M)):
+                    continue
+                for goal in standing(model, pose, grasp.pose):
+                    if reaches(context, shifted(goal @ grasp.pose, LIFT_M), goal @ grasp.pose):
+                        return True
+            return False
+
+        return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Grasp it with a leaning tool, lift it, turn it, put it down."""
+        entity = scene.task.objects["target"].entity
+        model, pose = scene.model_of(entity), scene.pose_of(entity)
+        grasps: Sequence[Grasp | None] = [None] if scene.held == entity else leaning_grasps(model, pose)
+        for grasp in grasps:
+            in_object = Script(scene).held_in_tcp.inverse() if grasp is None else grasp.pose
+            for goal in standing(model, pose, in_object):
+                script = Script(scene)
+                if grasp is not None:
+                    script.pick(entity, replace(grasp, pose=pose @ in_object))
+                script.place(goal)
+                yield script.stages
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """Upright, on the table, let go and at rest."""
+        parameters: TurnUprightParameters = parameters_of(task, TurnUprightParameters)
+        entity = task.objects["target"].entity
+        lean = tilt(entity)
+        degrees = Measure(name="tilt_deg", of=lambda state: math.degrees(lean.of(state)))
+        stands = (
+            Condition(name="upright", measure=degrees, most=parameters.tilt_deg),
+            Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
+        )
+        return Conditions(lies_still(entity, initial, stands), hold_s=parameters.hold_s)
+
+
+def leaning_grasps(model: ObjectModel, pose: Pose) -> list[Grasp]:
+    """Return grasps with which a toppled object can be put upright, best first; poses are in the object.
+
+    A grasp from the side is tried all along the object's axis. Each is turned about its closing axis so that the tool
+    leans by about 45 degrees both now and when the object stands.
+
+    Args:
+        model: The object.
+        pose: Its pose in the base, lying.
+    """
+    found: list[tuple[float, Grasp]] = []
+    for annotation in model.grasps:
+        for grasp in _along_axis(model, annotation):
+            for lean in LEANS:
+                leaning = grasp @ Pose.from_arrays((0.0, 0.0, 0.0), Rotation.from_euler("y", lean))
+                leans = _lean(pose @ leaning), _lean(leaning)
+                if max(leans) > MOST_LEAN_RAD or _beyond_palm(model, leaning) > 0.0:
+                    continue
+                opening = min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / OPENING_M)
+                cost = abs(leans[0] - leans[1]) + leans[0] + leans[1]
+                found.append((cost, Grasp(pose=leaning, opening=1.0, release_opening=opening, name=annotation.name)))
+    return [grasp for _, grasp in sorted(found, key=lambda pair: (round(pair[0], 3), -pair[1].pose.position[2]))]
+
+
+def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
+    """Return poses of the standing object where it lies now, first those at which the tool leans away from the robot.
+
+    Args:
+        model: The object.
+        pose: Its pose in the base, lying.
+        grasp: Pose of the tool in the object.
+    """
+    x, y, _ = pose.position
+    lean = grasp.rotation.apply([0.0, 0.0, 1.0])
+    outwards = math.atan2(y, x) - math.atan2(lean[1], lean[0])
+    position = (x, y, _floor(model, pose) + model.rest_height)
+    return [Pose.from_arrays(position, Rotation.from_euler("z", outwards + yaw)) for yaw in YAWS]
+
+
+def _along_axis(model: ObjectModel, annotation: GraspAnnotation) -> Iterator[Pose]:
+    """Yield the grasps of a family whose closing axis is level when the object stands, at any place of a side grasp."""
+    one = replace(model, grasps=(annotation,))
+    for grasp in grasp_poses(one, Pose(), Pose()):
+        approach, closing = grasp.rotation.apply([0.0, 0.0, 1.0]), grasp.rotation.apply([0.0, 1.0, 0.0])
+        if abs(closing[2]) > 0.1:
+            continue
+        if abs(approach[2]) > 0.1:
+            yield grasp
+            continue
+        top, foot = model.size[2] - model.rest_height, -model.rest_height
+        x, y, _ = grasp.position
+        for z in np.arange(top - PAD_M, foot + PAD_M, -STEP_M).tolist():
+            yield replace(grasp, position=(x, y, z))
+
+
+def _lean(tool: Pose) -> float:
+    """Return the angle between a tool and the downward vertical [rad]."""
+    return math.acos(min(1.0, max(-1.0, -float(tool.rotation.apply([0.0, 0.0, 1.0])[2]))))
+
+
+def _beyond_palm(model: ObjectModel, grasp: Pose) -> float:
+    """Return by how much an object would reach into the palm [m]."""
+    back = -grasp.rotation.apply([0.0, 0.0, 1.0])
+    return extent(model, Pose(), back) - float(np.array(grasp.position) @ back) - PALM_M
+
+
+def _floor(model: ObjectModel, pose: Pose) -> float:
+    """Return the height of what a lying object lies on, in the frame of its pose [m]."""
+    return pose.position[2] - extent(model, pose, np.array([0.0, 0.0, -1.0]))
