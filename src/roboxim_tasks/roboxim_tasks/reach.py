@@ -8,13 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.poses import Pose
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.motion import grasp_poses, retreated, shifted
 from roboxim_tasks.script import APPROACH_M, LIFT_M
 
 START_CLEARANCE_M = 0.08
+HAND_CLEARANCE_M = 0.03
+HAND = ((0.0, 0.0, 0.0), (0.0, 0.1, -0.05), (0.0, -0.1, -0.05), (0.0, 0.1, -0.1), (0.0, -0.1, -0.1), (0.0, 0.0, -0.15))
+"""The tool centre point and points around the hand, in the tool's frame [m]."""
 LIMIT_MARGIN_RAD = 0.03
 BESIDE_M = 0.03
 YAWS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)
@@ -56,11 +61,26 @@ def reaches(context: ResetContext, *poses: Pose) -> bool:
 
 
 def _apart(context: ResetContext, tcp: Pose, entity: EntitySpec) -> bool:
-    model = context.library.entity_model(entity)
-    width, depth, height = model.size
-    middle = (0.0, 0.0, height / 2 - model.rest_height)
-    outside = np.abs(entity.pose.inverse().apply(tcp.position) - middle) - (width / 2, depth / 2, height / 2)
-    return float(np.linalg.norm(np.maximum(outside, 0.0))) > START_CLEARANCE_M
+    distances = [
+        np.linalg.norm(np.maximum(np.abs(pose.inverse().apply(tcp.apply(HAND))) - half, 0.0), axis=1)
+        for pose, half in _boxes(context.library.entity_model(entity), entity)
+    ]
+    nearest = np.min(distances, axis=0)
+    return bool(nearest[0] > START_CLEARANCE_M and nearest.min() > HAND_CLEARANCE_M)
+
+
+def _boxes(model: ObjectModel, entity: EntitySpec) -> list[tuple[Pose, Array]]:
+    """Return boxes around an object in the world with half their sizes: one if it is rigid, else one for each shape."""
+    if not model.joints:
+        middle = Pose(position=(0.0, 0.0, model.size[2] / 2 - model.rest_height))
+        return [(entity.pose @ middle, np.array(model.size) / 2)]
+    links = object_link_poses(model, entity.joint_positions)
+    boxes = []
+    for link in model.links:
+        for shape in link.collision:
+            half = np.array(shape.size) if shape.kind == "box" else np.array((2 * shape.size[0],) * 2 + shape.size[-1:])
+            boxes.append((entity.pose @ links[link.name] @ shape.pose, half / 2))
+    return boxes
 
 
 def downward_reachable(context: ResetContext, position: Sequence[float]) -> bool:
