@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -325,6 +325,56 @@ def line_query(common: Common, msg: Any) -> Query:
         min_fraction=float(msg.min_fraction) or 1.0,
         ignore_collisions=bool(msg.ignore_collisions),
     )
+
+
+MAKERS: dict[str, Callable[[Common, Any], Query]] = {
+    "plan_to_pose": lambda common, msg: pose_query(
+        common, [msg.target.pose, *msg.alternatives], msg.target.header.frame_id
+    ),
+    "plan_to_joints": lambda common, msg: joints_query(common, msg.target, msg.named_state),
+    "plan_cartesian": lambda common, msg: line_query(common, msg),
+    "plan_sequence": lambda common, msg: sequence_query(common, msg.stages),
+    "retime_path": lambda common, msg: retime_query(common, msg),
+    "plan_motion": lambda common, msg: motion_query(common, msg),
+}
+"""What makes the query of a service's request, or an action's goal, which all have ``request``."""
+
+
+def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_start: bool) -> Common:
+    """Check and convert a ``MotionRequest``.
+
+    Args:
+        msg: The message.
+        planner: Planner of its robot.
+        scene: Its scene.
+        with_start: Whether it needs a start.
+    """
+    options, period = options_from_msg(msg), sample_period(msg)
+    start = start_from_msg(msg.start_state, planner.robot, scene) if with_start else None
+    return Common(
+        planner=planner, scene=scene, start=start, options=options, period_s=period, tcp_poses=msg.with_tcp_poses
+    )
+
+
+def query_without_graph(service: str, msg: Any, library: ModelLibrary, robot: str = "panda") -> tuple[Query, Planner]:
+    """Return the query of a service's request, and a planner for it, where there is no node.
+
+    Args:
+        service: One of `MAKERS`.
+        msg: The request.
+        library: Where robots and objects come from.
+        robot: Robot of a request that names none.
+
+    Raises:
+        InvalidRequestError: When the request names a scene that only a running graph has, or is malformed.
+    """
+    asked = msg.request
+    if asked.scene.episode_id:
+        raise InvalidRequestError("a scene named by episode_id is in a running graph; give the objects in the request")
+    planner = Planner(library.robot(asked.robot or robot))
+    scene = scene_from_msg(asked.scene, None, library)
+    common = common_from_msg(asked, planner, scene, with_start=service != "retime_path")
+    return MAKERS[service](common, msg), planner
 
 
 def motion_query(common: Common, msg: Any) -> Query:

@@ -22,7 +22,7 @@ from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_planner.geometry import mesh_points
 from roboxim_planner.paths import Watch
-from roboxim_planner.pipeline import Planner, PlannerConfig, no_watch
+from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig, no_watch
 from roboxim_planner.queries import QUERIES, Answer, Query, run_query
 from roboxim_planner.scene import Body, PlanningScene, PointHull
 
@@ -82,7 +82,7 @@ class Dump:
             deadline: Stop at the step where the first run timed out or was cancelled; false: let it finish.
 
         Returns:
-            The outcome, and the answer if there is one.
+            See `answered`.
         """
         return answered(self.query, Planner(library.robot(self.query.robot), self.config), self._watch(deadline))
 
@@ -103,12 +103,13 @@ class Dump:
 
 
 def answered(query: Query, planner: Planner, watch: Watch = no_watch) -> tuple[Outcome, Answer | None]:
-    """Run a query; an error becomes an outcome."""
+    """Run a query; an error becomes an outcome, and the answer what could be done in part, or none."""
     steps = Steps(watch)
     try:
         answer = run_query(query, planner, steps)
     except RoboximError as error:
-        return Outcome(error_code=int(error.code), error_msg=str(error), steps=steps.count), None
+        part = Answer(plans=(error.partial,)) if isinstance(error, PathIncompleteError) else None
+        return Outcome(error_code=int(error.code), error_msg=str(error), steps=steps.count), part
     return Outcome(steps=steps.count, digest=answer.digest), answer
 
 

@@ -93,11 +93,11 @@ class PlannerNode(RoboximNode):
         self.create_subscription(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
-            (PlanToPose, "plan_to_pose", self._on_plan_to_pose),
-            (PlanToJoints, "plan_to_joints", self._on_plan_to_joints),
-            (PlanCartesian, "plan_cartesian", self._on_plan_cartesian),
-            (PlanSequenceSrv, "plan_sequence", self._on_plan_sequence),
-            (RetimePath, "retime_path", self._on_retime_path),
+            (PlanToPose, "plan_to_pose", self._planning("plan_to_pose")),
+            (PlanToJoints, "plan_to_joints", self._planning("plan_to_joints")),
+            (PlanCartesian, "plan_cartesian", self._planning("plan_cartesian")),
+            (PlanSequenceSrv, "plan_sequence", self._planning("plan_sequence")),
+            (RetimePath, "retime_path", self._planning("retime_path")),
             (ComputeIK, "compute_ik", self._on_compute_ik),
             (ComputeFK, "compute_fk", self._on_compute_fk),
             (CheckState, "check_state", self._on_check_state),
@@ -174,16 +174,6 @@ class PlannerNode(RoboximNode):
             named = self._revision(msg.episode_id, int(msg.seq))
         return convert.scene_from_msg(msg, named, self._library)
 
-    def _common(self, msg: MotionRequest, *, with_start: bool = True) -> convert.Common:
-        """Check and convert what all motion requests have in common."""
-        options, period = convert.options_from_msg(msg), convert.sample_period(msg)
-        planner = self._planner(msg.robot)
-        scene = self._scene(msg.scene)
-        start = convert.start_from_msg(msg.start_state, planner.robot, scene) if with_start else None
-        return convert.Common(
-            planner=planner, scene=scene, start=start, options=options, period_s=period, tcp_poses=msg.with_tcp_poses
-        )
-
     def _plan(
         self,
         msg: MotionRequest,
@@ -216,7 +206,8 @@ class PlannerNode(RoboximNode):
                 )
             progress(stage, iterations)
 
-        common = self._common(msg, with_start=with_start)
+        planner = self._planner(msg.robot)
+        common = convert.common_from_msg(msg, planner, self._scene(msg.scene), with_start=with_start)
         try:
             answer = self._run(common.planner, make(common), watch, entered)
         except PathIncompleteError as error:
@@ -263,22 +254,16 @@ class PlannerNode(RoboximNode):
             return ""
         return f"; dump: {path}"
 
-    def _on_plan_to_pose(self, msg: PlanToPose.Request, response: PlanToPose.Response) -> None:
-        response.goal_index = -1
-        poses, frame = [msg.target.pose, *msg.alternatives], msg.target.header.frame_id
-        self._plan(msg.request, lambda common: convert.pose_query(common, poses, frame), response)
+    def _planning(self, name: str) -> Callable[[Any, Any], None]:
+        """Return the handler of a planning service."""
+        make = convert.MAKERS[name]
 
-    def _on_plan_to_joints(self, msg: PlanToJoints.Request, response: PlanToJoints.Response) -> None:
-        self._plan(msg.request, lambda common: convert.joints_query(common, msg.target, msg.named_state), response)
+        def handler(msg: Any, response: Any) -> None:
+            if hasattr(response, "goal_index"):
+                response.goal_index = -1
+            self._plan(msg.request, lambda common: make(common, msg), response, with_start=name != "retime_path")
 
-    def _on_plan_cartesian(self, msg: PlanCartesian.Request, response: PlanCartesian.Response) -> None:
-        self._plan(msg.request, lambda common: convert.line_query(common, msg), response)
-
-    def _on_plan_sequence(self, msg: PlanSequenceSrv.Request, response: PlanSequenceSrv.Response) -> None:
-        self._plan(msg.request, lambda common: convert.sequence_query(common, msg.stages), response)
-
-    def _on_retime_path(self, msg: RetimePath.Request, response: RetimePath.Response) -> None:
-        self._plan(msg.request, lambda common: convert.retime_query(common, msg), response, with_start=False)
+        return handler
 
     def _on_compute_ik(self, msg: ComputeIK.Request, response: ComputeIK.Response) -> None:
         planner = self._planner(msg.robot)
@@ -321,29 +306,23 @@ class PlannerNode(RoboximNode):
         response.violations = list(finding.violations)
 
     def _execute_motion(self, goal: ServerGoalHandle) -> PlanMotion.Result:
-        msg = goal.request
-        result = PlanMotion.Result(goal_index=-1)
-        return self._execute(
-            goal, result, PlanMotion.Feedback(), lambda common: convert.motion_query(common, msg), lambda _: None
-        )
+        return self._execute(goal, "plan_motion", PlanMotion.Result(goal_index=-1), PlanMotion.Feedback())
 
     def _execute_sequence(self, goal: ServerGoalHandle) -> PlanSequence.Result:
-        stages, feedback = goal.request.stages, PlanSequence.Feedback()
+        feedback = PlanSequence.Feedback()
 
         def entered(index: int) -> None:
             feedback.stage_index = index
 
-        return self._execute(
-            goal, PlanSequence.Result(), feedback, lambda common: convert.sequence_query(common, stages), entered
-        )
+        return self._execute(goal, "plan_sequence", PlanSequence.Result(), feedback, entered)
 
     def _execute(
         self,
         goal: ServerGoalHandle,
+        name: str,
         result: Any,
         feedback: Any,
-        make: Callable[[convert.Common], Query],
-        entered: Callable[[int], None],
+        entered: Callable[[int], None] = lambda _: None,
     ) -> Any:
         begun, last = time.monotonic(), 0.0
 
@@ -357,8 +336,9 @@ class PlannerNode(RoboximNode):
                 feedback.stage, feedback.iterations, feedback.elapsed = stage, iterations, now - begun
                 goal.publish_feedback(feedback)
 
-        with self.answering("an action of the planner", result), self._busy:
-            self._plan(goal.request.request, make, result, progress=progress, entered=entered)
+        make, msg = convert.MAKERS[name], goal.request
+        with self.answering(f"planner/{name}", result), self._busy:
+            self._plan(msg.request, lambda common: make(common, msg), result, progress=progress, entered=entered)
         if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:
             goal.canceled()
         elif result.error_code:
