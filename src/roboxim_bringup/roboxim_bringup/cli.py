@@ -17,9 +17,11 @@ from click.shell_completion import CompletionItem
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
-    "The main job": ("demo", "generate", "export", "train", "evaluate"),
+    "The main job": ("demo", "tasks", "generate", "export", "train", "evaluate"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
-    "Recordings": ("bag", "replay"),
+    "Planning": ("planner",),
+    "Recordings": ("bag", "replay", "rerender"),
+    "Objects": ("assets",),
     "Looking into a running graph, spelled as ros2 spells it": (
         "node", "service", "topic", "action", "param", "interface",
     ),

@@ -1,4 +1,4 @@
-"""Show all objects on one picture; check an object of your own."""
+"""Show the objects on one picture; check, start or simplify one of your own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 @click.group()
 def command() -> None:
-    """Show all objects on one picture; check an object of your own."""
+    """Show the objects on one picture; check, start or simplify one of your own."""
 
 
 @command.command("sheet")
@@ -59,3 +59,53 @@ def sheet(
     out.parent.mkdir(parents=True, exist_ok=True)
     picture.save(out, optimize=True)
     click.echo(f"wrote {out}: {len(pictures)} pictures, drawn by {renderer_name} on {renderer.device}")
+
+
+@command.command("check")
+@click.argument("targets", nargs=-1, required=True)
+def check(targets: tuple[str, ...]) -> None:
+    r"""Say what is wrong with objects: ids, or paths of their YAML files. The exit code is 1 when one has errors.
+
+    \b
+    roboxim assets check mug
+    roboxim assets check my_objects/objects/teapot.yaml
+    """
+    from roboxim_bringup.asset_check import check as check_one
+    from roboxim_core.errors import ErrorCode, RoboximError
+    from roboxim_core.models.library import ModelLibrary
+
+    library, errors = ModelLibrary(), 0
+    for target in targets:
+        found = check_one(target, library)
+        errors += any(finding.severity == "error" for finding in found)
+        click.echo(f"{target}: {'good' if not found else ''}".rstrip())
+        for finding in found:
+            click.echo(f"  {finding.severity}: {finding.message}")
+    if errors:
+        raise RoboximError(f"{errors} of {len(targets)} objects cannot be used as they are", ErrorCode.INVALID_CONFIG)
+
+
+@command.command("new")
+@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+def new(mesh: Path) -> None:
+    r"""Print a first YAML file for a MESH of your own (GLB, OBJ, STL, ...); save it beside the mesh.
+
+    \b
+    roboxim assets new teapot.glb > teapot.yaml
+    """
+    from roboxim_bringup.asset_check import starter
+
+    click.echo(starter(mesh), nl=False)
+
+
+@command.command("simplify")
+@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--triangles", default=1500, show_default=True, type=click.IntRange(20), help="How many, about.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="[default: <mesh>_simple.glb]")
+def simplify(mesh: Path, triangles: int, out: Path | None) -> None:
+    """Write a MESH with fewer triangles, its materials kept."""
+    from roboxim_bringup.asset_check import simplify as simplified
+
+    target = out or mesh.with_name(f"{mesh.stem}_simple.glb")
+    before, after = simplified(mesh, triangles, target)
+    click.echo(f"wrote {target}: {after} of {before} triangles")

@@ -17,12 +17,21 @@ def object_link_poses(model: ObjectModel, joint_positions: dict[str, float]) -> 
         model: The object.
         joint_positions: Joint name to position [m or rad]; those left out are 0.
     """
-    poses = {model.links[0].name: IDENTITY}
-    pending = list(model.joints)
+    return link_poses(model.links[0].name, model.joints, joint_positions)
+
+
+def link_poses(base: str, joints: tuple[JointModel, ...], joint_positions: dict[str, float]) -> dict[str, Pose]:
+    """Return the pose of each link in the base link, by link name.
+
+    Raises:
+        ConfigError: When the joints do not hang together.
+    """
+    poses = {base: IDENTITY}
+    pending = list(joints)
     while pending:
         ready = [joint for joint in pending if joint.parent in poses]
         if not ready:
-            raise ConfigError(f"object '{model.id}': the joints {[j.name for j in pending]} do not lead to the base")
+            raise ConfigError(f"the joints {[j.name for j in pending]} do not lead to the base '{base}'")
         for joint in ready:
             poses[joint.child] = (
                 poses[joint.parent] @ joint.pose @ joint_motion(joint, joint_positions.get(joint.name, 0.0))

@@ -98,7 +98,7 @@ class ModelLibrary:
             ConfigError: When the id is unknown or the file is wrong; lists what there is.
         """
         if robot_id not in self._robots:
-            path = self._path("robots", robot_id)
+            path = self.path("robots", robot_id)
             config = load_config(path, RobotConfig)
             fields = {f.name: getattr(config, f.name) for f in dataclasses.fields(RobotConfig)}
             for kind in ("urdf", "srdf"):
@@ -121,7 +121,7 @@ class ModelLibrary:
         config = self._object_config(object_id)
         key = (object_id, tuple(sorted((modifiers or {}).items())))
         if key not in self._modified:
-            model = config.model(object_id, self._path("objects", object_id).parent)
+            model = config.model(object_id, self.path("objects", object_id).parent)
             self._modified[key] = modified(model, config.modifiers, modifiers or {}, f"object '{object_id}'")
         return self._modified[key]
 
@@ -161,7 +161,7 @@ class ModelLibrary:
             ConfigError: When the id is unknown; lists what there is.
         """
         kind = "robots" if model_id in self.robot_ids else "objects"
-        path = self._path(kind, model_id)
+        path = self.path(kind, model_id)
         files = [path, *sorted(p for p in path.with_suffix("").rglob("*") if p.suffix in _ASSETS)]
         hashed = hashlib.blake2b(digest_size=8)
         for file in files:
@@ -172,7 +172,16 @@ class ModelLibrary:
     def _ids(self, kind: str) -> tuple[str, ...]:
         return tuple(sorted({path.stem for folder in self.search_path for path in (folder / kind).glob("*.yaml")}))
 
-    def _path(self, kind: str, model_id: str) -> Path:
+    def path(self, kind: str, model_id: str) -> Path:
+        """Return the YAML file of a model.
+
+        Args:
+            kind: ``robots`` or ``objects``.
+            model_id: Its id.
+
+        Raises:
+            ConfigError: When the id is unknown; lists what there is.
+        """
         for folder in self.search_path:
             if (path := folder / kind / f"{model_id}.yaml").is_file():
                 return path
@@ -182,8 +191,19 @@ class ModelLibrary:
 
     def _object_config(self, object_id: str) -> ObjectConfig:
         if object_id not in self._objects:
-            self._objects[object_id] = load_config(self._path("objects", object_id), ObjectConfig)
+            path = self.path("objects", object_id)
+            try:
+                self._objects[object_id] = _parsed(path, path.stat().st_mtime_ns).resolved(path.parent)
+            except ConfigError as error:
+                named = str(error) if str(path) in str(error) else f"{path}: {error}"
+                raise ConfigError(named) from None
         return self._objects[object_id]
+
+
+@lru_cache(maxsize=256)
+def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
+    """Parse a file once for all libraries, and again when it changes; reading YAML is most of loading an object."""
+    return load_config(path, ObjectConfig)
 
 
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.bounds import links_bounds
 from roboxim_core.models.description import (
     AFFORDANCES,
     Friction,
@@ -23,8 +24,10 @@ from roboxim_core.models.description import (
     Shape,
     Visual,
 )
+from roboxim_core.models.hulls import hull_file
 from roboxim_core.models.modifiers import ModifierModel
-from roboxim_core.poses import Pose, Vec3
+from roboxim_core.models.urdf import urdf_object
+from roboxim_core.poses import Array, Pose, Vec3
 
 SHAPE_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "hull": 0, "ring": 4}
 """Kind of a collision shape to how many sizes it has."""
@@ -46,16 +49,24 @@ class ObjectConfig:
 
     name: str
     """Noun used in instructions."""
-    links: tuple[LinkModel, ...]
+    mesh: str = ""
+    """File of a mesh (GLB, OBJ, STL, ...) that is shown and whose convex hull collides; else ``urdf`` or ``links``."""
+    mesh_scale: float = 1.0
+    """Factor on the coordinates of ``mesh``, e.g. 0.001 for millimetres."""
+    mass: float = 0.0
+    """Mass of an object of a ``mesh`` [kg]."""
+    urdf: str = ""
+    """URDF file with the links and joints; see `models.urdf`."""
+    links: tuple[LinkModel, ...] = ()
     """Links; the first is the base."""
     joints: tuple[JointModel, ...] = ()
     """Joints."""
     friction: Friction = Friction()
     """Contact parameters."""
-    size: Vec3
-    """Extents; see `ObjectModel` [m]."""
-    rest_height: float
-    """Height of the base frame above a support when it stands on it [m]."""
+    size: Vec3 | None = None
+    """Extents; see `ObjectModel` [m]; none: from the collision shapes."""
+    rest_height: float | None = None
+    """Height of the base frame above a support when it stands on it [m]; none: from the collision shapes."""
     grasps: tuple[GraspAnnotation, ...] = ()
     """Grasps, best first."""
     affordances: tuple[str, ...] = ()
@@ -79,12 +90,21 @@ class ObjectConfig:
         Raises:
             ConfigError: Naming the link, joint, affordance or modifier.
         """
-        self._check_links()
-        names = [link.name for link in self.links]
-        joints = {joint.name: joint for joint in self.joints}
+        if sum(map(bool, (self.links, self.mesh, self.urdf))) != 1:
+            raise ConfigError("an object needs either links, or a mesh, or a urdf")
+        for kind, modifier in self.modifiers.items():
+            modifier.check_itself(kind)
         for affordance in self.affordances:
             if affordance not in AFFORDANCES:
                 raise ConfigError(f"unknown affordance '{affordance}'; {one_of(AFFORDANCES, affordance)}")
+        if self.links:
+            self._check_links()
+            self._check_notes()
+
+    def _check_notes(self) -> None:
+        names = [link.name for link in self.links]
+        joints = {joint.name: joint for joint in self.joints}
+        for affordance in self.affordances:
             if affordance in NEEDS and not getattr(self, NEEDS[affordance]):
                 raise ConfigError(f"affordance '{affordance}' needs at least one of `{NEEDS[affordance]}`")
         for region in self.regions:
@@ -105,8 +125,6 @@ class ObjectConfig:
                     f"'{part.name}': needs a joint of the object and the link that it moves, got joint '{part.joint}' "
                     f"and link '{part.link}'"
                 )
-        for kind, modifier in self.modifiers.items():
-            modifier.check_itself(kind)
 
     def _check_links(self) -> None:
         names = [link.name for link in self.links]
@@ -139,14 +157,44 @@ class ObjectConfig:
                 if shape.kind == "hull" and not shape.mesh:
                     raise ConfigError(f"link '{link.name}': a hull needs a mesh")
 
+    def resolved(self, folder: Path) -> ObjectConfig:
+        """Return the same with links in place of a ``mesh`` or ``urdf``.
+
+        Args:
+            folder: Folder of the YAML file, which other files are relative to.
+
+        Raises:
+            ConfigError: When a file cannot be read, or does not hold what the rest refers to.
+        """
+        if self.urdf:
+            links, joints = urdf_object(folder / self.urdf)
+            if self.joints:
+                raise ConfigError("joints come from the urdf; leave `joints` out")
+            return replace(self, urdf="", links=links, joints=joints)
+        if self.mesh:
+            scale = self.mesh_scale
+            link = LinkModel(
+                mass=self.mass,
+                collision=(Shape(kind="hull", mesh=self.mesh, scale=scale),),
+                visual=(Visual(kind="mesh", mesh=self.mesh, scale=(scale, scale, scale)),),
+            )
+            return replace(self, mesh="", links=(link,))
+        return self
+
     def model(self, object_id: str, folder: Path) -> ObjectModel:
-        """Return the object without modifiers: meshes with their full paths, rings as boxes.
+        """Return the object without modifiers: files with their full paths, hulls in the cache, rings as boxes.
 
         Args:
             object_id: Its id.
             folder: Folder of the YAML file, which mesh files are relative to.
+
+        Raises:
+            ConfigError: When a file cannot be read, or nothing collides.
         """
-        values = {f.name: getattr(self, f.name) for f in fields(ObjectModel) if f.name not in ("id", "links")}
+        if not self.links:
+            return self.resolved(folder).model(object_id, folder)
+        derived = ("id", "links", "size", "rest_height")
+        values = {f.name: getattr(self, f.name) for f in fields(ObjectModel) if f.name not in derived}
         links = tuple(
             replace(
                 link,
@@ -155,7 +203,13 @@ class ObjectConfig:
             )
             for link in self.links
         )
-        return ObjectModel(id=object_id, links=links, **values)
+        size, rest_height = self.size, self.rest_height
+        if size is None or rest_height is None:
+            low, high = _bounds(links, self.joints, object_id)
+            x, y, _ = (2 * np.maximum(-low, high)).tolist()
+            size = size or (x, y, float(high[2] - low[2]))
+            rest_height = -float(low[2]) if rest_height is None else rest_height
+        return ObjectModel(id=object_id, links=links, size=size, rest_height=rest_height, **values)
 
 
 def _drawn(link: LinkModel) -> tuple[Visual, ...]:
@@ -178,7 +232,23 @@ Piece = TypeVar("Piece", Shape, Visual)
 
 
 def _absolute(shape: Piece, folder: Path) -> Piece:
-    return replace(shape, mesh=str((folder / shape.mesh).resolve())) if shape.mesh else shape
+    if isinstance(shape, Visual) and Path(shape.material.texture).suffix in _IMAGES:
+        texture = str((folder / shape.material.texture).resolve())
+        shape = replace(shape, material=replace(shape.material, texture=texture))
+    if not shape.mesh:
+        return shape
+    file = str((folder / shape.mesh).resolve())
+    return replace(shape, mesh=hull_file(file) if isinstance(shape, Shape) else file)
+
+
+_IMAGES = (".png", ".jpg", ".jpeg")
+
+
+def _bounds(links: tuple[LinkModel, ...], joints: tuple[JointModel, ...], object_id: str) -> Array:
+    try:
+        return links_bounds(links, joints)
+    except ValueError as error:
+        raise ConfigError(f"object '{object_id}': {error}, so size and rest_height must be given") from None
 
 
 def convex_parts(shape: Shape) -> tuple[Shape, ...]:

@@ -28,6 +28,7 @@ from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
 from roboxim_core.state import RobotState, StateRecord
+from roboxim_core.textures import base_color_image
 
 FLOOR_Z = -0.75
 """Height of the floor in the world [m]; the table's top is at 0."""
@@ -45,7 +46,7 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
     """
     if visual.kind in ("mesh", "hull"):
         parts = _load_mesh(visual.mesh)
-        if visual.tinted or not visual.mesh.endswith(".glb"):
+        if visual.tinted or visual.material != MaterialSpec():
             parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
     else:
         try:
@@ -228,14 +229,14 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
 def _load_mesh(path: str) -> tuple[VisualPart, ...]:
     try:
         scene = trimesh.load_scene(path, process=False)
-    except (OSError, ValueError, KeyError) as error:
-        raise ConfigError(f"cannot read the mesh {path}: {error}") from None
+    except Exception as error:  # the readers of trimesh raise whatever they like
+        raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
         mesh = scene.geometry[name].copy()
         mesh.apply_transform(transform)
-        parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh)))
+        parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh, f"{path}#{name}")))
     return tuple(parts)
 
 
@@ -244,16 +245,20 @@ def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
     return triangles(mesh.vertices, mesh.vertex_normals, mesh.faces, None if uv is None else np.asarray(uv))
 
 
-def _material_of(mesh: trimesh.Trimesh) -> MaterialSpec:
+def _material_of(mesh: trimesh.Trimesh, name: str) -> MaterialSpec:
+    """Return a mesh's own material; ``name`` is what `roboxim_core.textures.pixels` finds its image by."""
     material = getattr(mesh.visual, "material", None)
-    if not isinstance(material, trimesh.visual.material.PBRMaterial) or material.baseColorFactor is None:
-        return MaterialSpec()
-    r, g, b = (float(c) / 255 for c in material.baseColorFactor[:3])
-    return MaterialSpec(
-        color=(r, g, b),
-        metallic=float(material.metallicFactor or 0.0),
-        roughness=float(material.roughnessFactor or 0.5),
-    )
+    texture = name if base_color_image(mesh) is not None and getattr(mesh.visual, "uv", None) is not None else ""
+    if isinstance(material, trimesh.visual.material.PBRMaterial):
+        factor = material.baseColorFactor
+        r, g, b = (1.0, 1.0, 1.0) if factor is None else (float(c) / 255 for c in factor[:3])
+        metallic = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
+        roughness = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
+        return MaterialSpec(color=(r, g, b), metallic=metallic, roughness=roughness, texture=texture)
+    if isinstance(material, trimesh.visual.material.SimpleMaterial):
+        r, g, b = (float(c) / 255 for c in material.diffuse[:3])
+        return MaterialSpec(color=(1.0, 1.0, 1.0) if texture else (r, g, b), texture=texture)
+    return MaterialSpec()
 
 
 def _stretched(part: VisualPart, scale: Vec3) -> VisualPart:

@@ -1,0 +1,140 @@
+"""Checks of a user's object that need the simulator, and a first YAML file for a mesh."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import pybullet
+import trimesh
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.check import LARGEST_M, Finding, check_object
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.models.hulls import hull_of, load_mesh
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose, distance
+from roboxim_core.specs import EntitySpec, TableSpec
+from roboxim_sim.bodies import ObjectBody, build_table, configure
+from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
+
+MOVED_M, TURNED_RAD = 0.005, math.radians(5.0)
+"""What moves by more within a second does not stand."""
+DENSITY = 400.0
+"""Guess for a new object [kg/m^3]."""
+
+
+def check(target: str, library: ModelLibrary) -> list[Finding]:
+    """Check an object.
+
+    Args:
+        target: Id of an object, or path of its YAML file.
+        library: Where ids are looked up, and the gripper.
+
+    Raises:
+        ConfigError: When there is no such object or file.
+    """
+    path = Path(target) if re.search(r"[/\\]|\.ya?ml$", target) else library.path("objects", target)
+    if not path.is_file():
+        raise ConfigError(f"no such file: {path}")
+    opening = max(library.robot(robot_id).gripper.max_opening_m for robot_id in library.robot_ids)
+    found, model = check_object(path, opening)
+    if model is None or any(finding.severity == "error" for finding in found):
+        return list(found)
+    return [*found, *_stability(model)]
+
+
+def _stability(model: ObjectModel) -> list[Finding]:
+    """Put it on a table, upright and toppled, and see whether it stays."""
+    found = []
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        for k, start in enumerate((Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled)):
+            pose = Pose(position=(0.5, 0.0, start.position[2]), quat_xyzw=start.quat_xyzw)
+            configure(client, 240.0)
+            build_table(client, TableSpec())
+            body = ObjectBody(client, model, EntitySpec(name="it", model=model.id, pose=pose))
+            for _ in range(240):
+                pybullet.stepSimulation(physicsClientId=client)
+            joints = body.read_joints()[0]
+            moved, turned = distance(pose, body.read(joints, joints)[0].pose)
+            if moved > MOVED_M or turned > TURNED_RAD:
+                what = f"toppled pose {k}" if k else "upright at its rest_height"
+                found.append(
+                    Finding(
+                        severity="warning",
+                        message=f"put on a table {what} it moves by {1e3 * moved:.0f} mm and turns by "
+                        f"{math.degrees(turned):.0f} deg within a second: give it a pose or shapes that stand",
+                    )
+                )
+    finally:
+        pybullet.disconnect(physicsClientId=client)
+    return found
+
+
+def starter(mesh: Path) -> str:
+    """Return a first YAML file for a mesh: units guessed, a mass, a grasp from above where it is narrow enough.
+
+    Raises:
+        ConfigError: When the mesh cannot be read or is flat.
+    """
+    hull = hull_of(mesh)
+    scale = 0.001 if np.ptp(hull.bounds, axis=0).max() > LARGEST_M else 1.0
+    low, high = hull.bounds * scale
+    x, y = (high - low)[:2]
+    center = ", ".join(f"{value:.4f}" for value in (low + high) / 2)
+    mass = max(0.01, hull.volume * scale**3 * DENSITY)
+    lines = [
+        f"# What it is. Checked by: roboxim assets check {mesh.stem}.yaml",
+        f"name: {mesh.stem.replace('_', ' ')}",
+        f"mesh: {mesh.name}",
+        f"mesh_scale: {scale:g}",
+        f"mass: {mass:.2g}  # kg; a guess: weigh it",
+    ]
+    if min(x, y) < 0.07:
+        yaw, width = (0, y) if y <= x else (90, x)
+        lines += [
+            "affordances: [graspable]",
+            "grasps:",
+            "  # From above at its middle, the fingers closing along y (along x if the last angle is 90).",
+            f"  - {{name: top, pose: {{position: [{center}], rpy_deg: [180, 0, {yaw}]}}, width_m: {width:.3f}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
+    """Write a mesh with fewer triangles, its parts and their materials kept.
+
+    Returns:
+        Triangles before and after.
+
+    Raises:
+        ConfigError: When the mesh cannot be read.
+    """
+    before = len(load_mesh(mesh).faces)
+    scene = trimesh.load_scene(mesh, process=False)
+    after = 0
+    for name, part in scene.geometry.items():
+        share = max(20, round(triangles * len(part.faces) / before))
+        fewer = part if len(part.faces) <= share else _simplified(part, share)
+        after += len(fewer.faces)
+        scene.geometry[name] = fewer
+    out.write_bytes(scene.export(file_type=out.suffix.lstrip(".")))
+    return before, after
+
+
+def _simplified(part: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
+    """Collapse edges; texture coordinates are those of the nearest vertex before."""
+    welded = trimesh.Trimesh(part.vertices, part.faces, process=True)
+    points, faces = fast_simplification.simplify(
+        welded.vertices.astype(np.float32), welded.faces, target_count=triangles, agg=4.0
+    )
+    fewer = trimesh.Trimesh(points, faces, process=True)
+    uv, material = getattr(part.visual, "uv", None), getattr(part.visual, "material", None)
+    if material is not None:
+        _, nearest = part.kdtree.query(fewer.vertices)
+        fewer.visual = trimesh.visual.TextureVisuals(uv=None if uv is None else uv[nearest], material=material)
+    return fewer

@@ -1,0 +1,387 @@
+"""Says what is wrong with an object's file before an episode does.
+
+Errors make an object unusable; warnings are what is probably not meant. Every built-in object passes without either.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from roboxim_core.config import load_config
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.bounds import links_bounds, shape_bounds
+from roboxim_core.models.description import GraspAnnotation, ObjectModel, Shape, Visual
+from roboxim_core.models.hulls import load_mesh
+from roboxim_core.models.object_config import ObjectConfig
+from roboxim_core.models.visuals import visual_parts
+from roboxim_core.poses import Array, Pose
+from roboxim_core.rendering import TriangleMesh
+from roboxim_core.textures import pixels
+
+LARGEST_M, SMALLEST_M = 1.5, 0.004
+"""An object whose longest side is beyond these is probably in another unit."""
+DENSITIES = (15.0, 12_000.0)
+"""From foam to heavy metal [kg/m^3]."""
+SMALLEST_INERTIA = 1e-7
+"""Below it, contacts make an object jitter at the simulator's 240 Hz [kg m^2]."""
+MANY_TRIANGLES = 5000
+"""More of them slow a renderer without a GPU down."""
+FAR_M = 0.01
+"""How far what is seen may be from what collides, at 98 of 100 points [m]."""
+SAMPLES = 3000
+TOUCHING_M = 0.002
+"""Where two collision shapes are so close there is nothing between them to be seen [m]."""
+PAD_HALF_M = 0.01
+"""Half the width and length of a finger's pad [m]."""
+GRIP_SLACK_M = 0.012
+"""What a grasp closes on may be so much wider than annotated on either side, where an object is bent or tapers [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something wrong with an object."""
+
+    severity: str
+    """``error`` or ``warning``."""
+    message: str
+    """What is wrong, what was expected, what to do."""
+
+
+def check_object(file: Path, max_opening_m: float = 0.08) -> tuple[tuple[Finding, ...], ObjectModel | None]:
+    """Check an object's YAML file and all that it names.
+
+    Args:
+        file: The YAML file.
+        max_opening_m: Total opening of the gripper that shall grasp it [m].
+
+    Returns:
+        What is wrong, errors first; and the object without modifiers, or none when it cannot be loaded.
+    """
+    found: list[Finding] = []
+    try:
+        config = load_config(file, ObjectConfig)
+        found += [f for path, scale in _mesh_files(config, file.parent) for f in check_mesh(path, scale)]
+        if config.urdf:
+            found += _urdf_inertias(file.parent / config.urdf)
+        model = config.resolved(file.parent).model(file.stem, file.parent)
+    except ConfigError as error:
+        if not any(f.severity == "error" and f.message in str(error) for f in found):
+            found.append(_error(str(error)))
+        return _sorted(found), None
+    found += [*_masses(model), *_extents(model, config), *_textures(model)]
+    if not any(f.severity == "error" for f in found):
+        solid = _outside(model)
+        found += [*_grasps(model, solid, max_opening_m), *_likeness(model, solid)]
+    return _sorted(found), model
+
+
+def check_mesh(path: Path, scale: float = 1.0) -> list[Finding]:
+    """Check a mesh file.
+
+    Args:
+        path: The file.
+        scale: Factor on its coordinates.
+    """
+    if not path.is_file():
+        return [_error(f"cannot read the mesh {path}: no such file; paths are relative to the YAML file's folder")]
+    found = _missing_images(path)
+    try:
+        mesh = load_mesh(path)
+    except ConfigError as error:
+        return [*found, _error(str(error))]
+    size = np.ptp(mesh.bounds, axis=0) * scale
+    longest = float(size.max())
+    said = " x ".join(f"{v:.3g}" for v in size)
+    if longest > LARGEST_M:
+        found.append(
+            _error(f"{path.name} would be {said} m large: its units look like millimetres; give it a scale of 0.001")
+        )
+    elif longest < SMALLEST_M:
+        found.append(_error(f"{path.name} would be {said} m large, too small to grasp; give it a larger scale"))
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if not mesh.is_watertight:
+        found.append(
+            _warning(f"{path.name} is not watertight: close its holes, or it will be seen through from some sides")
+        )
+    elif mesh.volume < 0:
+        found.append(_warning(f"{path.name} is inside out: flip its faces, or it will not be seen from outside"))
+    if len(mesh.faces) > MANY_TRIANGLES:
+        found.append(
+            _warning(
+                f"{path.name} has {len(mesh.faces)} triangles, which makes rendering without a GPU slow; "
+                f"`roboxim assets simplify {path.name}` gives it fewer (about 1500 are enough at 256 x 256 pixels)"
+            )
+        )
+    return found
+
+
+def _error(message: str) -> Finding:
+    return Finding(severity="error", message=message)
+
+
+def _warning(message: str) -> Finding:
+    return Finding(severity="warning", message=message)
+
+
+def _sorted(found: list[Finding]) -> tuple[Finding, ...]:
+    return tuple(sorted(dict.fromkeys(found), key=lambda finding: finding.severity != "error"))
+
+
+def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
+    """Return the meshes that a file names itself, and their scales; those of a URDF are found when it is read."""
+    files = [(config.mesh, config.mesh_scale)]
+    links = config.links
+    if config.urdf:
+        try:
+            links = config.resolved(folder).links
+        except ConfigError:
+            return []
+    for link in links:
+        files += [(shape.mesh, shape.scale) for shape in link.collision]
+        files += [(visual.mesh, max(visual.scale)) for visual in link.visual]
+    return list(dict.fromkeys(((folder / name).resolve(), scale) for name, scale in files if name))
+
+
+def _missing_images(path: Path) -> list[Finding]:
+    """Return which material files and textures of an OBJ are not there; other formats' readers say it themselves."""
+    if path.suffix.lower() != ".obj":
+        return []
+    found = []
+    for library in re.findall(r"^mtllib\s+(.+?)\s*$", path.read_text(errors="replace"), flags=re.M):
+        file = path.parent / library
+        if not file.is_file():
+            found.append(_error(f"{path.name} names the material file {library}, which is not beside it"))
+            continue
+        for image in re.findall(r"^\s*map_Kd\s+(.+?)\s*$", file.read_text(errors="replace"), flags=re.M):
+            if not (path.parent / image).is_file():
+                found.append(_error(f"{library} names the texture {image}, which is not there"))
+    return found
+
+
+def _urdf_inertias(path: Path) -> list[Finding]:
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError):
+        return []  # loading it says why
+    found = []
+    for link in root.findall("link"):
+        element = link.find("inertial/inertia")
+        if element is None:
+            continue
+        xx, yy, zz, xy, xz, yz = (float(element.get(name, 0.0)) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if low <= 0 or low + middle < high * (1 - 1e-6):
+            found.append(
+                _warning(
+                    f"link '{link.get('name')}' has an inertia that no body has ({low:.2g}, {middle:.2g}, {high:.2g}); "
+                    "the one of its collision shapes is used instead"
+                )
+            )
+    return found
+
+
+def _masses(model: ObjectModel) -> list[Finding]:
+    found = []
+    for link in model.links:
+        name = f"link '{link.name}'" if link.name else "the object"
+        if link.mass <= 0:
+            found.append(_error(f"{name} has no mass: give it `mass` in kilograms"))
+            continue
+        if not link.collision:
+            found.append(_error(f"{name} has a mass but no collision shape, so no inertia either: give it `collision`"))
+            continue
+        density = link.mass / sum(_volume(shape) for shape in link.collision)
+        if not DENSITIES[0] <= density <= DENSITIES[1]:
+            found.append(
+                _warning(
+                    f"{name} weighs {link.mass:g} kg, a density of {density:.3g} kg/m^3: masses are in kilograms "
+                    f"(expected {DENSITIES[0]:g} to {DENSITIES[1]:g} kg/m^3)"
+                )
+            )
+        bounds = np.array([shape_bounds(shape) for shape in link.collision])
+        a, b, _ = np.sort(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0))
+        inertia = link.mass * (a**2 + b**2) / 12
+        if inertia < SMALLEST_INERTIA:
+            found.append(
+                _warning(
+                    f"{name} has an inertia of only {inertia:.1e} kg m^2 about its long axis and will jitter: make its "
+                    "collision shapes thicker or its mass larger"
+                )
+            )
+    return found
+
+
+def _volume(shape: Shape) -> float:
+    if shape.kind == "hull":
+        return float(_planes(shape)[1])
+    if shape.kind == "box":
+        return float(np.prod(shape.size))
+    if shape.kind == "sphere":
+        return float(4 / 3 * np.pi * shape.size[0] ** 3)
+    radius, length = shape.size
+    return float(np.pi * radius**2 * (length + (4 / 3 * radius if shape.kind == "capsule" else 0.0)))
+
+
+def _extents(model: ObjectModel, config: ObjectConfig) -> list[Finding]:
+    try:
+        low, high = links_bounds(model.links, model.joints)
+    except ValueError:
+        return []
+    found = []
+    rest = -float(low[2])
+    if config.rest_height is not None and abs(model.rest_height - rest) > 1e-3:
+        found.append(
+            _error(
+                f"rest_height is {model.rest_height:g} but the collision shapes reach {rest:.4g} m below the base: it "
+                f"would float or sink; leave rest_height out, or give {rest:.4g}"
+            )
+        )
+    x, y, _ = 2 * np.maximum(-low, high)
+    size = (float(x), float(y), float(high[2] - low[2]))
+    if config.size is not None and np.abs(np.subtract(model.size, size)).max() > 2e-3:
+        said = ", ".join(f"{value:.4g}" for value in size)
+        found.append(_error(f"size is {list(model.size)} but the shapes' is [{said}]; leave size out, or give that"))
+    return found
+
+
+def _textures(model: ObjectModel) -> list[Finding]:
+    found = []
+    for link in model.links:
+        for visual in link.visual:
+            try:
+                for part in visual_parts(visual):
+                    pixels(part.material.texture)
+            except ConfigError as error:
+                found.append(_error(str(error)))
+            except OSError as error:
+                found.append(_error(f"cannot read a texture: {error}"))
+    return found
+
+
+def _grasps(model: ObjectModel, points: Array, max_opening_m: float) -> list[Finding]:
+    grasps = [*model.grasps, *(grasp for handle in model.handles for grasp in handle.grasps)]
+    if not grasps and not {"support", "pressable"} & set(model.affordances):
+        return [_warning("no grasps: nothing can pick it up; give it `grasps` and the affordance graspable")]
+    if model.grasps and "graspable" not in model.affordances:
+        return [_warning("has grasps but not the affordance graspable: no task will pick it up")]
+    return [finding for grasp in grasps for finding in _grasp(grasp, model, points, max_opening_m)]
+
+
+def _grasp(grasp: GraspAnnotation, model: ObjectModel, points: Array, max_opening_m: float) -> list[Finding]:
+    if not 0 < grasp.width_m < max_opening_m:
+        return [
+            _error(f"grasp '{grasp.name}': width_m is {grasp.width_m:g}, but the gripper opens to {max_opening_m:g} m")
+        ]
+    tcp = object_link_poses(model, {})[grasp.link or model.links[0].name] @ grasp.pose
+    local = tcp.inverse().apply(points)
+    between = local[(np.abs(local) < (PAD_HALF_M, max_opening_m / 2, PAD_HALF_M)).all(axis=1)]
+    if not len(between):
+        return [_error(f"grasp '{grasp.name}' closes on nothing: its pose must be the tool centre point in the object")]
+    if (reach := np.abs(between[:, 1]).max()) > grasp.width_m / 2 + GRIP_SLACK_M:
+        return [
+            _warning(
+                f"grasp '{grasp.name}' closes on something that reaches {1e3 * reach:.0f} mm from its middle, but "
+                f"width_m is {1e3 * grasp.width_m:.0f} mm"
+            )
+        ]
+    return []
+
+
+def _likeness(model: ObjectModel, solid: Array) -> list[Finding]:
+    """Compare what is seen with what collides, at points all over both."""
+    seen, _ = _samples(model, seen=True)
+    poses = object_link_poses(model, {})
+    loose = np.ones(len(seen), dtype=bool)
+    for link in model.links:
+        for shape in link.collision:
+            loose &= ~_inside(seen, shape, poses[link.name])
+    solids, seens = KDTree(solid), KDTree(seen)
+    beyond = float(np.quantile(np.where(loose, solids.query(seen)[0], 0.0), 0.98))
+    empty = float(np.quantile(seens.query(solid)[0], 0.98))
+    # Points of one and the same surface are as far apart as points are scattered.
+    scatter = [float(np.quantile(tree.query(tree.data, k=2)[0][:, 1], 0.98)) for tree in (seens, solids)]
+    found = []
+    if empty > FAR_M + scatter[0]:
+        found.append(
+            _warning(
+                f"the collision shapes fill up to {1e3 * empty:.0f} mm that look empty (a hull closes every cavity): "
+                "give several hulls, primitives or rings instead"
+            )
+        )
+    if beyond > FAR_M + scatter[1]:
+        found.append(_warning(f"up to {1e3 * beyond:.0f} mm of what is seen do not collide: add shapes there"))
+    return found
+
+
+def _outside(model: ObjectModel) -> Array:
+    """Return points on the outside of what collides, in the base's frame, shape (N, 3) [m]."""
+    points, owners = _samples(model, seen=False)
+    poses = object_link_poses(model, {})
+    outside = np.ones(len(points), dtype=bool)
+    shapes = [(poses[link.name], shape) for link in model.links for shape in link.collision]
+    for number, (pose, shape) in enumerate(shapes):
+        outside &= (owners == number) | ~_inside(points, shape, pose)
+    return points[outside]
+
+
+def _inside(points: Array, shape: Shape, pose: Pose) -> npt.NDArray[np.bool_]:
+    """Tell which points are in a shape or touch it; ``pose`` is its link's."""
+    planes, _ = _planes(shape)
+    local = (pose @ shape.pose).inverse().apply(points)
+    return np.asarray((local @ planes[:, :3].T + planes[:, 3] < TOUCHING_M).all(axis=1))
+
+
+def _samples(model: ObjectModel, *, seen: bool) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return points on all visuals or collision shapes in the base's frame, shape (N, 3) [m], and whose they are."""
+    poses = object_link_poses(model, {})
+    meshes = []
+    for link in model.links:
+        for visual in link.visual if seen else map(_shown, link.collision):
+            meshes.append([(part.mesh, poses[link.name]) for part in visual_parts(visual)])
+    total = sum(_area(mesh) for group in meshes for mesh, _ in group)
+    rng = np.random.default_rng(0)
+    points, numbers = [], []
+    for number, group in enumerate(meshes):
+        for mesh, pose in group:
+            count = max(30, round(SAMPLES * (1 if seen else 2) * _area(mesh) / total))
+            points.append(pose.apply(_on_surface(mesh, count, rng)))
+            numbers.append(np.full(count, number))
+    return np.concatenate(points), np.concatenate(numbers)
+
+
+def _shown(shape: Shape) -> Visual:
+    return Visual(kind=shape.kind, size=shape.size, mesh=shape.mesh, scale=(shape.scale,) * 3, pose=shape.pose)
+
+
+def _area(mesh: TriangleMesh) -> float:
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _on_surface(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Array:
+    corners = mesh.vertices[mesh.faces].astype(float)
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = corners[rng.choice(len(corners), count, p=doubled / doubled.sum())]
+    return np.asarray(np.einsum("ij,ijk->ik", rng.dirichlet([1.0, 1.0, 1.0], count), chosen))
+
+
+def _planes(shape: Shape) -> tuple[Array, float]:
+    """Return the half-spaces of a convex shape in its own frame, shape (M, 4), and its volume [m^3]."""
+    bare = Visual(kind=shape.kind, size=shape.size, mesh=shape.mesh, scale=(shape.scale,) * 3)
+    points = np.concatenate([part.mesh.vertices for part in visual_parts(bare)]).astype(float)
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        raise ConfigError(f"a collision shape of kind {shape.kind} has no volume") from None
+    return np.asarray(hull.equations), float(hull.volume)
+
+
+__all__ = ["Finding", "check_mesh", "check_object"]

@@ -1,0 +1,96 @@
+"""Convex hulls of mesh files, for whoever collides with them.
+
+A hull is written once, as an OBJ file in the user's cache, whatever the mesh was (GLB, COLLADA, a scene of many parts):
+so the simulator and the planner read one and the same shape.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.poses import Array
+
+
+def load_mesh(path: Path | str) -> trimesh.Trimesh:
+    """Return all of a mesh file as one mesh, in the file's units.
+
+    Raises:
+        ConfigError: When it is missing, cannot be read or is empty.
+    """
+    try:
+        mesh = trimesh.load_scene(path, process=False).to_mesh()
+    except Exception as error:  # the readers of trimesh raise whatever they like
+        raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise ConfigError(f"the mesh {path} has no faces")
+    return mesh
+
+
+@lru_cache(maxsize=128)
+def hull_file(path: str) -> str:
+    """Return the OBJ file of a mesh's convex hull, made if it is not there.
+
+    Raises:
+        ConfigError: When the mesh cannot be read or spans no volume, or the cache cannot be written.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"cannot read the mesh {path}: {error.strerror}") from None
+    name = hashlib.blake2b(content, digest_size=12).hexdigest()
+    file = cache_dir() / "hulls" / f"{name}.obj"
+    if not file.is_file():
+        hull = hull_of(path)
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in hull.vertices]
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in hull.faces]
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".tmp", delete=False) as out:
+                out.write("\n".join(lines) + "\n")
+            os.replace(out.name, file)
+        except OSError as error:
+            raise ConfigError(
+                f"cannot write {file}: {error.strerror}; set XDG_CACHE_HOME to a folder of yours"
+            ) from None
+    return str(file)
+
+
+def hull_of(path: Path | str) -> trimesh.Trimesh:
+    """Return the convex hull of a mesh file.
+
+    Raises:
+        ConfigError: When it cannot be read or spans no volume.
+    """
+    try:
+        hull: trimesh.Trimesh = load_mesh(path).convex_hull
+        flat = bool(hull.volume < 1e-18)
+    except ConfigError:
+        raise
+    except Exception:  # qhull's errors and trimesh's own have no common class
+        flat = True
+    if flat:
+        raise ConfigError(f"the mesh {path} is flat: its convex hull has no volume; use a box for its collision")
+    return hull
+
+
+@lru_cache(maxsize=128)
+def hull_vertices(path: str) -> Array:
+    """Return the vertices of a mesh's convex hull, shape (N, 3), in the file's units.
+
+    Raises:
+        ConfigError: See `hull_file`.
+    """
+    return np.asarray(trimesh.load_mesh(hull_file(path), process=False).vertices, dtype=float)
+
+
+def cache_dir() -> Path:
+    """Return RoboXim's folder in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roboxim"

@@ -1,0 +1,182 @@
+"""Contract of every object: what its file says is what physics, picture and gripper find."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pybullet
+import pytest
+
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.check import check_object
+from roboxim_core.models.description import ObjectModel, Visual
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import visual_parts
+from roboxim_core.poses import Array, Pose, distance
+from roboxim_core.specs import EntitySpec, TableSpec
+from roboxim_core.textures import TEXTURES
+from roboxim_sim.bodies import ObjectBody, build_table, configure
+from roboxim_sim.rendering import textures  # registers the room's
+
+LIBRARY = ModelLibrary()
+MAX_TRIANGLES = 1500
+VISUAL_TOLERANCE_M = 0.015
+"""A stem or a leaf may stick out of the shapes that collide."""
+
+each_object = pytest.mark.parametrize("object_id", LIBRARY.object_ids)
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[int]:
+    made = pybullet.connect(pybullet.DIRECT)
+    yield made
+    pybullet.disconnect(physicsClientId=made)
+
+
+def collision_points(model: ObjectModel) -> Array:
+    links = object_link_poses(model, {})
+    points = []
+    for link in model.links:
+        for shape in link.collision:
+            seen = Visual(kind=shape.kind, size=shape.size, mesh=shape.mesh, scale=(shape.scale,) * 3, pose=shape.pose)
+            points += [links[link.name].apply(part.mesh.vertices) for part in visual_parts(seen)]
+    return np.concatenate(points)
+
+
+def test_the_objects_that_tasks_speak_of_are_there() -> None:
+    assert {"cube", "apple", "soda_can", "onion", "cucumber", "knife", "plate", "button", "cabinet", "bowl"} <= set(
+        LIBRARY.object_ids
+    )
+    assert len(LIBRARY.object_ids) >= 16
+    assert len({LIBRARY.object(i).name for i in LIBRARY.object_ids}) == len(LIBRARY.object_ids)
+
+
+@each_object
+def test_size_and_rest_height_are_those_of_the_collision_shapes(object_id: str) -> None:
+    model = LIBRARY.object(object_id)
+    points = collision_points(model)
+    assert -points[:, 2].min() == pytest.approx(model.rest_height, abs=5e-4)
+    assert np.ptp(points[:, 2]) == pytest.approx(model.size[2], abs=1e-3)
+    assert 2 * np.abs(points[:, :2]).max(axis=0) == pytest.approx(model.size[:2], abs=1e-3)
+
+
+@each_object
+def test_what_is_seen_is_where_it_collides(object_id: str) -> None:
+    model = LIBRARY.object(object_id)
+    links = object_link_poses(model, {})
+    parts = [(link.name, part) for link in model.links for visual in link.visual for part in visual_parts(visual)]
+    seen = np.concatenate([links[name].apply(part.mesh.vertices) for name, part in parts])
+    solid = collision_points(model)
+    assert seen.min(axis=0) == pytest.approx(solid.min(axis=0), abs=VISUAL_TOLERANCE_M)
+    assert seen.max(axis=0) == pytest.approx(solid.max(axis=0), abs=VISUAL_TOLERANCE_M)
+    assert seen[:, 2].min() == pytest.approx(solid[:, 2].min(), abs=2e-3), "it would float or sink"
+    assert sum(len(part.mesh.faces) for _, part in parts) <= MAX_TRIANGLES
+    assert {part.material.texture for _, part in parts} - {""} <= set(textures.TEXTURES)
+    for _, part in parts:
+        assert np.linalg.norm(part.mesh.normals, axis=1) == pytest.approx(1.0, abs=1e-3)
+
+
+@each_object
+def test_it_stands_where_it_says_it_rests(object_id: str, client: int) -> None:
+    model = LIBRARY.object(object_id)
+    assert all(link.mass > 0 for link in model.links)
+    for start in (Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled):
+        pose = Pose(position=(0.5, 0.0, start.position[2]), quat_xyzw=start.quat_xyzw)
+        configure(client, 240.0)
+        build_table(client, TableSpec())
+        body = ObjectBody(client, model, EntitySpec(name="it", model=object_id, pose=pose))
+        for _ in range(240):
+            pybullet.stepSimulation(physicsClientId=client)
+        joints = body.read_joints()[0]
+        state, _ = body.read(joints, joints)
+        moved, turned = distance(pose, state.pose)
+        assert moved < 1e-3
+        assert turned < math.radians(1.0)
+        assert np.linalg.norm(state.angular_velocity) < 0.01
+        assert joints == pytest.approx([0.0] * len(joints), abs=1e-3)
+
+
+@each_object
+def test_the_check_of_users_objects_finds_nothing_wrong(object_id: str) -> None:
+    found, model = check_object(LIBRARY.path("objects", object_id), LIBRARY.robot("panda").gripper.max_opening_m)
+    assert [finding.message for finding in found] == []
+    assert model is not None
+    for grasp in model.grasps:
+        assert grasp.width_m <= LIBRARY.robot("panda").gripper.max_opening_m - 0.006, "fingers need room on both sides"
+
+
+@each_object
+def test_regions_handles_and_press_points_are_on_the_object(object_id: str) -> None:
+    model = LIBRARY.object(object_id)
+    links = object_link_poses(model, {})
+    solid = collision_points(model)
+    low, high = solid.min(axis=0) - 1e-3, solid.max(axis=0) + 1e-3
+    spots = [(region.link, region.pose) for region in model.regions]
+    spots += [(handle.link, handle.pose) for handle in model.handles]
+    spots += [(point.link, point.pose) for point in model.press_points]
+    for link, pose in spots:
+        spot = (links[link or model.links[0].name] @ pose).position
+        assert np.all(low <= spot)
+        assert np.all(np.asarray(spot) <= high)
+    surfaces = [region for region in model.regions if region.kind == "surface"]
+    interiors = [region for region in model.regions if region.kind == "interior"]
+    assert ("support" in model.affordances) == bool(surfaces)
+    assert ("container" in model.affordances) == bool(interiors)
+
+
+@pytest.mark.parametrize("object_id", ["bowl", "mug", "tray", "cabinet"])
+def test_a_small_ball_falls_into_a_container(object_id: str, client: int) -> None:
+    model = LIBRARY.object(object_id)
+    region = next(region for region in model.regions if region.kind == "interior")
+    joints = {joint.name: joint.upper for joint in model.joints}
+    base = Pose(position=(0.5, 0.0, model.rest_height))
+    link = region.link or model.links[0].name
+    floor = base @ object_link_poses(model, joints)[link] @ region.pose
+    configure(client, 240.0)
+    build_table(client, TableSpec())
+    ObjectBody(
+        client, model, EntitySpec(name="it", model=object_id, pose=base, joint_positions=joints, fixed=bool(joints))
+    )
+    ball = pybullet.createMultiBody(
+        0.02,
+        pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.01, physicsClientId=client),
+        basePosition=np.add(floor.position, (0.0, 0.0, region.size[2] + 0.02)),
+        physicsClientId=client,
+    )
+    for _ in range(360):
+        pybullet.stepSimulation(physicsClientId=client)
+    height = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)[0][2] - floor.position[2]
+    assert height == pytest.approx(0.01, abs=0.003), "a hull has closed the cavity"
+
+
+def test_a_button_gives_way_and_comes_back(client: int) -> None:
+    model = LIBRARY.object("button")
+    point, joint = model.press_points[0], model.joints[0]
+    configure(client, 240.0)
+    build_table(client, TableSpec())
+    body = ObjectBody(
+        client, model, EntitySpec(name="it", model="button", pose=Pose(position=(0.5, 0.0, model.rest_height)))
+    )
+    highest = 0.0
+    for step in range(300):
+        if step < 120:
+            pybullet.applyExternalForce(body.id, 0, [0, 0, -6.0], [0, 0, 0], pybullet.LINK_FRAME, client)
+        pybullet.stepSimulation(physicsClientId=client)
+        highest = max(highest, body.read_joints()[0][0])
+    assert point.pressed_at < highest < joint.upper + 5e-3  # a limit of PyBullet gives way a little
+    assert body.read_joints()[0][0] < 1e-3
+
+
+@each_object
+def test_the_hash_is_stable(object_id: str) -> None:
+    assert LIBRARY.digest(object_id) == ModelLibrary().digest(object_id)
+    assert LIBRARY.object(object_id) == ModelLibrary().object(object_id)
+
+
+def test_textures_are_the_same_in_every_process() -> None:
+    for name in ("apple_skin", "milk_print"):
+        first, again = TEXTURES[name](), TEXTURES[name]()
+        assert np.array_equal(first, again)
+        assert 0.0 <= first.min() <= first.max() <= 1.0
