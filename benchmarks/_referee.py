@@ -170,7 +170,8 @@ class Referee:
             return Verdict(faults=(f"{len(positions)} samples in {duration_s:.4f} s, not one per millisecond",))
         faults = list(self._ends(positions, start, goal))
         if (positions < LOWER - 1e-6).any() or (positions > UPPER + 1e-6).any():
-            faults.append("joint range")
+            beyond = max(float((LOWER - positions).max()), float((positions - UPPER).max()))
+            faults.append(f"joint range left by {beyond:.2g} rad")
         hit = self.first_collision(positions)
         if hit >= 0:
             pairs = ", ".join(self._exact.pairs(positions[hit]))

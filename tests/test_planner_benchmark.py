@@ -117,7 +117,7 @@ def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
 
     end = END.copy()
     end[6] = UPPER[6] + 0.01
-    assert "joint range" in judge(quintic(START, end), goal=end).faults
+    assert "joint range left by 0.01 rad" in judge(quintic(START, end), goal=end).faults
     thin = quintic(START, END)[::10]
     assert any("per millisecond" in fault for fault in Referee([]).judge(thin, 2.0, START, END).faults)
 

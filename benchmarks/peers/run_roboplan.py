@@ -1,6 +1,8 @@
 """RoboPlan as a contender: its inverse kinematics, RRTConnect, shortcuts and toppra.
 
-Obstacles are enlarged by the problem's padding. ``ms`` is inverse kinematics, search, shortcuts and time law at its own
+Steps of its collision checks are its defaults. Of its ways to fit a spline, `Adaptive` is taken: on 120 tabletop
+problems it gives no collision, where `Hermite` (a third quicker) and `LinearBlend` give four each; half the step changes
+nothing but the time. Obstacles are enlarged by the problem's padding. ``ms`` is inverse kinematics, search, shortcuts and time law at its own
 default sampling; the samples for the referee are taken afterwards.
 """
 
@@ -101,7 +103,7 @@ def _plan(scene: Any, names: list[str], request: dict[str, Any]) -> tuple[Any, s
         options = rrt.RRTOptions(
             group_name=GROUP,
             max_nodes=100_000,
-            collision_check_step_size=0.02,
+            collision_check_step_size=0.05,
             max_planning_time=left,
             rrt_connect=True,
         )
@@ -112,7 +114,7 @@ def _plan(scene: Any, names: list[str], request: dict[str, Any]) -> tuple[Any, s
         except RuntimeError as failure:
             error = str(failure)
             continue
-        shortcuts = core.PathShortcuttingOptions(group_name=GROUP, max_step_size=0.02, max_iters=100, seed=seed)
+        shortcuts = core.PathShortcuttingOptions(group_name=GROUP, max_step_size=0.05, max_iters=100, seed=seed)
         return core.PathShortcutter(scene, shortcuts).shortcut(path), ""
     return None, error
 
