@@ -40,8 +40,8 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.schemas import message_schema, typestore
-from roboxim_ros.conversions import fill_image, fill_stamp, to_msg
-from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
+from roboxim_ros.conversions import fill_stamp, to_msg
+from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.world import World
@@ -164,13 +164,10 @@ class CoreSim:
                 record.seq, world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]
             )
         for camera in world.scene.cameras:
-            image = fill_image(Image(), self.images[camera.name].rgb, "rgb8")
-            fill_stamp(image.header.stamp, stamp_ns)
-            image.header.frame_id = optical_frame(camera.name)
-            messages[f"camera/{camera.name}/image"] = image
-            messages[f"camera/{camera.name}/camera_info"] = camera_info_msg(stamp_ns, camera)
-            checksums[f"camera/{camera.name}/image"] = zlib.crc32(image.data)
-            checksums[f"camera/{camera.name}/camera_info"] = 0
+            for kind, message in camera_msgs(stamp_ns, camera, self.images[camera.name]).items():
+                topic = f"camera/{camera.name}/{kind}"
+                messages[topic] = message
+                checksums[topic] = zlib.crc32(message.data) if isinstance(message, Image) else 0
         notice = TickNotice(
             episode_id=record.episode_id, seq=record.seq, topics=list(checksums), reset=record.seq == 0,
             image_crc32=list(checksums.values()),

@@ -167,6 +167,25 @@ class BagReader:
                 assert schema is not None
                 yield channel.topic, message.log_time, self._store.deserialize_cdr(message.data, schema.name)
 
+    def raw(self) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and serialised message of everything in the order of recording.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        with damage(self.path), self.file.open("rb") as stream:
+            for _, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages():
+                yield channel.topic, message.data
+
+    def decode(self, topic: str, cdr: bytes) -> Any:
+        """Decode a message of a topic.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        with damage(self.path):
+            return self._store.deserialize_cdr(cdr, self.types[topic])
+
     def ticks(self, cameras: Sequence[str] | None = None) -> Iterator[BagTick]:
         """Yield the ticks in order.
 

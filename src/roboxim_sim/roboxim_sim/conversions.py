@@ -7,18 +7,21 @@ from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 from geometry_msgs.msg import TransformStamped
-from sensor_msgs.msg import CameraInfo, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from simulation_interfaces.msg import EntityState as StandardEntityState
 from tf2_msgs.msg import TFMessage
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
+from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
-from roboxim_ros.conversions import fill_pose, fill_stamp
+from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
 
 NAN = float("nan")
+ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
+"""Kind of image to the encoding of its message."""
 
 
 def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
@@ -51,6 +54,18 @@ def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
     msg.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     msg.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return msg
+
+
+def camera_msgs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict[str, Any]:
+    """Return what a camera publishes at a tick, by the last part of its topics: image, depth, ..., camera_info."""
+    messages: dict[str, Any] = {}
+    for kind, array in (("image", images.rgb), ("depth", images.depth), ("segmentation", images.segmentation)):
+        if array is not None:
+            msg = fill_image(Image(), array, ENCODINGS[kind])
+            fill_stamp(msg.header.stamp, stamp_ns)
+            msg.header.frame_id = optical_frame(camera.name)
+            messages[kind] = msg
+    return {**messages, "camera_info": camera_info_msg(stamp_ns, camera)}
 
 
 def optical_frame(camera: str) -> str:

@@ -1,4 +1,6 @@
-"""The renderers, by name. `raster` needs OpenGL (software GL will do), `tiny` needs nothing.
+"""The renderers, by name.
+
+`raster` needs OpenGL (software GL will do), `tiny` needs nothing, `photo` needs Blender (`make photo`).
 
 A renderer is part of an episode's record, so one is never taken in place of another silently: asking for `raster`
 where there is no GL raises an error.
@@ -30,6 +32,13 @@ def _tiny() -> Renderer:
     from roboxim_sim.rendering.tiny import TinyRenderer
 
     return TinyRenderer()
+
+
+@RENDERERS.register("photo")
+def _photo() -> Renderer:
+    from roboxim_sim.rendering.photo import PhotoRenderer
+
+    return PhotoRenderer()
 
 
 def make_renderer(name: str) -> Renderer:

@@ -1,18 +1,53 @@
-"""Reset component ``lights``: direction, colour and strength of the light."""
+"""Reset component ``lights``: number, direction, colour, strength and softness of the lights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.specs import LightSpec, SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
+MAX_LAMPS = 3
+"""Further lights that every renderer draws."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampsConfig:
+    """Lamps beside the scene's lights; each is drawn on its own. They cast no shadow in `raster`."""
+
+    number: Choice = Choice(values=(0,))
+    """How many, 0..3; a number of a range is rounded."""
+    position: VectorChoice = VectorChoice(lower=(-0.2, -1.2, 0.9), upper=(1.2, 1.2, 1.8))
+    """Position in the world [m]."""
+    intensity: Choice = Choice(lower=0.3, upper=1.0)
+    """Radiance factor at the world's origin."""
+    color: VectorChoice = VectorChoice(lower=(0.8, 0.75, 0.65), upper=(1.0, 1.0, 1.0))
+    """sRGB colour, each component 0..1."""
+
+    def __post_init__(self) -> None:
+        """Check numbers and lengths.
+
+        Raises:
+            ConfigError: Naming the key.
+        """
+        self.position.require_size(3, "lamps.position")
+        self.color.require_size(3, "lamps.color")
+        for value in self.number.values or (self.number.lower, self.number.upper):
+            if isinstance(value, str | bool) or value is None or not 0 <= value <= MAX_LAMPS:
+                raise ConfigError(f"lamps.number must be 0..{MAX_LAMPS}, got {value!r}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class LightsResetConfig:
-    """How the scene's first light and the surroundings vary; what is left out stays as the scene has it."""
+    """How the scene's first light and the surroundings vary, and what lamps there are besides.
+
+    What is left out stays as the scene has it.
+    """
 
     intensity: Choice | None = None
     """Radiance factor of the light."""
@@ -20,8 +55,14 @@ class LightsResetConfig:
     """sRGB colour of the light, each component 0..1."""
     direction: VectorChoice | None = None
     """Direction that the light travels in, in the world."""
+    position: VectorChoice | None = None
+    """Position of the light, where it is a lamp, in the world [m]."""
+    radius: Choice | None = None
+    """A lamp's radius [m], a sun's angular radius [rad]."""
     ambient: VectorChoice | None = None
     """Radiance of the surroundings, one component per colour."""
+    lamps: LampsConfig = LampsConfig()
+    """Further lamps."""
 
     def __post_init__(self) -> None:
         """Check the vectors' length.
@@ -29,7 +70,7 @@ class LightsResetConfig:
         Raises:
             ConfigError: Naming the key.
         """
-        for key in ("color", "direction", "ambient"):
+        for key in ("color", "direction", "position", "ambient"):
             choice = getattr(self, key)
             if choice is not None:
                 choice.require_size(3, key)
@@ -37,33 +78,53 @@ class LightsResetConfig:
 
 @register
 class LightsReset(ResetComponent):
-    """Draws the main light and the ambient light."""
+    """Draws the main light, the ambient light and further lamps.
+
+    Randomisation: the main light and the surroundings from one stream, the lamps from another, so that adding lamps
+    leaves the main light as it was.
+    """
 
     name = "lights"
     Config = LightsResetConfig
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Draw the light.
+        """Draw the lights.
 
         Raises:
             ConfigError: When the scene has no light to vary.
         """
-        rng, index, look = context.rng(self.name), context.index, scene.look
-        changed: dict[str, object] = {}
+        rng, index, look = context.rng(self.name), context.seed.index, scene.look
+        changed: dict[str, Any] = {}
         if self.config.intensity is not None:
             changed["intensity"] = self.config.intensity.draw_number(rng, index)
-        for key in ("color", "direction"):
+        for key in ("color", "direction", "position"):
             choice = getattr(self.config, key)
             if choice is not None:
                 changed[key] = tuple(choice.draw(rng, index).tolist())
+        if self.config.radius is not None:
+            changed["radius"] = self.config.radius.draw_number(rng, index)
         if changed:
             if not look.lights:
                 raise ConfigError(
                     f"reset.lights sets {', '.join(changed)}, but scene '{context.config.scene}' has no light"
                 )
-            light: LightSpec = replace(look.lights[0], **changed)  # type: ignore[arg-type]
-            look = replace(look, lights=(light, *look.lights[1:]))
+            look = replace(look, lights=(replace(look.lights[0], **changed), *look.lights[1:]))
         if self.config.ambient is not None:
             r, g, b = self.config.ambient.draw(rng, index).tolist()
             look = replace(look, ambient=(r, g, b))
-        return replace(scene, look=look)
+        lamps = self._lamps(context.rng(f"{self.name}/lamps"), index)
+        return replace(scene, look=replace(look, lights=(*look.lights, *lamps)))
+
+    def _lamps(self, rng: np.random.Generator, index: int) -> tuple[LightSpec, ...]:
+        config = self.config.lamps
+        number = round(config.number.draw_number(rng, index))
+        return tuple(
+            LightSpec(
+                kind="lamp",
+                position=tuple(config.position.draw(rng, index).tolist()),
+                intensity=config.intensity.draw_number(rng, index),
+                color=tuple(config.color.draw(rng, index).tolist()),
+                shadow=False,
+            )
+            for _ in range(number)
+        )

@@ -1,4 +1,4 @@
-"""Reset component ``surfaces``: colour and texture of table, floor and wall."""
+"""Reset component ``surfaces``: colour, texture and gloss of table, floor and wall."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ class SurfaceConfig:
     """sRGB base colour, each component 0..1."""
     texture: Choice | None = None
     """Names of built-in textures; an empty name is none."""
+    roughness: Choice | None = None
+    """0 = mirror, 1 = chalk."""
 
     def __post_init__(self) -> None:
         """Check the colours' length.
@@ -59,5 +61,7 @@ class SurfacesReset(ResetComponent):
                 material = replace(material, color=(r, g, b))
             if config.texture is not None:
                 material = replace(material, texture=str(config.texture.draw(rng, index)))
+            if config.roughness is not None:
+                material = replace(material, roughness=config.roughness.draw_number(rng, index))
             look = replace(look, **{surface: material})  # type: ignore[arg-type]
         return replace(scene, look=look)

@@ -1,0 +1,119 @@
+"""Render recorded episodes again: other cameras, lights, textures, resolution, renderer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from roboxim_bringup.rerendering import Lighting
+
+
+@click.command()
+@click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the new run.")
+@click.option(
+    "--renderer", default="raster", show_default=True, help="raster, tiny, or photo (Blender; make photo installs it)."
+)
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="NAME[=FILE]",
+    help="Camera to render: a recorded one, or one of config/cameras or a YAML file; may be repeated. "
+    "Default: the recorded ones.",
+)
+@click.option("--resolution", default="as-configured", help="SIZE or WIDTHxHEIGHT of every camera.")
+@click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as the cameras have it.")
+@click.option("--segmentation/--no-segmentation", default=None, help="Also record segmentation.")
+@click.option(
+    "--light",
+    "lights",
+    multiple=True,
+    metavar="NAME|YAML",
+    help="Lighting of config/lights or a YAML file, or one light such as "
+    "'{kind: lamp, position: [0.5, 0.5, 1.2], intensity: 2}'; may be repeated. They replace the recorded lights.",
+)
+@click.option(
+    "--texture",
+    "textures",
+    multiple=True,
+    metavar="SURFACE=NAME",
+    help="Texture of table, floor or wall, e.g. table=marble; may be repeated; without a name: none.",
+)
+@click.option("--background", type=click.Choice(["room", "plain"]), help="Walls around, or a plain colour.")
+@click.option("--look", default="", metavar="SCENE", help="Take lights and materials of a scene of config/scenes.")
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes, a renderer each.")
+def command(
+    sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], resolution: str,
+    depth: bool | None, segmentation: bool | None, lights: tuple[str, ...], textures: tuple[str, ...],
+    background: str | None, look: str, workers: int,
+) -> None:  # fmt: skip
+    r"""Render bags again into OUT/episodes: the same episodes, states and actions, with other images.
+
+    \b
+    roboxim rerender runs/demos --out runs/demos-evening --light evening --texture table=marble
+    roboxim rerender runs/demos --out runs/demos-left --camera workspace=workspace_left --camera wrist
+    roboxim rerender runs/demos/episodes/demo-0-00000-0 --out runs/photo --renderer photo --resolution 512
+
+    SOURCES are bags, folders of bags or runs. Nothing needs to be running. Unchanged settings give the recorded images,
+    bit for bit on one type of machine. Ctrl-C stops; the same command goes on with the bags that are missing.
+    """
+    from PIL import Image
+
+    from roboxim_bringup.jobs import contact_sheet, film, parse_size
+    from roboxim_bringup.progress import ProgressLine
+    from roboxim_bringup.rerendering import RerenderConfig, rerender
+    from roboxim_core.config import load_config, named_config
+    from roboxim_core.errors import ConfigError
+    from roboxim_core.specs import SceneSpec
+    from roboxim_recorder.check import list_bags
+
+    bags = [bag for source in sources for bag in ([source] if source.is_file() else list_bags(source))]
+    for word in textures:
+        if "=" not in word:
+            raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
+    width, height = parse_size(resolution)
+    lighting = _lighting(lights)
+    config = RerenderConfig(
+        renderer=renderer, cameras={name: file for name, _, file in (word.partition("=") for word in cameras)},
+        width=width, height=height, depth=depth, segmentation=segmentation,
+        look=load_config(named_config("scenes", look), SceneSpec).look if look else None,
+        lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
+        textures={surface: name for surface, _, name in (word.partition("=") for word in textures)},
+        background=background or "",
+    )  # fmt: skip
+    with ProgressLine(f"rendering {len(bags)} episodes", 1) as bar:
+        report = rerender(
+            bags, out.resolve(), config, workers=workers,
+            progress=lambda done, total: bar.update(done, "ticks", total=total),
+        )  # fmt: skip
+    there = f" ({report.there} were there)" if report.there else ""
+    click.echo(f"{report.made} episodes rendered with '{renderer}' into {out / 'episodes'}{there}")
+    first = next(iter(sorted((out / "episodes").iterdir())), None)
+    if first is not None:
+        picture = out / "first_episode.png"
+        Image.fromarray(contact_sheet([film(first)])).save(picture)
+        click.echo(f"a picture: {picture}")
+
+
+def _lighting(words: tuple[str, ...]) -> Lighting | None:
+    """Return the lights that the options ask for; none: the recorded ones."""
+    from roboxim_bringup.rerendering import Lighting
+    from roboxim_core.config import from_plain, load_config, named_config, parse_yaml
+    from roboxim_core.specs import LightSpec
+
+    if not words:
+        return None
+    lights: list[LightSpec] = []
+    ambient = None
+    for word in words:
+        if word.lstrip().startswith("{"):
+            lights.append(from_plain(parse_yaml(word, source="--light"), LightSpec, source="--light"))
+        else:
+            preset = load_config(named_config("lights", word), Lighting)
+            lights += preset.lights
+            ambient = preset.ambient or ambient
+    return Lighting(lights=tuple(lights), ambient=ambient)

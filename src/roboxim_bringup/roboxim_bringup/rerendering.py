@@ -1,0 +1,378 @@
+"""Renders recorded episodes again: other cameras, lights, materials, resolution, renderer; everything else as recorded.
+
+No graph is started: a bag holds the scene and the state of every tick, and a renderer needs no more. Images come from
+the very code that the sim node runs (`roboxim_sim.rendering.rig`), so unchanged settings give the recorded images, bit
+for bit on one type of machine. What is not of a camera is copied as it was recorded, byte for byte.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import queue
+import signal
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
+from roboxim_interfaces.msg import TickNotice
+from sensor_msgs.msg import Image
+
+from roboxim_bringup.process import describe_exit, die_with_parent
+from roboxim_bringup.run_folder import RunFolder
+from roboxim_core.cameras import load_camera, with_noise_seed
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.errors import ConfigError, RoboximError, UnavailableError, one_of, raise_for_code
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.poses import Pose
+from roboxim_core.recorded import recorded_parameters
+from roboxim_core.rendering import CameraImages
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import RGB, CameraSpec, LightSpec, LookSpec, SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_recorder import topics
+from roboxim_recorder.bag import BagReader, find_episode
+from roboxim_recorder.recording import EpisodeRecording
+from roboxim_ros.conversions import fill_stamp, from_msg, stamp_to_ns, to_msg
+from roboxim_sim.conversions import camera_msgs, optical_frame, tf_msg
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.rig import CameraRig
+
+SURFACES = ("table", "floor", "wall")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lighting:
+    """A YAML file of ``config/lights``."""
+
+    lights: tuple[LightSpec, ...] = ()
+    """The lights; the first one that casts a shadow is the main light."""
+    ambient: RGB | None = None
+    """Radiance of the surroundings; none: as the scene has it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RerenderConfig:
+    """What changes; what is left out stays as recorded."""
+
+    renderer: str = "raster"
+    """Renderer by name."""
+    cameras: dict[str, str] = field(default_factory=dict)
+    """Camera to its file in ``config/cameras``, empty: as recorded; no entry at all: the recorded cameras."""
+    width: int = 0
+    """Image width [px]; 0: as the camera has it."""
+    height: int = 0
+    """Image height [px]; 0: as the camera has it."""
+    depth: bool | None = None
+    """Whether the cameras give depth; none: as each camera has it."""
+    segmentation: bool | None = None
+    """Whether the cameras give segmentation; none: as each camera has it."""
+    look: LookSpec | None = None
+    """Look of another scene, applied first."""
+    lights: tuple[LightSpec, ...] | None = None
+    """Lights instead of the scene's."""
+    ambient: RGB | None = None
+    """Radiance of the surroundings."""
+    textures: dict[str, str] = field(default_factory=dict)
+    """Surface (table, floor, wall) to the name of its texture; an empty name: none."""
+    background: str = ""
+    """``room`` or ``plain``; empty: as recorded."""
+
+    def __post_init__(self) -> None:
+        """Check the surfaces.
+
+        Raises:
+            ConfigError: On an unknown one.
+        """
+        for surface in self.textures:
+            if surface not in SURFACES:
+                raise ConfigError(f"no surface '{surface}'; {one_of(SURFACES, surface)}")
+
+    def scene(self, info: EpisodeInfo) -> SceneSpec:
+        """Return an episode's scene with the changes applied.
+
+        Raises:
+            ConfigError: On an unknown camera.
+            InvalidRequestError: When a change makes no valid scene.
+        """
+        look = self.look or info.scene.look
+        if self.lights is not None:
+            look = replace(look, lights=self.lights)
+        if self.ambient is not None:
+            look = replace(look, ambient=self.ambient)
+        for surface, texture in self.textures.items():
+            look = replace(look, **{surface: replace(getattr(look, surface), texture=texture)})  # type: ignore[arg-type]
+        if self.background:
+            look = replace(look, background=self.background)
+        return replace(info.scene, look=look, cameras=tuple(self._cameras(info)))
+
+    def _cameras(self, info: EpisodeInfo) -> Iterator[CameraSpec]:
+        recorded = {camera.name: camera for camera in info.scene.cameras}
+        seed = SeedPath(run_seed=info.run_seed, purpose=info.purpose, index=info.index, attempt=info.attempt)
+        for name, file in (self.cameras or dict.fromkeys(recorded, "")).items():
+            if not file and name in recorded:
+                camera = recorded[name]
+            else:
+                camera = with_noise_seed(replace(load_camera(file or name), name=name), seed)
+            camera = camera.resized(self.width or camera.width, self.height or camera.height)
+            yield replace(
+                camera,
+                depth=camera.depth if self.depth is None else self.depth,
+                segmentation=camera.segmentation if self.segmentation is None else self.segmentation,
+            )
+
+
+class Rerenderer:
+    """Renders bags again with one renderer; belongs to the thread that made it."""
+
+    def __init__(self, config: RerenderConfig) -> None:
+        """Make the renderer.
+
+        Raises:
+            ConfigError: When no renderer has the name.
+            SimError: RENDERER_UNAVAILABLE when it does not work here.
+        """
+        self.config = config
+        self._renderer = make_renderer(config.renderer)
+        self._library = ModelLibrary()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
+    def bag(self, source: Path, out: Path, on_tick: Callable[[], None] = lambda: None) -> EpisodeResult:
+        """Render a bag again into a run's folder; a bag there of the same episode is an error.
+
+        Args:
+            source: The recorded bag.
+            out: Folder of the new run, absolute.
+            on_tick: Called after every tick.
+
+        Returns:
+            The episode's result, with the new bag's path.
+
+        Raises:
+            RoboximError: When the bag is damaged, the scene cannot be drawn, or the new bag cannot be written.
+        """
+        reader = BagReader(source)
+        info = reader.info
+        scene = self.config.scene(info)
+        changed = json.loads(info.config_json) | {"rerender": {"bag": source.name, **to_plain(self.config)}}
+        new = replace(
+            info,
+            scene=scene,
+            renderer=f"{self._renderer.name} ({self._renderer.device})",
+            config_json=json.dumps(changed),
+            recorded={**info.recorded, **recorded_parameters(info.task, scene)},
+        )
+        known = {*topics.OWN, *topics.scene_topics(info.scene), *topics.scene_topics(scene)}
+        extra = {topic: kind for topic, kind in reader.types.items() if topic not in known}
+        recording = EpisodeRecording(out, new, _cdr(to_msg(new, EpisodeInfoMsg)), extra)
+        try:
+            self._copy(reader, scene, recording, on_tick)
+            result = reader.result
+            return replace(result, bag=recording.close(result, _cdr(to_msg(result, EpisodeResultMsg)), "keep"))
+        except BaseException:
+            recording.drop()
+            raise
+
+    def _copy(
+        self, reader: BagReader, scene: SceneSpec, recording: EpisodeRecording, on_tick: Callable[[], None]
+    ) -> None:
+        """Give every tick of a bag to a recording, its cameras' part made anew."""
+        rig, poses = CameraRig(self._renderer), ScenePoses(scene, self._library)
+        rig.load(render_world(scene, self._library), scene)
+        old = reader.info.scene
+        of_cameras = {topic for topic in topics.scene_topics(old) if topic not in topics.ALWAYS}
+        frames = {optical_frame(camera.name) for camera in old.cameras}
+        tick: dict[str, Any] = {}
+        for topic, cdr in reader.raw():
+            if topic in (topics.NOTICE, topics.RESULT) and tick:  # what is recorded besides follows a tick's step
+                record = from_msg(tick[topics.STATE], StateRecord)
+                cameras = poses.camera_poses(record.robot)
+                images = rig.capture(
+                    record.seq, poses.body_poses(record), [(c, cameras[c.name]) for c in scene.cameras]
+                )
+                made = _camera_messages(record.stamp_ns, scene, images)
+                transforms = {name: pose for name, pose in _transforms(tick["/tf"]).items() if name not in frames}
+                transforms |= {optical_frame(name): pose for name, pose in cameras.items()}
+                made["/tf"] = tf_msg(record.stamp_ns, transforms)
+                made[topics.NOTICE] = _notice(tick[topics.NOTICE], of_cameras, made)
+                for name, message in made.items():
+                    recording.message(name, _cdr(message))
+                tick = {}
+                on_tick()
+            if topic in (topics.NOTICE, topics.STATE, "/tf"):
+                tick[topic] = reader.decode(topic, cdr)
+            if topic not in of_cameras and topic not in topics.OWN and topic not in (topics.NOTICE, "/tf"):
+                recording.message(topic, cdr)
+
+
+def _cdr(message: Any) -> bytes:
+    return bytes(serialize_message(message))
+
+
+def _camera_messages(stamp_ns: int, scene: SceneSpec, images: Mapping[str, CameraImages]) -> dict[str, Any]:
+    """Return topic to message of all cameras."""
+    return {
+        topics.image_topic(camera.name, kind): message
+        for camera in scene.cameras
+        for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items()
+    }
+
+
+def _transforms(tf: Any) -> dict[str, Pose]:
+    """Return frame to pose in the world."""
+    poses = {}
+    for transform in tf.transforms:
+        t, q = transform.transform.translation, transform.transform.rotation
+        poses[transform.child_frame_id] = Pose(position=(t.x, t.y, t.z), quat_xyzw=(q.x, q.y, q.z, q.w))
+    return poses
+
+
+def _notice(recorded: Any, of_cameras: set[str], made: Mapping[str, Any]) -> TickNotice:
+    """Return the notice of a tick with the cameras' topics in place of the recorded ones."""
+    names = {name: 0 for name in recorded.topics if topics.absolute(name) not in of_cameras}
+    for topic, message in made.items():
+        if topic.startswith("/camera/"):
+            names[topic[1:]] = zlib.crc32(message.data) if isinstance(message, Image) else 0
+    notice = TickNotice(
+        episode_id=recorded.episode_id, seq=int(recorded.seq), topics=list(names), image_crc32=list(names.values()),
+        reset=bool(recorded.reset),
+    )  # fmt: skip
+    fill_stamp(notice.stamp, stamp_to_ns(recorded.stamp))
+    return notice
+
+
+# ------------------------------------------------------------------ many bags, on several processes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rerendered:
+    """What came of a run."""
+
+    made: int
+    """Bags rendered now."""
+    there: int
+    """Bags that were there from before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Event:
+    """What a worker tells: a tick is done, a bag is finished, or an error ended it."""
+
+    result: EpisodeResult | None = None
+    error: tuple[int, str] | None = None
+
+
+def rerender(
+    bags: Sequence[Path],
+    out: Path,
+    config: RerenderConfig,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> Rerendered:
+    """Render bags again into a new run's folder; bags that it has already are left alone.
+
+    Args:
+        bags: The recorded bags.
+        out: Folder of the new run.
+        config: What changes.
+        workers: Processes, each with a renderer.
+        progress: Called with ticks done and ticks in all.
+
+    Raises:
+        ConfigError: When the folder holds another run, a camera is unknown, or two bags are of one episode.
+        RoboximError: When a bag is damaged or cannot be drawn, or a worker dies; the same call goes on after it.
+    """
+    episodes = _episodes(bags)
+    for reader in episodes.values():
+        config.scene(reader.info)  # whatever is wrong with it is said before anything is rendered
+    with RunFolder(out).opened({"rerender": to_plain(config)}) as folder:
+        recorded = {result.episode_id for result in folder.results()}
+        done = {name for name in episodes if find_episode(folder.path, name)}
+        for name in done - recorded:  # killed between the bag and its line
+            bag = folder.path / "episodes" / name
+            folder.append(replace(BagReader(bag).result, bag=str(bag.relative_to(folder.path))))
+        missing = {name: reader for name, reader in episodes.items() if name not in done}
+        total = sum(map(len, episodes.values()))
+        ticks = total - sum(map(len, missing.values()))
+        progress(ticks, total)
+        paths = [reader.path for reader in missing.values()]
+        for event in _events(paths, folder.path, config, min(workers, len(paths))):
+            if event.error is not None:
+                raise_for_code(*event.error)
+            if event.result is not None:
+                folder.append(event.result)
+            else:
+                ticks += 1
+                progress(ticks, total)
+    return Rerendered(made=len(missing), there=len(done))
+
+
+def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:
+    episodes: dict[str, BagReader] = {}
+    for path in bags:
+        reader = BagReader(path)
+        name = reader.info.episode_id
+        if name in episodes:
+            raise ConfigError(
+                f"{path} and {episodes[name].path} are both of episode '{name}'; render the runs that they are of "
+                "into folders of their own"
+            )
+        episodes[name] = reader
+    return episodes
+
+
+def _events(paths: Sequence[Path], out: Path, config: RerenderConfig, workers: int) -> Iterator[_Event]:
+    """Start workers, give each the next bag when it has finished one, and yield what they tell."""
+    context = multiprocessing.get_context("spawn")  # a forked renderer hangs
+    bags, events = context.Queue(), context.Queue()
+    for path in [*map(str, paths), *[""] * workers]:
+        bags.put(path)
+    processes = [
+        context.Process(target=_work, args=(bags, events, str(out), to_plain(config), os.getpid()), daemon=True)
+        for _ in range(workers)
+    ]
+    try:
+        for process in processes:
+            process.start()
+        while any(process.is_alive() for process in processes) or not events.empty():
+            with contextlib.suppress(queue.Empty):
+                yield events.get(timeout=0.2)
+        for process in processes:
+            if process.exitcode:
+                raise UnavailableError(
+                    f"a rendering process ended unexpectedly ({describe_exit(process.exitcode)}); "
+                    "the same command goes on with what is missing"
+                )
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def _work(bags: Any, events: Any, out: str, config: dict[str, Any], parent: int) -> None:
+    """Render bags until an empty path comes. The parent handles Ctrl-C and ends this process."""
+    die_with_parent(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    renderer = None
+    try:
+        renderer = Rerenderer(from_plain(config, RerenderConfig))
+        while path := bags.get():
+            events.put(_Event(result=renderer.bag(Path(path), Path(out), lambda: events.put(_Event()))))
+    except RoboximError as error:
+        events.put(_Event(error=(int(error.code), str(error))))
+    finally:
+        if renderer is not None:
+            renderer.close()
