@@ -12,17 +12,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from roboxim_bringup.graph import PolicyLaunch
 from roboxim_bringup.progress import ProgressLine
 from roboxim_bringup.run_folder import RunFolder
+from roboxim_bringup.task_choice import task_text
 from roboxim_bringup.workers import WORKER_DIED, Progress, WorkerPool
-from roboxim_core.config import named_config, to_plain
+from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError
-
-DEFAULT_TASK = "pick_cube"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,38 +121,6 @@ def _tally(results: Any) -> str:
     return f"{outcomes.count('success')} of {len(outcomes)} succeeded"
 
 
-def task_text(task: str, *, distractors: str = "", colors: str = "") -> str:
-    """Return a task configuration as YAML text, with the command line's overrides.
-
-    Args:
-        task: Name in ``config/tasks`` or a file.
-        distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
-        colors: Comma-separated colours of the target; empty: as configured.
-
-    Raises:
-        ConfigError: When there is no such task, or the result is not valid.
-    """
-    from roboxim_tasks.config import parse_task_config
-
-    path = named_config("tasks", task)
-    text = path.read_text()
-    parse_task_config(text)
-    if distractors or colors:
-        data = yaml.safe_load(text) or {}
-        if distractors:
-            found = re.fullmatch(r"(\d+)(?:-(\d+))?", distractors)
-            if not found:
-                raise ConfigError(f"--distractors must be a number or a range such as 1-3, got '{distractors}'")
-            low = int(found[1])
-            data.setdefault("distractors", {}).update(minimum=low, maximum=int(found[2] or low))
-        if colors:
-            target = data.setdefault("objects", {}).setdefault("target", {})
-            target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
-        text = yaml.safe_dump(data, sort_keys=False)
-        parse_task_config(text)
-    return text
-
-
 def parse_size(text: str) -> tuple[int, int]:
     """Parse an image size: ``128`` or ``128x96`` (width x height), or ``as-configured`` (0, 0).
 
@@ -210,3 +176,15 @@ def failures(results: Sequence[EpisodeResult]) -> Iterator[str]:
     """Say in a line each which episodes did not succeed, and why."""
     for result in itertools.islice((r for r in results if r.outcome != "success"), 10):
         yield f"  {result.episode_id}: {result.reason}" + (f": {result.message}" if result.message else "")
+
+
+__all__ = [
+    "Job",
+    "contact_sheet",
+    "failures",
+    "film",
+    "parse_size",
+    "registered_run",
+    "run_job",
+    "task_text",
+]

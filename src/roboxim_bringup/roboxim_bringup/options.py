@@ -20,7 +20,12 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         out: Default folder.
     """
     options = [
-        click.option("--task", default="pick_cube", show_default=True, help="Task of config/tasks, or a YAML file."),
+        click.option("--task", default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file."),
+        click.option("--skill", default="", help="A skill instead of a task; roboxim tasks list shows them."),
+        click.option(
+            "--object", "objects", multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+            help="Object models of the target, or of another role; may be repeated.",
+        ),
         click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
         click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
         click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="Run's folder."),

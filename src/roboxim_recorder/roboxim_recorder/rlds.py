@@ -70,6 +70,8 @@ class ExportConfig:
     """Part of the episodes that becomes the split ``val``, spread evenly; at least one where there are two."""
     only_successful: bool = True
     """Whether episodes that did not succeed are left out."""
+    keep_recovered: bool = False
+    """Whether episodes are exported in which the actor had to try again, e.g. needed a second grasp."""
     shard_mib: int = 128
     """Size of a shard [MiB]."""
 
@@ -185,6 +187,8 @@ def _select(bags: Sequence[Path], config: ExportConfig) -> tuple[list[_Source], 
         reason = ""
         if config.only_successful and result.outcome != "success":
             reason = result.reason or result.outcome
+        elif result.recovered and not config.keep_recovered:
+            reason = "recovered"
         elif result.steps == 0:
             reason = "no_action"
         if reason:

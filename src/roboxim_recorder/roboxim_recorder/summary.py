@@ -47,7 +47,11 @@ def _outcome(reader: BagReader) -> str:
     if not reader.counts.get(topics.RESULT):
         return "interrupted, no result"
     result = reader.result
-    return result.outcome + (f" ({result.reason})" if result.reason else "")
+    return _named(result) + (f" ({result.reason})" if result.reason else "")
+
+
+def _named(result: EpisodeResult) -> str:
+    return f"{result.outcome}, recovered" if result.recovered else result.outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +69,7 @@ class DatasetSummary:
     size_bytes: int
     """Size of the kept bags."""
     outcomes: dict[str, int]
-    """Outcome to number of kept bags."""
+    """Outcome, and whether it took another try, to number of kept bags."""
     reasons: dict[str, int]
     """Reason of failure to number of bags, set apart ones included."""
     instructions: dict[str, int]
@@ -107,7 +111,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
     ticks = size = 0
     for bag in bags:
         reader = BagReader(bag)
-        outcomes[reader.result.outcome] += 1
+        outcomes[_named(reader.result)] += 1
         instructions[reader.info.task.instruction] += 1
         semantics[reader.info.semantics] = None
         ticks += len(reader)

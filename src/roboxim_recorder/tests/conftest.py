@@ -146,12 +146,12 @@ class FakeEpisode:
         result = replace(self.result, **changes)
         return recording.close(result, serialize_message(to_msg(result, ours.EpisodeResult)), keep)
 
-    def record(self, out: Path, keep: str = "keep") -> Path:
-        """Record the whole episode and return its bag."""
+    def record(self, out: Path, keep: str = "keep", **changes: Any) -> Path:
+        """Record the whole episode, its result with changes, and return its bag."""
         recording = self.open(out)
         for topic, message in self.messages():
             recording.message(topic, serialize_message(message))
-        return out / self.close(recording, keep)
+        return out / self.close(recording, keep, **changes)
 
 
 @pytest.fixture(scope="session")

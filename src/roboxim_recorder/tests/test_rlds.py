@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,6 +50,15 @@ def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
             np.testing.assert_array_equal(exported.action[step], label)
             tcp = episode.state(step).robot.pose_tcp_measured
             np.testing.assert_array_equal(exported.state[step], np.float32([*tcp.position, *tcp.quat_xyzw, 1.0]))
+
+
+def test_episodes_that_took_another_try_are_left_out_unless_asked_for(tmp_path, fake):
+    fake(index=0).record(tmp_path / "run")
+    fake(index=1).record(tmp_path / "run", recovered=True)
+    report = export_rlds(tmp_path / "run", tmp_path / "out", PNG)
+    assert (report.splits, report.left_out) == ({"train": 1}, {"recovered": 1})
+    report = export_rlds(tmp_path / "run", tmp_path / "all", replace(PNG, keep_recovered=True))
+    assert (sum(report.splits.values()), report.left_out) == (2, {})
 
 
 def test_dead_dimensions_and_statistics(run, tmp_path):

@@ -172,12 +172,10 @@ def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLib
     ]
     for path, objects, role in [*places, (("distractors",), config.distractors, Role())]:
         models = [str(model) for model in objects.models.values]
-        suited = (
-            [name for name in library.object_ids if role.suits(library.object(name))] if path[0] == "objects" else []
-        )
         for model in models:
             _require(source, data, (*path, "models"), model, library.object_ids)
-            if path[0] == "objects" and model not in suited:
+            if path[0] == "objects" and not role.suits(library.object(model)):
+                suited = [name for name in library.object_ids if role.suits(library.object(name))]
                 raise ConfigError(
                     f"{source} is not valid: {_at(data, (*path, 'models'))}: a {model} cannot be the {path[1]} of "
                     f"{config.skill}, which must be {role.affordance or 'smaller'}; {one_of(suited, model)}"

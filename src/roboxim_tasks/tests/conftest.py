@@ -27,3 +27,9 @@ def draw(generator):
         return generator.draw(SeedPath(**{"run_seed": 3, "purpose": "test", "index": index, **seed}), config)
 
     return episode
+
+
+@pytest.fixture(scope="session")
+def seed_path():
+    """The seed path of an index."""
+    return lambda index, **seed: SeedPath(**{"run_seed": 3, "purpose": "test", "index": index, **seed})

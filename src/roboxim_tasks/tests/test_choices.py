@@ -26,8 +26,21 @@ def test_a_range_and_a_random_list_cover_all_of_it():
     [
         {}, {"lower": 1.0}, {"values": (1.0,), "lower": 0.0, "upper": 1.0}, {"lower": 2.0, "upper": 1.0},
         {"values": (1.0,), "order": "sorted"}, {"lower": 0.0, "upper": 1.0, "order": "in_order"},
+        {"values": (1.0, 2.0), "weights": (1.0,)}, {"values": (1.0,), "weights": (0.0,)},
+        {"values": (1.0,), "weights": (1.0,), "order": "in_order"},
     ],
 )  # fmt: skip
 def test_a_choice_that_means_nothing_is_refused(wrong):
     with pytest.raises(ConfigError):
         Choice(**wrong)
+
+
+def test_weights_say_how_often_and_only_keeps_what_is_allowed():
+    rng = np.random.default_rng(0)
+    choice = Choice(values=("red", "green", "blue"), weights=(0.0, 1.0, 3.0))
+    drawn = [choice.draw(rng, 0) for _ in range(400)]
+    assert "red" not in drawn
+    assert 250 < drawn.count("blue") < 350
+    assert choice.only(("green", "pink")) == Choice(values=("green",), weights=(1.0,))
+    assert choice.only(("red",)) is None
+    assert choice.only(("red", "green", "blue")) is choice

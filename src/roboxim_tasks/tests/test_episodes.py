@@ -10,8 +10,9 @@ from roboxim_core.config import digest, to_json
 from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext, register
 from roboxim_tasks.config import load_task_config, parse_task_config
@@ -171,15 +172,16 @@ def test_the_resolved_configuration_travels_with_the_episode(draw):
 @pytest.mark.parametrize("name", sorted(COMPONENTS))
 def test_every_component_has_a_complete_default_and_draws_the_same_twice(name, library):
     config = replace(load_task_config("pick_cube_distractors"), reset={name: COMPONENTS[name].Config()})
-    task = TaskSpec(
-        skill="pick_up", instruction="", objects={"target": PhysicalObject(entity="target", model="cube", name="cube")}
-    )
+    thing = PhysicalObject(entity="target", model="mug", name="mug")
+    task = TaskSpec(skill="pick_up", instruction="", objects={"target": thing})
+    placed = EntitySpec(name="target", model="mug", pose=Pose(position=(0.5, 0.0, 0.045)))
+    scene = SceneSpec(entities=() if name == "objects" else (placed,))
     seed = SeedPath(run_seed=1, purpose="test", index=0)
     arm = ArmKinematics(library.robot("panda"))
 
     def reset():
         context = ResetContext(seed=seed, config=config, task=task, library=library, arm=arm)
-        return COMPONENTS[name](config.reset[name]).reset(SceneSpec(), context)
+        return COMPONENTS[name](config.reset[name]).reset(scene, context)
 
     assert reset() == reset()
 

@@ -44,9 +44,9 @@ SHOWN = 12
 )
 @click.option("--policy-timeout", default=30.0, show_default=True, help="Longest wait for an answer [s].")
 def command(
-    policies: tuple[str, ...], checkpoint: Path | None, policy_options: tuple[str, ...], task: str, distractors: str,
-    colors: str, out: Path, episodes: int, seed: int, workers: int, size: str, renderer: str, depth: bool,
-    segmentation: bool, max_steps: int, execute: int, policy_timeout: float,
+    policies: tuple[str, ...], checkpoint: Path | None, policy_options: tuple[str, ...], task: str, skill: str,
+    objects: tuple[str, ...], distractors: str, colors: str, out: Path, episodes: int, seed: int, workers: int,
+    size: str, renderer: str, depth: bool, segmentation: bool, max_steps: int, execute: int, policy_timeout: float,
 ) -> None:  # fmt: skip
     r"""Run policies in fresh scenes, count successes, and write OUT/report.html.
 
@@ -65,7 +65,7 @@ def command(
     launches = [
         _launch(spec, checkpoint, policy_options if number == 0 else ()) for number, spec in enumerate(policies)
     ]
-    text = task_text(task, distractors=distractors, colors=colors)
+    text = task_text(task, skill=skill, objects=objects, distractors=distractors, colors=colors)
     runs = []
     with registered_run("evaluate"):
         for spec, launch in zip(policies, launches, strict=True):

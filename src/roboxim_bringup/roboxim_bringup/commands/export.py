@@ -29,10 +29,11 @@ def command() -> None:
     "--val-fraction", default=0.05, show_default=True, help="Part of the episodes that becomes the split val."
 )
 @click.option("--all", "everything", is_flag=True, help="Also episodes that did not succeed.")
+@click.option("--keep-recovered", is_flag=True, help="Also episodes that needed another try, e.g. a second grasp.")
 @click.option("--overwrite", is_flag=True, help="Replace a dataset that is there.")
 def rlds(
     source: Path, target: Path, name: str, version: str, cameras: tuple[str, ...], size: str, encoding: str,
-    val_fraction: float, everything: bool, overwrite: bool,
+    val_fraction: float, everything: bool, keep_recovered: bool, overwrite: bool,
 ) -> None:  # fmt: skip
     r"""Export the bags of a run as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; needs no TensorFlow.
 
@@ -54,6 +55,7 @@ def rlds(
     config = ExportConfig(
         name=name, version=version, cameras=dict(word.split("=", 1) for word in cameras), encoding=encoding,
         image_width=width, image_height=height, val_fraction=val_fraction, only_successful=not everything,
+        keep_recovered=keep_recovered or everything,
     )  # fmt: skip
     with ProgressLine("exporting", 1) as bar:
         report = export_rlds(

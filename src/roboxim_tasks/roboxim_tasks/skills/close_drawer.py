@@ -78,6 +78,7 @@ class CloseDrawer(Skill):
 
     name = "close_drawer"
     roles = {"target": Role(affordance="openable", models=("cabinet",))}
+    words = ("drawer",)
     templates = (
         "Close the {drawer} drawer",
         "Push the {drawer} drawer shut",

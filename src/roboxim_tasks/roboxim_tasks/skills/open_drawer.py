@@ -73,6 +73,7 @@ class OpenDrawer(Skill):
 
     name = "open_drawer"
     roles = {"target": Role(affordance="openable", models=("cabinet",))}
+    words = ("drawer",)
     templates = (
         "Open the {drawer} drawer",
         "Pull the {drawer} drawer open",

@@ -7,8 +7,8 @@ side, it stands as upright as before, on the table, still, and the robot does no
 have been lifted at any time.
 
 Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, forward = away from its base. The
-gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away; a drawn scene
-has room for the object on its way and behind it.
+gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away; it leans back
+from what is taller than the fingers are long. A drawn scene has room for the object on its way.
 """
 
 from __future__ import annotations
@@ -46,14 +46,19 @@ DIRECTIONS = {
 WAY_M = 0.12
 STANDOFF_M = 0.02
 BACK_OFF_M = 0.03
-FINGER_M = 0.011
-"""Half the width of a finger's flat side [m]."""
+FINGER_M = 0.014
+"""From the tool centre point to what touches the object first [m]."""
 HEIGHT_M = 0.02
 LIFTED_M = 0.03
 TILTED_RAD = 0.35
 DWELL_S = 0.2
 SPREAD = 0.6
 """Opening between the fingers as a fraction of the object's width."""
+OPENING_M = 0.08
+PALM_M = 0.035
+"""Height above the tool centre point from which on the palm would hit the object, if the tool were upright [m]."""
+LEANS = (0.0, math.radians(35), math.radians(45), math.radians(25))
+"""Angles by which the hand leans back from the object, best first [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +96,7 @@ class PushObject(Skill):
 
     name = "push_object"
     roles = {"target": Role(affordance="pushable")}
+    words = ("direction",)
     templates = ("Push the {target} {direction}", "Slide the {target} {direction}", "Move the {target} {direction}")
     max_steps = 100
     Parameters = PushObjectParameters
@@ -197,13 +203,16 @@ def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[
     """
     across = np.array([-direction[1], direction[0], 0.0])
     behind, beside = extent(model, pose, -direction), min(extent(model, pose, across), extent(model, pose, -across))
-    height = pose.position[2] - model.rest_height + min(HEIGHT_M, model.size[2] / 2)
+    height = min(HEIGHT_M, model.size[2] / 2)
     heading = math.atan2(direction[1], direction[0])
-    spread = min(1.0, SPREAD * 2 * beside / 0.08)
-    for turn, opening in ((0.0, spread), (math.pi, spread), (math.pi / 2, 0.0), (-math.pi / 2, 0.0)):
-        x, y, _ = pose.position - direction * (behind + FINGER_M + STANDOFF_M)
-        rotation = Rotation.from_euler("z", heading + turn) * Rotation.from_euler("x", math.pi)
-        yield Pose.from_arrays((x, y, height), rotation), opening
+    spread = min(1.0, SPREAD * 2 * beside / OPENING_M)
+    x, y, z = pose.position - direction * (behind + FINGER_M + STANDOFF_M)
+    place = (x, y, z - model.rest_height + height)
+    for lean in LEANS if model.size[2] < height + PALM_M else LEANS[1:]:
+        for turn, opening in ((0.0, spread), (math.pi, spread), (math.pi / 2, 0.0), (-math.pi / 2, 0.0)):
+            tilt_back = Rotation.from_rotvec(-lean * across)
+            rotation = tilt_back * Rotation.from_euler("z", heading + turn) * Rotation.from_euler("x", math.pi)
+            yield Pose.from_arrays(place, rotation), opening
 
 
 def extent(model: ObjectModel, pose: Pose, direction: Array) -> float:

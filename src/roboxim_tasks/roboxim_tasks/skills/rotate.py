@@ -75,6 +75,7 @@ class Rotate(Skill):
 
     name = "rotate"
     roles = {"target": Role(affordance="graspable")}
+    words = ("direction", "angle")
     templates = (
         "Rotate the {target} {direction} by {angle} degrees",
         "Turn the {target} by {angle} degrees {direction}",

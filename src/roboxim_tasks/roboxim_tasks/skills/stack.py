@@ -29,7 +29,7 @@ class Stack(PlaceOn):
     """Generator, resetter, executor and evaluator of ``stack``."""
 
     name = "stack"
-    roles = {"support": Role(affordance="support"), "target": Role(affordance="graspable")}
+    roles = {"support": Role(affordance="support", max_width_m=0.1), "target": Role(affordance="graspable")}
     templates = (
         "Stack the {target} on the {support}",
         "Put the {target} on top of the {support}",

@@ -1,0 +1,106 @@
+"""Show which tasks there are, and what they ask for."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Show which tasks there are, and what they ask for."""
+
+
+@command.command("list")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def list_tasks(as_json: bool) -> None:
+    """List the skills with the objects that suit them, and the tasks of config/tasks."""
+    from roboxim_core.config import config_dir
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_tasks.config import TaskMix, load_task_config
+    from roboxim_tasks.skills import SKILLS
+
+    library = ModelLibrary()
+    models = {name: library.object(name) for name in library.object_ids}
+    skills = {
+        name: {
+            "instruction": SKILLS[name].templates[0],
+            "roles": {
+                role: [model_id for model_id, model in models.items() if wanted.suits(model)]
+                for role, wanted in SKILLS[name].roles.items()
+            },
+        }
+        for name in SKILLS
+    }
+    tasks = {}
+    for path in sorted((config_dir() / "tasks").glob("*.yaml")):
+        config = load_task_config(path.stem)
+        if isinstance(config, TaskMix):
+            about = {"skills": sorted({c.skill for c in config.cells}), "episodes": sum(config.counts)}
+        else:
+            about = {"skills": [config.skill], "episodes": None}
+        tasks[path.stem] = {"about": _first_comment(path.read_text()), **about}
+    if as_json:
+        click.echo(json.dumps({"skills": skills, "tasks": tasks}, indent=2))
+        return
+    click.secho("skills (roboxim generate --skill NAME --object MODEL)", bold=True)
+    for name, entry in skills.items():
+        click.echo(f"  {name:<20} {entry['instruction']}")
+        for role, suited in entry["roles"].items():
+            click.echo(f"  {'':<20}   {role}: {', '.join(suited)}")
+    click.secho("tasks (roboxim generate --task NAME)", bold=True)
+    for name, task in tasks.items():
+        count = f", {task['episodes']} episodes" if task["episodes"] else ""
+        click.echo(f"  {name:<28} {', '.join(task['skills'])}{count}")
+        click.echo(f"  {'':<28}   {task['about']}")
+
+
+@command.command("sample")
+@click.option("--task", default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file.")
+@click.option("--skill", default="", help="A skill instead of a task.")
+@click.option("--object", "objects", multiple=True, metavar="[ROLE=]MODEL[,MODEL]", help="Object models of a role.")
+@click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
+@click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="How many.")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first.")
+@click.option(
+    "--purpose", type=click.Choice(["demo", "eval", "train", "test"]), default="demo", show_default=True,
+    help="What the episodes are for: each purpose has tasks of its own.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="As JSON, one task a line.")
+def sample(
+    task: str, skill: str, objects: tuple[str, ...], distractors: str, seed: int, count: int, first: int,
+    purpose: str, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Print the tasks of a seed: the very ones that generate and evaluate run.
+
+    \b
+    roboxim tasks sample --seed 7
+    roboxim tasks sample --skill place_on --object apple,knife --count 5
+    """
+    from roboxim_bringup.task_choice import task_text
+    from roboxim_core.config import digest, to_json
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.seeds import SeedPath
+    from roboxim_tasks.config import parse_task_config
+    from roboxim_tasks.episodes import EpisodeGenerator
+    from roboxim_tasks.roles import description, task_distractors
+
+    generator = EpisodeGenerator(ModelLibrary())
+    config = parse_task_config(task_text(task, skill=skill, objects=objects, distractors=distractors))
+    for index in range(first, first + count):
+        drawn = generator.task(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
+        if as_json:
+            click.echo(to_json(drawn))
+            continue
+        others = ", ".join(description(thing) for thing in task_distractors(drawn))
+        click.echo(
+            f"{index:>4}  {digest(drawn)}  {drawn.instruction}" + (f"   (also there: {others})" if others else "")
+        )
+
+
+def _first_comment(text: str) -> str:
+    """Return the sentence that a file begins with."""
+    line = text.partition("\n")[0]
+    return line.removeprefix("#").strip() if line.startswith("#") else ""
