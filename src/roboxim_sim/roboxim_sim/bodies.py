@@ -375,6 +375,40 @@ def _hull(path: str) -> trimesh.Trimesh:
     return hull
 
 
+MAX_SHAPES = 16
+"""PyBullet silently leaves out further shapes of one link."""
+MESH_MARGIN_M = 0.001
+"""PyBullet makes convex parts of a mesh larger by this much on every side."""
+
+
+def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:
+    """Return the same geometry in fewer shapes: the boxes become the convex parts of one mesh file."""
+    boxes = tuple(shape for shape in shapes if shape.kind == "box")
+    others = [shape for shape in shapes if shape.kind != "box"]
+    if len(others) >= MAX_SHAPES:
+        raise ConfigError(
+            f"a link has {len(others)} collision shapes other than boxes, PyBullet takes {MAX_SHAPES - 1}; merge some"
+        )
+    return [*others, Shape(kind="hull", mesh=_boxes_file(boxes))]
+
+
+@lru_cache(maxsize=256)
+def _boxes_file(boxes: tuple[Shape, ...]) -> str:
+    """Return an OBJ file with an object for each box, less the margin."""
+    lines: list[str] = []
+    for number, box in enumerate(boxes):
+        half = np.maximum(np.asarray(box.size) / 2 - MESH_MARGIN_M, 1e-4)
+        solid = trimesh.creation.box(extents=2 * half)
+        lines.append(f"o box_{number}")
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in box.pose.apply(solid.vertices)]
+        lines += [f"f {a} {b} {c}" for a, b, c in solid.faces + 1 + 8 * number]
+    folder = tempfile.TemporaryDirectory(prefix="roboxim-boxes-")
+    _KEPT.append(folder)
+    file = Path(folder.name) / "boxes.obj"
+    file.write_text("\n".join(lines) + "\n")
+    return str(file)
+
+
 _KINDS = {
     "box": pybullet.GEOM_BOX,
     "sphere": pybullet.GEOM_SPHERE,
@@ -390,6 +424,8 @@ def _collision_shape(client: int, shapes: Sequence[Shape]) -> int:
     for shape in shapes:
         if shape.kind not in _KINDS:
             raise ConfigError(f"unknown collision shape '{shape.kind}'; expected one of: {', '.join(_KINDS)}")
+    if len(shapes) > MAX_SHAPES:
+        shapes = _with_boxes_in_a_file(shapes)
     size = [shape.size or (0.0,) for shape in shapes]
     made = pybullet.createCollisionShapeArray(
         shapeTypes=[_KINDS[shape.kind] for shape in shapes],
