@@ -133,17 +133,17 @@ def _retreat_faults(problem: Problem, motions: list[tuple[dict[str, Any], float]
 
 
 def memory_row(ours: Contender, plans: int, salt: int) -> Row:
-    """Plan again and again and say by how much the process has grown, after a tenth as a warm-up."""
+    """Plan again and again and say by how much the process has grown, after a tenth more as a warm-up."""
     problems = [tabletop(seed, salt).plain() for seed in range(100)]
     sizes = []
-    for batch in range(plans // 100 + plans // 1000):
+    warm_up = max(1, plans // 1000)
+    for batch in range(warm_up + plans // 100):
         answer = ours.ask({"op": "repeat", "problems": problems, "seed": 100 * batch}, 300.0)
         sizes.append(answer["rss_mib"])
-    warm = sizes[plans // 1000 - 1]
     return {
         "problems": f"memory over {plans} plans",
         "contender": ours.name,
         "count": plans,
-        "grown_mib": round(sizes[-1] - warm, 2),
+        "grown_mib": round(sizes[-1] - sizes[warm_up - 1], 2),
         "rss_mib": round(sizes[-1], 1),
     }

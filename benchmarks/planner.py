@@ -40,8 +40,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add this benchmark's options."""
     parser.add_argument("--rows", default=",".join(SECTIONS), help=f"of {','.join(SECTIONS)}; default: all")
     parser.add_argument("--seed", type=int, default=0, help="another set of problems for each; default: 0")
-    parser.add_argument("--count", type=int, help="tabletop problems; default: 1000 (quick: 40)")
-    parser.add_argument("--hard-count", type=int, help="problems of each hard family; default: 100 (quick: 2)")
+    parser.add_argument("--count", type=int, help="tabletop problems; default: 1000 (quick: 30)")
+    parser.add_argument("--hard-count", type=int, help="problems of each hard family; default: 100 (quick: 1)")
     parser.add_argument("--peers", default="mplib,roboplan", help="peers to compare with; empty: none")
     parser.add_argument("--peers-every", type=int, default=5, help="peers get every N-th hard problem; default: 5")
     parser.add_argument("--search", type=float, default=60.0, help="time of the search for unsolved problems [s]")
@@ -74,10 +74,10 @@ def main() -> None:
             headlines.append((f"valid share of the problems of {options.problems.name}", share, "", 0.999))
             rows = []
         if "tabletop" in rows:
-            draws = tabletop_draws(options.count or (40 if bench.quick else 1000), options.seed)
+            draws = tabletop_draws(options.count or (30 if bench.quick else 1000), options.seed)
             headlines.append(("valid share of tabletop problems", sets.run("tabletop", draws, detours=0.5), "", 0.999))
         if "hard" in rows:
-            draws = hard_draws(options.hard_count or (2 if bench.quick else 100), options.seed)
+            draws = hard_draws(options.hard_count or (1 if bench.quick else 100), options.seed)
             share = sets.run("hard", draws, peers_every=options.peers_every)
             headlines.append(("valid share of hard problems", share, "", 0.995))
         ours = asked[0]
@@ -86,11 +86,11 @@ def main() -> None:
             headlines.append(("share of reachable poses solved", float(row["valid_share"]), "", 1.0))
             bench.row(**row)
         if "retreat" in rows:
-            row = retreat_row(ours, 12 if bench.quick else 200, options.seed)
+            row = retreat_row(ours, 6 if bench.quick else 200, options.seed)
             headlines.append(("share of feasible retreats", float(row["valid_share"]), "", 0.95))
             bench.row(**row)
         if "memory" in rows:
-            row = memory_row(ours, 1000 if bench.quick else 10_000, options.seed)
+            row = memory_row(ours, 500 if bench.quick else 10_000, options.seed)
             bench.row(**row)
             headlines.append(("memory left of 1 MB", 1.0 - float(row["grown_mib"]), "MiB", 0.0))
     name, value, unit, goal = headlines[0]

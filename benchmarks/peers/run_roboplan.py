@@ -1,9 +1,9 @@
 """RoboPlan as a contender: its inverse kinematics, RRTConnect, shortcuts and toppra.
 
-Steps of its collision checks are its defaults. Of its ways to fit a spline, `Adaptive` is taken: on 120 tabletop
-problems it gives no collision, where `Hermite` (a third quicker) and `LinearBlend` give four each; half the step changes
-nothing but the time. Obstacles are enlarged by the problem's padding. ``ms`` is inverse kinematics, search, shortcuts and time law at its own
-default sampling; the samples for the referee are taken afterwards.
+The steps of its collision checks are its defaults. Of its ways to fit a spline `Adaptive` is taken: on 120 tabletop
+problems it gave no collision where `Hermite` (a third quicker) and `LinearBlend` gave four each; half the step changed
+nothing but the time. Obstacles are enlarged by the problem's padding. ``ms`` is inverse kinematics, search, shortcuts
+and time law at its own default sampling; the samples for the referee are taken afterwards.
 """
 
 from __future__ import annotations
