@@ -3,82 +3,191 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.poses import IDENTITY, Pose, Vec3
-from roboxim_core.specs import LightSpec, LookSpec
-from roboxim_sim.rendering.geometry import SURROUNDINGS, PackedWorld, linear
-from roboxim_sim.rendering.views import LightView, light_view, visible
+from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
+from roboxim_sim.rendering.geometry import OBJECTS_LAYER, SURROUNDINGS_LAYER, TABLE_LAYER, PackedWorld, linear
+from roboxim_sim.rendering.views import LightView, clip_from_world, light_view, visible
 
 Array = npt.NDArray[np.float64]
 
-DRAWN_LAST = ("table", *SURROUNDINGS)
-"""Large entities behind the others, so that what hides them is drawn first and they are not shaded in vain."""
+MAX_LIGHTS = 4
+CONTACT_REACH_M = 0.17
+"""Height above the table up to which an object darkens it."""
+PIXELS_PER_FACE = 12.0
+"""A body with fewer visible pixels per face is drawn with its coarse shape: a rasteriser without a GPU shades blocks of
+pixels, whole for each face that touches them."""
+TO_TEXTURE = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """What is drawn at once."""
+
+    flags: tuple[str, ...]
+    """What the shader must know: ``TEXTURE``, ``SHADOW``, ``CONTACT``, ``OVERHANG``."""
+    ranges: tuple[range, ...]
+    """Ranges of the indices, in order."""
 
 
 class Frame:
     """One tick of a packed world."""
 
-    def __init__(self, packed: PackedWorld, look: LookSpec, poses: Mapping[str, Pose], shadow_size: int) -> None:
+    def __init__(self, packed: PackedWorld, look: LookSpec, poses: Mapping[str, Pose]) -> None:
         """Place the bodies.
 
         Args:
             packed: The world.
             look: Its lights.
             poses: Body key to pose in the world; left out: identity.
-            shadow_size: Width and height of the shadow map [texel].
         """
+        self._packed, self._look = packed, look
         bodies = packed.bodies
+        self._clips: dict[str, Array] = {}
         self.matrices = _matrices([poses.get(body.key, IDENTITY) for body in bodies])
-        local = np.array([[*body.center, 1.0] for body in bodies]).reshape(-1, 4, 1)
-        self.centers: Array = (self.matrices @ local)[:, :3, 0]
-        self.radii: Array = np.array([body.radius for body in bodies], dtype=float)
-        self.casters = np.array([body.entity not in SURROUNDINGS for body in bodies], dtype=bool)
-        self.objects = np.array([body.entity not in DRAWN_LAST for body in bodies], dtype=bool)
-        self._shadow_size = shadow_size
-        ambient = np.asarray(look.ambient, dtype=float)
-        self.sky: Vec3 = tuple((1.25 * ambient).tolist())
-        self.ground: Vec3 = tuple((ambient * (0.72, 0.66, 0.6)).tolist())
-        self.backdrop: Vec3 = look.backdrop
+        self.centers: Array = (self.matrices[:, :3, :3] @ packed.centers[:, :, None])[:, :, 0] + self.matrices[:, :3, 3]
+        self.radii = packed.radii
+        self._slab = None if packed.slab is None else self._box(packed.slab)
+        # What stands on the table is in the shadow map; the table's shadow is a rectangle, which the shader knows.
+        self.casters = packed.layers != SURROUNDINGS_LAYER
+        if packed.slab is not None:
+            self.casters[packed.slab] = False
+        top = self._slab[1][2] if self._slab else -np.inf
+        self.touching = (packed.layers == OBJECTS_LAYER) & (self.centers[:, 2] - self.radii < top + CONTACT_REACH_M)
+        """Bodies that may darken the table below them."""
         main = next((light for light in look.lights if light.shadow), None)
         self.lights: tuple[LightSpec, ...] = look.lights
         if main is not None:
             self.lights = (main, *(light for light in look.lights if light is not main))
+        self.backdrop = look.backdrop
         self.shadowed = main is not None and bool(self.casters.any())
 
     @cached_property
     def light(self) -> LightView:
         """The main light's view; only where `shadowed`."""
-        return light_view(self.lights[0], self.centers[self.casters], self.radii[self.casters], self._shadow_size)
+        return light_view(self.lights[0], self.centers[self.casters], self.radii[self.casters])
 
     @cached_property
     def contact_box(self) -> tuple[float, float, float, float]:
-        """Square around the objects seen from above: lower corner x, y [m], one over its extent, twice [1/m]."""
-        if not self.objects.any():
-            return 0.0, 0.0, 1.0, 1.0
-        centers, radii = self.centers[self.objects, :2], self.radii[self.objects, None]
+        """Square around what touches, seen from above: lower corner x, y [m], one over its extent [1/m], 0."""
+        centers, radii = self.centers[self.touching, :2], self.radii[self.touching, None]
         low, high = (centers - radii).min(axis=0), (centers + radii).max(axis=0)
         extent = float(np.ceil((high - low).max() / 0.2 + 0.5) * 0.2)
         x, y = (np.round((low + high) / 2 / 0.01) * 0.01 - extent / 2).tolist()
-        return x, y, 1 / extent, 1 / extent
+        return x, y, 1 / extent, 0.0
 
-    def order(self, clip_from_world: Array, eye: Array) -> npt.NDArray[np.intp]:
-        """Return the indices of the bodies that a camera may see, in drawing order: near first, large ones last."""
-        seen = np.flatnonzero(visible(clip_from_world, self.centers, self.radii))
-        distance = np.linalg.norm(self.centers[seen] - eye, axis=1) - self.radii[seen]
-        return seen[np.lexsort((distance, ~self.objects[seen]))]
+    def shadow_ranges(self) -> tuple[range, ...]:
+        """Return the indices of all that casts shadows."""
+        return tuple(self._packed.bodies[i].shadow for i in np.flatnonzero(self.casters))
 
-    def light_vectors(self) -> tuple[Array, Array]:
-        """Return the lights for the shader: vectors (N, 4) (w: 0 sun, else a lamp's range squared), colours (N, 3)."""
-        count = max(len(self.lights), 1)  # no light at all: a black one
-        vectors, colors = np.zeros((count, 4)), np.zeros((count, 3))
+    def contact_ranges(self) -> tuple[range, ...]:
+        """Return the indices of what may darken the table."""
+        return tuple(self._packed.bodies[i].shadow for i in np.flatnonzero(self.touching))
+
+    def batches(self, camera: CameraSpec, pose: Pose) -> list[Batch]:
+        """Return what a camera may see, in drawing order: near things first, table and surroundings last.
+
+        Bodies of one kind are drawn together, so that none pays for what it does not have (a texture, a shadow).
+        """
+        seen = np.flatnonzero(visible(self.clip(camera, pose), self.centers, self.radii))
+        distances = np.linalg.norm(self.centers[seen] - np.asarray(pose.position), axis=1)
+        pixels = max(camera.matrix[:2]) * self.radii[seen] / np.maximum(distances, camera.near)
+        fine = 2 * np.pi * pixels**2 > PIXELS_PER_FACE * self._packed.plain_faces[seen]
+        order = np.argsort(distances - self.radii[seen], kind="stable")
+        kinds: dict[tuple[int, bool], list[range]] = {}
+        shadowed = self._reached if self.shadowed else np.zeros(len(self.radii), dtype=bool)
+        codes = (2 * self._packed.layers + shadowed)[seen]
+        for i, code, whole in zip(seen[order].tolist(), codes[order].tolist(), fine[order].tolist(), strict=True):
+            body = self._packed.bodies[i]
+            if body.plain:
+                kinds.setdefault((code, False), []).append(body.plain if whole else body.plain_coarse)
+            if body.textured:
+                kinds.setdefault((code, True), []).append(body.textured)
+        return [Batch(flags=self._flags(*kind), ranges=tuple(kinds[kind])) for kind in sorted(kinds)]
+
+    def _flags(self, code: int, texture: bool) -> tuple[str, ...]:
+        layer, shadow = divmod(code, 2)
+        return (
+            *(["TEXTURE"] if texture else []),
+            *(["SHADOW"] if shadow else []),
+            *(["CONTACT"] if layer == TABLE_LAYER and self.touching.any() else []),
+            *(["OVERHANG"] if layer == SURROUNDINGS_LAYER and shadow and self._slab else []),
+        )
+
+    def clip(self, camera: CameraSpec, pose: Pose) -> Array:
+        """Return a camera's projection from the world, worked out once."""
+        if camera.name not in self._clips:
+            self._clips[camera.name] = clip_from_world(camera, pose)
+        return self._clips[camera.name]
+
+    def view(self, camera: CameraSpec, pose: Pose) -> bytes:
+        """Return the uniform block ``View`` of the shaders for a camera."""
+        own = np.concatenate([self.clip(camera, pose).T.ravel(), self._light_matrix.T.ravel(), pose.position])
+        return own.astype(np.float32).tobytes() + self._common
+
+    @cached_property
+    def _light_matrix(self) -> Array:
+        return TO_TEXTURE @ self.light.matrix if self.shadowed else np.eye(4)
+
+    @cached_property
+    def _common(self) -> bytes:
+        """Return what the uniform block ``View`` has for all cameras."""
+        vectors, colors = self._light_vectors()
+        size, offset = (self.light.size, 1.5 * self.light.texel_m) if self.shadowed else (1, 0.0)
+        ambient = np.asarray(self._look.ambient, dtype=float)
+        rows = [
+            [offset],
+            [*(1.25 * ambient), len(self.lights) - 1],
+            [*(ambient * (0.72, 0.66, 0.6)), size],
+            vectors[0],
+            colors[0],
+            self.contact_box if self.touching.any() else [0.0, 0.0, 1.0, 0.0],
+            *self._overhang(),
+            vectors[1:].ravel(),
+            colors[1:].ravel(),
+        ]
+        return np.concatenate(rows).astype(np.float32).tobytes()
+
+    def _overhang(self) -> tuple[Array, Array]:
+        """Return the table's shadow: (centre x, y, top z, 1), (half extent x, y, width of the edge over height, 0)."""
+        if self._slab is None or not self.shadowed:
+            return np.zeros(4), np.ones(4)
+        low, high = self._slab
+        middle, half = (low + high) / 2, (high - low) / 2
+        return np.array([*middle[:2], high[2], 1.0]), np.array([*half[:2], self.light.softness, 0.0])
+
+    @cached_property
+    def _reached(self) -> npt.NDArray[np.bool_]:
+        """Tell on which bodies a shadow may fall, by their bounding boxes as the light sees them."""
+        corners = self._packed.corners @ self.matrices[:, :3, :3].transpose(0, 2, 1) + self.matrices[:, None, :3, 3]
+        clip = corners @ self.light.matrix[:, :3].T + self.light.matrix[:, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat = clip[..., :2] / clip[..., 3:]
+        low, high = flat.min(axis=1), flat.max(axis=1)
+        of_casters, of_slab = np.array([[-1.0, -1.0], [1.0, 1.0]]), low[:0]
+        if self._slab is not None:
+            of_slab = np.stack([low[self._packed.slab], high[self._packed.slab]])
+        bounds = np.concatenate([of_casters, of_slab])
+        missed = (low > bounds.max(axis=0)).any(axis=1) | (high < bounds.min(axis=0)).any(axis=1)
+        return np.asarray(~missed | (clip[..., 3] <= 0).any(axis=1))
+
+    def _box(self, i: int) -> tuple[Array, Array]:
+        """Return the lower and upper corner of a body's bounding box in the world."""
+        reach = np.abs(self.matrices[i, :3, :3]) @ self._packed.bodies[i].half
+        return self.centers[i] - reach, self.centers[i] + reach
+
+    def _light_vectors(self) -> tuple[Array, Array]:
+        """Return all lights for the shader: vectors (N, 4) (w: 0 sun, else a lamp's range squared), colours (N, 4)."""
+        vectors, colors = np.zeros((MAX_LIGHTS, 4)), np.zeros((MAX_LIGHTS, 4))
         vectors[:, 2] = 1.0
         for i, light in enumerate(self.lights):
-            colors[i] = linear(light.color) * light.intensity / np.pi
+            colors[i, :3] = linear(light.color) * light.intensity / np.pi
             if light.kind == "lamp":
                 vectors[i] = *light.position, max(float(np.dot(light.position, light.position)), 0.01)
             else:
@@ -93,3 +202,6 @@ def _matrices(poses: Sequence[Pose]) -> Array:
         matrices[:, :3, :3] = Rotation.from_quat([pose.quat_xyzw for pose in poses]).as_matrix()
         matrices[:, :3, 3] = [pose.position for pose in poses]
     return matrices
+
+
+__all__ = ["MAX_LIGHTS", "Batch", "Frame"]

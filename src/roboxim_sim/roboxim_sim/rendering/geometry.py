@@ -1,23 +1,27 @@
-"""Packs a `RenderWorld` into one vertex and one index array: a tick then uploads poses only and draws in few calls."""
+"""Packs a `RenderWorld` into one vertex and one index array: a tick then uploads poses and draws in few calls."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from functools import cached_property
 
-import fast_simplification
 import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import RGB, CameraSpec
+from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import TILE_M
+
+Array = npt.NDArray[np.float64]
 
 SURROUNDINGS = ("floor", "wall")
 """Entities that receive shadows and cast none."""
+
+OBJECTS_LAYER, TABLE_LAYER, SURROUNDINGS_LAYER = range(3)
 
 VERTEX = np.dtype(
     [
@@ -32,31 +36,34 @@ VERTEX = np.dtype(
 """A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture layer; ids: body,
 entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
-COARSE_VERTEX = np.dtype([("position", np.float32, 3), ("ids", np.uint16, 2)])
-"""A vertex of what casts shadows."""
-COARSE_FORMAT = "3f 2u2"
-COARSE_NAMES = ("in_position", "in_ids")
-COARSE_FACES = 250
-"""Faces that a finer mesh is simplified to for its shadow."""
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
+COARSE_FACES = 700
+"""Faces that a body is simplified to for its shadow, and for images in which it is small."""
+WHITE_LAYER = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PackedBody:
-    """Where a body lies in the arrays, and its bounds."""
+    """Where a body lies in the indices, and its bounds. Of a body of the surroundings there is one for each part."""
 
     key: str
     """Key of its pose."""
     entity: str
     """Entity that it belongs to."""
-    shape: range
-    """Its indices."""
+    plain: range
+    """Indices of what has no texture."""
+    plain_coarse: range
+    """The same with fewer faces."""
+    textured: range
+    """Indices of what has a texture."""
     shadow: range
-    """Its indices in the coarse arrays."""
-    center: npt.NDArray[np.float64]
-    """Centre of the bounding sphere in the body's frame, shape (3,) [m]."""
+    """Indices of what casts its shadow: all of it, with few faces."""
+    center: Array
+    """Centre of its bounding box in its frame, shape (3,) [m]."""
+    half: Array
+    """Half the extent of its bounding box, shape (3,) [m]."""
     radius: float
-    """Radius of the bounding sphere [m]."""
+    """Radius of the bounding sphere about the centre [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,17 +73,46 @@ class PackedWorld:
     vertices: npt.NDArray[np.void]
     """Of dtype `VERTEX`."""
     indices: npt.NDArray[np.uint32]
-    """Triangles of all bodies, in order."""
-    coarse_vertices: npt.NDArray[np.void]
-    """Of dtype `COARSE_VERTEX`: simplified meshes that cast shadows."""
-    coarse_indices: npt.NDArray[np.uint32]
-    """Their triangles."""
+    """Triangles of all bodies."""
     bodies: tuple[PackedBody, ...]
-    """The bodies with something to draw."""
+    """The bodies with something to draw; a vertex names its body by its place here."""
     textures: tuple[str, ...]
-    """Names by layer; layer 0 is plain white."""
+    """Names by layer; layer `WHITE_LAYER` is plain white."""
     keys: tuple[str, ...]
     """Keys of all bodies."""
+
+    @cached_property
+    def centers(self) -> Array:
+        """Centres of the bodies' bounding spheres in their frames, shape (N, 3) [m]."""
+        return np.array([body.center for body in self.bodies], dtype=float).reshape(-1, 3)
+
+    @cached_property
+    def radii(self) -> Array:
+        """Their radii, shape (N,) [m]."""
+        return np.array([body.radius for body in self.bodies], dtype=float)
+
+    @cached_property
+    def corners(self) -> Array:
+        """Corners of the bodies' bounding boxes in their frames, shape (N, 8, 3) [m]."""
+        signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
+        return np.array([body.center + signs * body.half for body in self.bodies]).reshape(-1, 8, 3)
+
+    @cached_property
+    def layers(self) -> npt.NDArray[np.int64]:
+        """When the bodies are drawn, shape (N,): objects first, then the table, then the surroundings."""
+        layers = {"table": TABLE_LAYER, **dict.fromkeys(SURROUNDINGS, SURROUNDINGS_LAYER)}
+        return np.array([layers.get(body.entity, OBJECTS_LAYER) for body in self.bodies], dtype=np.int64)
+
+    @cached_property
+    def plain_faces(self) -> npt.NDArray[np.int64]:
+        """Numbers of faces without a texture, shape (N,)."""
+        return np.array([len(body.plain) // 3 for body in self.bodies], dtype=np.int64)
+
+    @cached_property
+    def slab(self) -> int | None:
+        """The table's top: the widest body of the table; none: there is no table."""
+        tables = np.flatnonzero(self.layers == TABLE_LAYER).tolist()
+        return max(tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
 
 
 def pack(world: RenderWorld) -> PackedWorld:
@@ -92,43 +128,67 @@ def pack(world: RenderWorld) -> PackedWorld:
     if len(textures) > 255 or len(keys) > 65535:
         raise InvalidRequestError(f"at most 254 textures and 65535 bodies, got {len(textures) - 1} and {len(keys)}")
     entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
-    fine, coarse, bodies = _Arrays(VERTEX), _Arrays(COARSE_VERTEX), []
-    for row, body in enumerate(body for body in world.bodies if body.parts):
-        ids = (row, entities[body.entity])
-        first, coarse_first = fine.count, coarse.count
+    arrays, bodies = _Arrays(), list[PackedBody]()
+    for body in world.bodies:
         for part in body.parts:
             check_mesh(part.mesh, body.key)
-            fine.add(*_shaped(part, textures.index(part.material.texture), ids))
-            if body.entity not in SURROUNDINGS:
-                coarse.add(*_coarse(part.mesh, ids))
-        points = np.concatenate([part.mesh.vertices for part in body.parts]).astype(float)
-        center = (points.min(axis=0) + points.max(axis=0)) / 2
-        bodies.append(
-            PackedBody(
-                key=body.key,
-                entity=body.entity,
-                shape=range(first, fine.count),
-                shadow=range(coarse_first, coarse.count),
-                center=center,
-                radius=float(np.linalg.norm(points - center, axis=1).max()),
-            )
-        )
+        alone = body.entity in SURROUNDINGS
+        for parts in [(part,) for part in body.parts] if alone else [body.parts] if body.parts else []:
+            ids = (len(bodies), entities[body.entity])
+            bodies.append(_packed(body, parts, textures, ids, arrays))
     return PackedWorld(
-        vertices=np.concatenate(fine.vertices),
-        indices=np.concatenate(fine.indices),
-        coarse_vertices=np.concatenate(coarse.vertices),
-        coarse_indices=np.concatenate(coarse.indices),
+        vertices=np.concatenate(arrays.vertices),
+        indices=np.concatenate(arrays.indices),
         bodies=tuple(bodies),
         textures=textures,
         keys=tuple(keys),
     )
 
 
+def _packed(
+    body: RenderBody, parts: Sequence[VisualPart], textures: Sequence[str], ids: tuple[int, int], arrays: _Arrays
+) -> PackedBody:
+    """Add a body's parts to the arrays: plain ones, textured ones, and all coarse ones (plain first)."""
+    parts = sorted(parts, key=lambda part: bool(part.material.texture))
+    start = arrays.count
+    bounds = [start]
+    for with_texture in (False, True):
+        for part in parts:
+            if bool(part.material.texture) is with_texture:
+                arrays.add(*_shaped(part, part.mesh, textures.index(part.material.texture), ids))
+        bounds.append(arrays.count)
+    plain, textured = range(bounds[0], bounds[1]), range(bounds[1], bounds[2])
+    plain_coarse, shadow = plain, range(start, arrays.count)
+    if body.entity in SURROUNDINGS:
+        shadow = range(start, start)
+    elif len(shadow) > 2 * 3 * COARSE_FACES:
+        first = arrays.count
+        for part, mesh in zip(parts, coarse_meshes([part.mesh for part in parts], COARSE_FACES), strict=True):
+            arrays.add(*_shaped(part, mesh, WHITE_LAYER, ids))
+            if not part.material.texture:
+                plain_coarse = range(first, arrays.count)
+        shadow = range(first, arrays.count)
+    points = np.concatenate([part.mesh.vertices for part in parts]).astype(float)
+    low, high = points.min(axis=0), points.max(axis=0)
+    center = (low + high) / 2
+    return PackedBody(
+        key=body.key,
+        entity=body.entity,
+        plain=plain,
+        plain_coarse=plain_coarse,
+        textured=textured,
+        shadow=shadow,
+        center=center,
+        half=(high - low) / 2,
+        radius=float(np.linalg.norm(points - center, axis=1).max()),
+    )
+
+
 class _Arrays:
     """Vertices and indices that grow mesh by mesh."""
 
-    def __init__(self, dtype: np.dtype[np.void]) -> None:
-        self.vertices = [np.zeros(0, dtype)]
+    def __init__(self) -> None:
+        self.vertices = [np.zeros(0, VERTEX)]
         self.indices = [np.zeros(0, np.uint32)]
         self.count = 0
         """Number of indices."""
@@ -188,8 +248,10 @@ def linear(color: RGB) -> npt.NDArray[np.float64]:
     return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
 
 
-def _shaped(part: VisualPart, layer: int, ids: tuple[int, int]) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
-    mesh = textured(part.mesh) if layer else part.mesh
+def _shaped(
+    part: VisualPart, mesh: TriangleMesh, layer: int, ids: tuple[int, int]
+) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
+    mesh = textured(mesh) if layer else mesh
     packed = np.zeros(len(mesh.vertices), VERTEX)
     packed["position"] = mesh.vertices
     packed["normal"] = mesh.normals
@@ -199,33 +261,6 @@ def _shaped(part: VisualPart, layer: int, ids: tuple[int, int]) -> tuple[npt.NDA
     packed["surface"] = (round(255 * min(max(part.material.roughness, 0.08), 1.0)), layer, 0, 0)
     packed["ids"] = ids
     return packed, np.asarray(mesh.faces, dtype=np.uint32)
-
-
-_SIMPLIFIED: WeakKeyDictionary[TriangleMesh, tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]]
-_SIMPLIFIED = WeakKeyDictionary()
-"""Meshes come from caches and outlive a scene, so simplifying one happens once a process."""
-
-
-def _coarse(mesh: TriangleMesh, ids: tuple[int, int]) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
-    if mesh not in _SIMPLIFIED:
-        _SIMPLIFIED[mesh] = _simplified(mesh)
-    points, faces = _SIMPLIFIED[mesh]
-    packed = np.zeros(len(points), COARSE_VERTEX)
-    packed["position"] = points
-    packed["ids"] = ids
-    return packed, faces
-
-
-def _simplified(mesh: TriangleMesh) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    if len(mesh.faces) <= COARSE_FACES:
-        return mesh.vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.uint32)
-    # Welded first: vertices that are split for their normals would come apart.
-    points, index = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)
-    faces = index.reshape(-1)[mesh.faces]
-    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    reduction = 1.0 - COARSE_FACES / len(mesh.faces)
-    points, faces = fast_simplification.simplify(points.astype(np.float32), faces[whole].astype(np.int32), reduction)
-    return np.asarray(points, dtype=np.float32), np.asarray(faces, dtype=np.uint32)
 
 
 def check_request(keys: Iterable[str], poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> None:

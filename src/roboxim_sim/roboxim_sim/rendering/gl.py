@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,15 +12,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, SimError
 from roboxim_sim.rendering import textures
-from roboxim_sim.rendering.geometry import (
-    COARSE_FORMAT,
-    COARSE_NAMES,
-    COARSE_VERTEX,
-    VERTEX,
-    VERTEX_FORMAT,
-    VERTEX_NAMES,
-    PackedWorld,
-)
+from roboxim_sim.rendering.geometry import VERTEX, VERTEX_FORMAT, VERTEX_NAMES, PackedWorld
 
 Array = npt.NDArray[np.float64]
 
@@ -67,12 +59,6 @@ class Shader:
             member = self.program.get(name, None)
             if isinstance(member, moderngl.Uniform | moderngl.UniformBlock):
                 member.value = value
-
-    def write(self, name: str, array: Array) -> None:
-        """Set a matrix (column-major: pass the transposed) or an array of vectors."""
-        member = self.program.get(name, None)
-        if isinstance(member, moderngl.Uniform):
-            member.write(np.ascontiguousarray(array, dtype=np.float32).tobytes())
 
 
 class Buffer:
@@ -126,11 +112,13 @@ class Buffer:
 
 
 @dataclass(frozen=True, eq=False)
-class _Arrays:
-    vertices: moderngl.Buffer
-    indices: moderngl.Buffer
-    layout: str
-    names: tuple[str, ...]
+class _Bound:
+    """A vertex array of a shader."""
+
+    whole: moderngl.VertexArray
+    """Over the world's own indices."""
+    chosen: moderngl.VertexArray
+    """Over the indices that a draw chooses."""
 
 
 class GpuWorld:
@@ -140,49 +128,53 @@ class GpuWorld:
         """Upload it."""
         self.packed = packed
         self._context = context
+        # GL knows no empty buffers.
+        self._vertices = context.buffer(packed.vertices.tobytes() or bytes(VERTEX.itemsize))
+        self._indices = context.buffer(packed.indices.tobytes() or bytes(12))
+        self._chosen = context.buffer(reserve=max(packed.indices.nbytes, 12), dynamic=True)
+        self.textures = _upload([textures.pixels(name) for name in packed.textures], context)
+        self._bound: dict[int, _Bound] = {}
 
-        def arrays(vertices: Any, indices: Any, item: int, layout: str, names: tuple[str, ...]) -> _Arrays:
-            data = vertices.tobytes() or bytes(item)  # GL knows no empty buffers
-            return _Arrays(context.buffer(data), context.buffer(indices.tobytes() or bytes(12)), layout, names)
-
-        self._fine = arrays(packed.vertices, packed.indices, VERTEX.itemsize, VERTEX_FORMAT, VERTEX_NAMES)
-        self._coarse = arrays(
-            packed.coarse_vertices, packed.coarse_indices, COARSE_VERTEX.itemsize, COARSE_FORMAT, COARSE_NAMES
-        )
-        layers = b"".join(textures.pixels(name).tobytes() for name in packed.textures)
-        self.textures = context.texture_array((textures.SIZE, textures.SIZE, len(packed.textures)), 3, layers)
-        self.textures.build_mipmaps()
-        self.textures.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
-        self._bound: dict[int, moderngl.VertexArray] = {}
-
-    def draw(self, shader: Shader, bodies: npt.NDArray[np.intp]) -> None:
-        """Draw bodies by index."""
-        array = self._array(shader, self._fine)
-        for index in bodies.tolist():
-            shape = self.packed.bodies[index].shape
-            array.render(vertices=len(shape), first=shape.start)
-
-    def draw_coarse(self, shader: Shader, bodies: npt.NDArray[np.intp]) -> None:
-        """Draw the simplified shapes of bodies by index."""
-        array = self._array(shader, self._coarse)
-        for index in bodies.tolist():
-            shape = self.packed.bodies[index].shadow
-            array.render(vertices=len(shape), first=shape.start)
+    def draw(self, shader: Shader, ranges: Sequence[range]) -> None:
+        """Draw ranges of the indices, in order, in one call."""
+        ranges = [each for each in ranges if each]
+        if not ranges:
+            return
+        bound = self._vertex_arrays(shader)
+        if len(ranges) == 1:
+            bound.whole.render(vertices=len(ranges[0]), first=ranges[0].start)
+            return
+        chosen = np.concatenate([self.packed.indices[each.start : each.stop] for each in ranges])
+        self._chosen.write(chosen)
+        bound.chosen.render(vertices=len(chosen))
 
     def release(self) -> None:
         """Free it."""
         self.textures.release()
-        for item in self._bound.values():
-            item.release()
-        for arrays in (self._fine, self._coarse):
-            arrays.vertices.release()
-            arrays.indices.release()
+        for bound in self._bound.values():
+            bound.whole.release()
+            bound.chosen.release()
+        for buffer in (self._vertices, self._indices, self._chosen):
+            buffer.release()
 
-    def _array(self, shader: Shader, arrays: _Arrays) -> moderngl.VertexArray:
-        """Return the vertex array of a shader, made once; attributes that it does not read are skipped."""
+    def _vertex_arrays(self, shader: Shader) -> _Bound:
+        """Return the vertex arrays of a shader, made once; attributes that it does not read are skipped."""
         glo = shader.program.glo
         if glo not in self._bound:
-            self._bound[glo] = self._context.vertex_array(
-                shader.program, [(arrays.vertices, arrays.layout, *arrays.names)], arrays.indices, skip_errors=True
+            content = [(self._vertices, VERTEX_FORMAT, *VERTEX_NAMES)]
+            self._bound[glo] = _Bound(
+                *(
+                    self._context.vertex_array(shader.program, content, indices, skip_errors=True)
+                    for indices in (self._indices, self._chosen)
+                )
             )
         return self._bound[glo]
+
+
+def _upload(images: Sequence[npt.NDArray[np.uint8]], context: moderngl.Context) -> moderngl.TextureArray:
+    """Make an array of textures with mipmaps; four channels, because three are slower to read."""
+    padded = [np.dstack([image, np.full(image.shape[:2], 255, np.uint8)]) for image in images]
+    array = context.texture_array((textures.SIZE, textures.SIZE, len(images)), 4, np.concatenate(padded))
+    array.build_mipmaps()
+    array.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
+    return array

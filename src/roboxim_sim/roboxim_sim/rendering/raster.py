@@ -26,19 +26,20 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
-from roboxim_sim.rendering.frame import Frame
+from roboxim_sim.rendering.frame import MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import check_request, pack
-from roboxim_sim.rendering.gl import Array, Buffer, GpuWorld, Shader, create_context
+from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, create_context
 from roboxim_sim.rendering.owner import Owner
-from roboxim_sim.rendering.views import clip_from_world
 
-MAX_LIGHTS = 4
-SHADOW_SIZE = 640
-"""Width and height of the shadow map [texel]."""
 CONTACT_SIZE = 96
 """Width and height of the map of what stands where [texel]."""
 CONTACT_HEIGHTS_M = (-0.5, 2.0)
 """Heights that the map covers."""
+
+VIEW_BYTES = 512
+"""Space for a camera's uniform block: its size, rounded up to what every driver aligns to."""
+SAMPLERS = {"shadow_map": 0, "contact_map": 1, "textures": 2, "image": 3, "Poses": 0, "View": 1}
+"""Texture units of the shaders' samplers, and bindings of their uniform blocks."""
 
 Cameras = Sequence[tuple[CameraSpec, Pose]]
 
@@ -62,7 +63,8 @@ class RasterRenderer:
         self._screens: dict[tuple[str, ...], moderngl.VertexArray] = {}
         self._poses = ctx.buffer(reserve=48 * self._max_bodies, dynamic=True)
         self._corners = ctx.buffer(np.array([[-1, -1], [-1, 3], [3, -1]], dtype=np.float32).tobytes())
-        self._shadow = Buffer(ctx, (SHADOW_SIZE, SHADOW_SIZE), depth="texture")
+        self._views = ctx.buffer(reserve=4 * VIEW_BYTES, dynamic=True)
+        self._shadow: Buffer | None = None
         self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], depth="buffer")
         self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")])
         self._world: tuple[GpuWorld, LookSpec] | None = None
@@ -103,14 +105,15 @@ class RasterRenderer:
         check_request(world.packed.keys, poses, cameras)
         images: dict[str, CameraImages] = {}
         with self._context as ctx:
-            frame = Frame(world.packed, look, poses, SHADOW_SIZE)
-            self._poses.write(frame.matrices[:, :3].astype(np.float32).tobytes())
-            self._poses.bind_to_uniform_block(0)
+            frame = Frame(world.packed, look, poses)
+            self._upload(frame, cameras)
             ctx.front_face, ctx.depth_func = "cw", "<="
             self._cast_shadows(world, frame)
             self._find_contacts(world, frame)
+            world.textures.use(SAMPLERS["textures"])
             targets = self._targets_of(cameras)
-            for (camera, pose), target in zip(cameras, targets, strict=True):
+            for i, ((camera, pose), target) in enumerate(zip(cameras, targets, strict=True)):
+                self._views.bind_to_uniform_block(SAMPLERS["View"], offset=i * VIEW_BYTES, size=VIEW_BYTES)
                 self._shade(world, frame, target, camera, pose)
                 self._smooth(target)
             # Read last: the driver rasterises one image while the next one's vertices are processed.
@@ -127,85 +130,84 @@ class RasterRenderer:
         with self._context:
             for target in self._targets:
                 target.release()
-            for buffer in (self._shadow, self._cover, self._contact):
+            for buffer in (self._cover, self._contact, *([self._shadow] if self._shadow else [])):
                 buffer.release()
             for array in self._screens.values():
                 array.release()
             for shader in self._shaders.values():
                 shader.program.release()
             self._poses.release()
+            self._views.release()
             self._corners.release()
             if self._world:
                 self._world[0].release()
         self._context.release()
 
+    def _upload(self, frame: Frame, cameras: Cameras) -> None:
+        """Upload poses and views."""
+        self._poses.write(frame.matrices[:, :3].astype(np.float32).tobytes())
+        self._poses.bind_to_uniform_block(SAMPLERS["Poses"])
+        if self._views.size < len(cameras) * VIEW_BYTES:
+            self._views.release()
+            self._views = self._context.buffer(reserve=len(cameras) * VIEW_BYTES, dynamic=True)
+        if cameras:
+            self._views.write(b"".join(frame.view(*view).ljust(VIEW_BYTES, b"\0") for view in cameras))
+
     def _cast_shadows(self, world: GpuWorld, frame: Frame) -> None:
         """Draw the shadow map."""
         if not frame.shadowed:
             return
+        size = frame.light.size
+        if self._shadow is None or self._shadow.size[0] != size:
+            if self._shadow is not None:
+                self._shadow.release()
+            self._shadow = Buffer(self._context, (size, size), depth="texture")
         shader = self._shader("SHADOW_VERTEX", "SHADOW_FRAGMENT")
-        shader.write("light_from_world", frame.light.matrix.T)
+        shader.set(clip_from_world=tuple(frame.light.matrix.T.ravel()))
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._shadow.fbo.use()
         self._shadow.fbo.clear(depth=1.0)
         self._context.polygon_offset = 1.5, 2.0
-        world.draw_coarse(shader, np.flatnonzero(frame.casters))
+        world.draw(shader, frame.shadow_ranges())
         self._context.polygon_offset = 0.0, 0.0
+        if self._shadow.depth:
+            self._shadow.depth.use(SAMPLERS["shadow_map"])
 
     def _find_contacts(self, world: GpuWorld, frame: Frame) -> None:
         """Draw the map of what stands or hangs where, and blur it."""
-        for buffer in (self._cover, self._contact):
-            buffer.fbo.use()
-            buffer.fbo.clear()
-        if not frame.objects.any():
+        if not frame.touching.any():
             return
         low, high = CONTACT_HEIGHTS_M
         shader = self._shader("CONTACT_VERTEX", "CONTACT_FRAGMENT")
         shader.set(contact_box=frame.contact_box, heights=(low, 1 / (high - low)))
         self._context.enable_only(moderngl.DEPTH_TEST)
         self._cover.fbo.use()
-        world.draw_coarse(shader, np.flatnonzero(frame.objects))
+        self._cover.fbo.clear()
+        world.draw(shader, frame.contact_ranges())
         self._context.enable_only(moderngl.NOTHING)
         self._contact.fbo.use()
-        self._cover.colors[0].use(0)
-        self._fill("CONTACT_BLUR_FRAGMENT", image=0, texel=1 / CONTACT_SIZE)
+        self._cover.colors[0].use(SAMPLERS["image"])
+        self._fill("CONTACT_BLUR_FRAGMENT", texel=1 / CONTACT_SIZE)
+        self._contact.colors[0].use(SAMPLERS["contact_map"])
 
     def _shade(self, world: GpuWorld, frame: Frame, target: _Target, camera: CameraSpec, pose: Pose) -> None:
         """Draw the scene as a camera sees it."""
         geometry = ("GEOMETRY",) if target.geometry else ()
-        shader = self._lit(world, frame, geometry)
+        lights = (*(["LAMP"] if frame.lights[:1] and frame.lights[0].kind == "lamp" else []),)
+        lights = (*lights, *(["MORE_LIGHTS"] if len(frame.lights) > 1 else []))
         target.raw.fbo.use()
         target.raw.fbo.clear(depth=1.0)
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        matrix = clip_from_world(camera, pose)
-        shader.write("clip_from_world", matrix.T)
-        shader.set(eye=pose.position)
-        world.draw(shader, frame.order(matrix, np.asarray(pose.position)))
+        for batch in frame.batches(camera, pose):
+            world.draw(self._shader("SCENE_VERTEX", "SCENE_FRAGMENT", *geometry, *lights, *batch.flags), batch.ranges)
         self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
-
-    def _lit(self, world: GpuWorld, frame: Frame, geometry: tuple[str, ...]) -> Shader:
-        """Return the scene's shader with all it needs to know of light."""
-        vectors, colors = frame.light_vectors()
-        flags = (*geometry, *(["SHADOW"] if frame.shadowed else []), *(["MORE_LIGHTS"] if len(vectors) > 1 else []))
-        shader = self._shader("SCENE_VERTEX", "SCENE_FRAGMENT", *flags)
-        self._contact.colors[0].use(1)
-        world.textures.use(2)
-        shader.set(contact_map=1, textures=2, contact_box=frame.contact_box, sky=frame.sky, ground=frame.ground)
-        shader.set(main_vector=tuple(vectors[0]), main_color=tuple(colors[0]), more_lights=len(vectors) - 1)
-        shader.write("more_vectors", _padded(vectors[1:]))
-        shader.write("more_colors", _padded(colors[1:]))
-        if frame.shadowed and self._shadow.depth:
-            self._shadow.depth.use(0)
-            shader.set(shadow_map=0, shadow_size=float(SHADOW_SIZE), normal_offset=1.5 * frame.light.texel_m)
-            shader.write("light_from_world", frame.light.matrix.T)
-        return shader
 
     def _smooth(self, target: _Target) -> None:
         """Anti-alias the colour."""
         self._context.enable_only(moderngl.NOTHING)
         target.final.fbo.use()
-        target.raw.colors[0].use(0)
-        self._fill("FXAA_FRAGMENT", image=0)
+        target.raw.colors[0].use(SAMPLERS["image"])
+        self._fill("FXAA_FRAGMENT")
 
     def _fill(self, fragment: str, *flags: str, **values: object) -> None:
         """Draw a triangle over the whole viewport, at the far plane."""
@@ -223,7 +225,7 @@ class RasterRenderer:
         if key not in self._shaders:
             defines = {"MAX_BODIES": str(self._max_bodies), "MAX_LIGHTS": str(MAX_LIGHTS), **dict.fromkeys(flags, "1")}
             self._shaders[key] = Shader(self._context, getattr(shaders, vertex), getattr(shaders, fragment), defines)
-            self._shaders[key].set(Poses=0)
+            self._shaders[key].set(**SAMPLERS)
         return self._shaders[key]
 
     def _targets_of(self, cameras: Cameras) -> list[_Target]:
@@ -258,14 +260,9 @@ class _Target:
 def _read(camera: CameraSpec, target: _Target) -> CameraImages:
     """Read a camera's images."""
     depth = segmentation = None
-    rgb = np.ascontiguousarray(target.final.read(0, 4, np.uint8)[..., :3])
+    rgb = target.final.read(0, 3, np.uint8).copy()
     if target.geometry:
         geometry = target.raw.read(1, 2, np.float32)
         depth = geometry[..., 0].copy() if camera.depth else None
         segmentation = geometry[..., 1].astype(np.uint16) if camera.segmentation else None
     return CameraImages(rgb=rgb, depth=depth, segmentation=segmentation)
-
-
-def _padded(rows: Array) -> Array:
-    """Pad the vectors of further lights to the shader's array."""
-    return np.concatenate([rows, np.zeros((MAX_LIGHTS - len(rows), rows.shape[1]))])

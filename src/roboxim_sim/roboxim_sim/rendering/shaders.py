@@ -13,15 +13,30 @@ vec3 to_world(uint body, vec4 p) {
 }
 """
 
-SHADOW_VERTEX = (
-    """
+_VIEW = """
+layout(std140) uniform View {
+    mat4 clip_from_world;
+    mat4 light_from_world;               // to the shadow map's coordinates
+    vec4 eye;                            // w: offset along the normal when the shadow map is read
+    vec4 sky;                            // w: number of further lights
+    vec4 ground;                         // w: texels of the shadow map
+    vec4 main_vector;                    // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
+    vec4 main_color;                     // irradiance / pi
+    vec4 contact_box;                    // xy: lower corner, z: 1 / extent
+    vec4 slab;                           // table's top: xyz centre, w: 1
+    vec4 slab_half;                      // xy: half its extent, z: width of its shadow's edge over the height
+    vec4 more_vectors[MAX_LIGHTS - 1];
+    vec4 more_colors[MAX_LIGHTS - 1];
+};
 """
-    + _POSES
+
+SHADOW_VERTEX = (
+    _POSES
     + """
-uniform mat4 light_from_world;
+uniform mat4 clip_from_world;
 in vec3 in_position;
 in uvec2 in_ids;
-void main() { gl_Position = light_from_world * vec4(to_world(in_ids.x, vec4(in_position, 1.0)), 1.0); }
+void main() { gl_Position = clip_from_world * vec4(to_world(in_ids.x, vec4(in_position, 1.0)), 1.0); }
 """
 )
 
@@ -30,13 +45,9 @@ void main() {}
 """
 
 SCENE_VERTEX = (
-    """
-"""
-    + _POSES
+    _POSES
+    + _VIEW
     + """
-uniform mat4 clip_from_world;
-uniform mat4 light_from_world;
-uniform float normal_offset;
 in vec3 in_position;
 in vec3 in_normal;
 in vec2 in_uv;
@@ -45,43 +56,35 @@ in vec4 in_surface;
 in uvec2 in_ids;
 out vec3 position;
 out vec3 normal;
+#ifdef TEXTURE
 out vec2 uv;
-out vec4 light_position;
+#endif
 flat out vec4 color;
 flat out vec3 surface;
 void main() {
     position = to_world(in_ids.x, vec4(in_position, 1.0));
     normal = to_world(in_ids.x, vec4(in_normal, 0.0));
+#ifdef TEXTURE
     uv = in_uv;
+#endif
     color = in_color;
     surface = vec3(in_surface.x, floor(in_surface.y * 255.0 + 0.5), float(in_ids.y));
-    light_position = light_from_world * vec4(position + normal * normal_offset, 1.0);
-    light_position.xyz = light_position.xyz * 0.5 + light_position.w * 0.5;
     gl_Position = clip_from_world * vec4(position, 1.0);
 }
 """
 )
 
-SCENE_FRAGMENT = """
-uniform vec3 eye;
-uniform vec3 sky;
-uniform vec3 ground;
-uniform vec4 main_vector;                 // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
-uniform vec3 main_color;                  // irradiance / pi
-#ifdef MORE_LIGHTS
-uniform int more_lights;
-uniform vec4 more_vectors[MAX_LIGHTS];
-uniform vec3 more_colors[MAX_LIGHTS];
-#endif
-uniform float shadow_size;                // texels of the shadow map
+SCENE_FRAGMENT = (
+    _VIEW
+    + """
 uniform sampler2DShadow shadow_map;
 uniform sampler2D contact_map;            // share of the sky covered just above, height of the cover
-uniform vec4 contact_box;                 // xy: lower corner, zw: 1 / extent
 uniform sampler2DArray textures;
 in vec3 position;
 in vec3 normal;
+#ifdef TEXTURE
 in vec2 uv;
-in vec4 light_position;
+#endif
 flat in vec4 color;
 flat in vec3 surface;
 layout(location = 0) out vec4 out_color;
@@ -91,7 +94,11 @@ layout(location = 1) out vec2 out_geometry;
 
 // Tent filter of 3x3 texels by four bilinear comparisons (Castano, "Shadow mapping summary"): smooth at any scale.
 float sunlit() {
-    vec3 p = light_position.xyz / light_position.w;
+    float shadow_size = ground.w;
+    vec4 p = light_from_world * vec4(position + normal * eye.w, 1.0);
+#ifdef LAMP
+    p.xyz /= p.w;
+#endif
     vec2 at = p.xy * shadow_size + 0.5;
     vec2 corner = floor(at);
     vec2 s = at - corner;
@@ -100,6 +107,20 @@ float sunlit() {
     return (w0.x * w0.y * texture(shadow_map, vec3(p0, p.z)) + w1.x * w0.y * texture(shadow_map, vec3(p1.x, p0.y, p.z))
           + w0.x * w1.y * texture(shadow_map, vec3(p0.x, p1.y, p.z)) + w1.x * w1.y * texture(shadow_map, vec3(p1, p.z)))
         / 16.0;
+}
+
+// The table's shadow, a rectangle, on what is below it.
+float beside_slab() {
+#ifdef LAMP
+    vec3 l = main_vector.xyz - position;
+#else
+    vec3 l = main_vector.xyz;
+#endif
+    float above = slab.z - position.z;
+    float t = above / max(l.z, 1e-3);
+    vec2 out_of = abs(position.xy + t * l.xy - slab.xy) - slab_half.xy;
+    vec2 cover = clamp(0.5 - out_of / (slab_half.z * max(above, 1e-3)), 0.0, 1.0);
+    return 1.0 - cover.x * cover.y * float(above > 0.0);
 }
 
 struct Surface { vec3 n, v, diffuse, f0; float nv, a, a2; };
@@ -122,8 +143,11 @@ vec3 reflected(Surface s, vec4 light, vec3 radiance) {
 
 void main() {
     vec3 n = normalize(normal);
-    vec3 v = normalize(eye - position);
-    vec3 base = color.rgb * texture(textures, vec3(uv, surface.y)).rgb;
+    vec3 v = normalize(eye.xyz - position);
+    vec3 base = color.rgb;
+#ifdef TEXTURE
+    base *= texture(textures, vec3(uv, surface.y)).rgb;
+#endif
     base *= base;                          // stored as square roots of linear values
     float metallic = color.a;
     float roughness = surface.x;
@@ -132,30 +156,36 @@ void main() {
     float a = roughness * roughness;
     float nv = clamp(dot(n, v), 0.02, 1.0);
     Surface s = Surface(n, v, diffuse, f0, nv, a, a * a);
+    float reaches = 1.0;
 #ifdef SHADOW
-    vec3 lit = reflected(s, main_vector, main_color * sunlit());
-#else
-    vec3 lit = reflected(s, main_vector, main_color);
+    reaches = sunlit();
 #endif
+#ifdef OVERHANG
+    reaches *= beside_slab();
+#endif
+    vec3 lit = reflected(s, main_vector, main_color.rgb * reaches);
 #ifdef MORE_LIGHTS                         // even a loop without a turn costs a fifth of the frame
-    for (int i = 0; i < more_lights; i++) lit += reflected(s, more_vectors[i], more_colors[i]);
+    for (int i = 0; i < int(sky.w); i++) lit += reflected(s, more_vectors[i], more_colors[i].rgb);
 #endif
 
-    vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.zw).xy;
+    float open = 1.0;
+#ifdef CONTACT
+    vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.z).xy;
     float gap = covered.y - position.z;    // height of what hangs over this point
-    float open = 1.0 - 0.75 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
-                 * clamp(0.3 + n.z, 0.0, 1.0);
+    open -= 0.75 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
+            * clamp(0.3 + n.z, 0.0, 1.0);
+#endif
 
     vec3 r = 2.0 * dot(n, v) * n - v;
     float spread = 3.0 + 60.0 * (1.0 - roughness) * (1.0 - roughness);
     float box_a = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(-0.48, 0.36, 0.8))));
     float box_b = 1.0 / (1.0 + spread * (1.0 - dot(r, vec3(0.3, -0.8, 0.52))));
-    vec3 around = mix(ground, sky, clamp(r.z * (1.2 - 0.7 * roughness) + 0.5, 0.0, 1.0));
-    around += sky * ((1.0 - roughness) * (2.2 * box_a * box_a + 1.6 * box_b * box_b));
+    vec3 around = mix(ground.rgb, sky.rgb, clamp(r.z * (1.2 - 0.7 * roughness) + 0.5, 0.0, 1.0));
+    around += sky.rgb * ((1.0 - roughness) * (2.2 * box_a * box_a + 1.6 * box_b * box_b));
     float g = 1.0 - nv;
     float g2 = g * g;
     vec3 mirror = f0 * (1.0 - 0.45 * roughness) + (1.0 - roughness) * (1.0 - roughness) * (g2 * g2 * g) * (1.0 - f0);
-    vec3 ambient = diffuse * mix(ground, sky, n.z * 0.5 + 0.5) + around * mirror;
+    vec3 ambient = diffuse * mix(ground.rgb, sky.rgb, n.z * 0.5 + 0.5) + around * mirror;
     vec3 c = lit + ambient * open;
 
     vec3 over = max(c - 0.6, 0.0);         // soft shoulder, asymptote 1
@@ -168,6 +198,7 @@ void main() {
 #endif
 }
 """
+)
 
 SCREEN_VERTEX = """
 in vec2 in_corner;
@@ -214,11 +245,9 @@ void main() {
 
 # What stands or hangs where, seen from below: ambient light darkens where an object meets the table.
 CONTACT_VERTEX = (
-    """
-"""
-    + _POSES
+    _POSES
     + """
-uniform vec4 contact_box;
+uniform vec4 contact_box;                 // xy: lower corner, z: 1 / extent
 uniform vec2 heights;
 in vec3 in_position;
 in uvec2 in_ids;
@@ -226,7 +255,7 @@ out float height;
 void main() {
     vec3 p = to_world(in_ids.x, vec4(in_position, 1.0));
     height = p.z;
-    vec3 unit = vec3((p.xy - contact_box.xy) * contact_box.zw, (p.z - heights.x) * heights.y);
+    vec3 unit = vec3((p.xy - contact_box.xy) * contact_box.z, (p.z - heights.x) * heights.y);
     gl_Position = vec4(unit * 2.0 - 1.0, 1.0);
 }
 """

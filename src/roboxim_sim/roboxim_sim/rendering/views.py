@@ -17,6 +17,12 @@ from roboxim_core.specs import CameraSpec, LightSpec
 
 Array = npt.NDArray[np.float64]
 
+CASTER_HEIGHT_M = 0.1
+"""Typical distance between what casts a shadow and where it falls [m]."""
+NOMINAL_EXTENT_M = 1.4
+"""Typical extent of all that casts shadows [m]."""
+SHADOW_MAP_SIZES = (256, 1024)
+"""Least and greatest size of a shadow map [texel]."""
 EXTENT_STEP_M = 0.1
 """The shadow map's extent grows in such steps, so that shadows' edges do not crawl while the robot moves."""
 
@@ -30,7 +36,15 @@ def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
     projection[1, 1], projection[1, 2] = 2 * fy / camera.height, (2 * cy + 1) / camera.height - 1
     projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
     projection[3, 2] = 1.0
-    return projection @ pose_optical_in_world.inverse().matrix
+    x, y, z, w = pose_optical_in_world.quat_xyzw
+    view = np.eye(4)  # by hand: a scipy rotation costs as much as all the rest of a tick's matrices
+    view[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    view[:3, 3] = -view[:3, :3] @ pose_optical_in_world.position
+    return projection @ view
 
 
 def visible(matrix: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
@@ -52,21 +66,38 @@ class LightView:
 
     matrix: Array
     """Clip from world, shape (4, 4)."""
+    size: int
+    """Width and height of the shadow map [texel]."""
     texel_m: float
     """Size of a shadow map's texel at the casters [m]."""
+    softness: float
+    """Width of a shadow's edge over the distance to what casts it."""
 
 
-def light_view(light: LightSpec, centers: Array, radii: Array, size: int) -> LightView:
+def shadow_map_size(light: LightSpec) -> int:
+    """Return the shadow map's width and height [texel]: a shadow's edge is as wide as the filter, 3 texels."""
+    penumbra = softness(light) * CASTER_HEIGHT_M
+    texels = NOMINAL_EXTENT_M / max(penumbra / 3, 1e-4)
+    return int(np.clip(64 * round(texels / 64), *SHADOW_MAP_SIZES))
+
+
+def softness(light: LightSpec) -> float:
+    """Return the width of a shadow's edge over the distance to what casts it."""
+    distance = float(np.linalg.norm(light.position)) if light.kind == "lamp" else 1.0
+    return 2 * light.radius / max(distance, 0.1)
+
+
+def light_view(light: LightSpec, centers: Array, radii: Array) -> LightView:
     """Fit the light's view around the casters.
 
     Args:
         light: The light.
         centers: Centres of the casters' bounding spheres, shape (N, 3), N > 0 [m].
         radii: Their radii, shape (N,) [m].
-        size: Width and height of the shadow map [texel].
     """
+    size = shadow_map_size(light)
     if light.kind == "lamp":
-        return _lamp_view(np.asarray(light.position), centers, radii, size)
+        return _lamp_view(light, centers, radii, size)
     axes = _axes(np.asarray(light.direction))
     points = centers @ axes.T
     low, high = (points - radii[:, None]).min(axis=0), (points + radii[:, None]).max(axis=0)
@@ -77,10 +108,11 @@ def light_view(light: LightSpec, centers: Array, radii: Array, size: int) -> Lig
     matrix = np.eye(4)
     matrix[:3, :3] = scale[:, None] * axes
     matrix[:3, 3] = -scale * np.array([*middle, (low + high)[2] / 2])
-    return LightView(matrix=matrix, texel_m=texel)
+    return LightView(matrix=matrix, size=size, texel_m=texel, softness=softness(light))
 
 
-def _lamp_view(position: Array, centers: Array, radii: Array, size: int) -> LightView:
+def _lamp_view(light: LightSpec, centers: Array, radii: Array, size: int) -> LightView:
+    position = np.asarray(light.position)
     low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
     middle = (low + high) / 2
     radius = float((np.linalg.norm(centers - middle, axis=1) + radii).max())
@@ -95,7 +127,8 @@ def _lamp_view(position: Array, centers: Array, radii: Array, size: int) -> Ligh
     projection[0, 0] = projection[1, 1] = 1 / math.tan(half_angle)
     projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
     projection[3, 2] = 1.0
-    return LightView(matrix=projection @ view, texel_m=2 * distance * math.tan(half_angle) / size)
+    texel = 2 * distance * math.tan(half_angle) / size
+    return LightView(matrix=projection @ view, size=size, texel_m=texel, softness=softness(light))
 
 
 def _axes(forward: Array) -> Array:

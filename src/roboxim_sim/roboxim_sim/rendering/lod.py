@@ -1,0 +1,87 @@
+"""Coarser meshes: for shadows, and for what is small in an image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from weakref import WeakKeyDictionary
+
+import fast_simplification
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix
+
+from roboxim_core.rendering import TriangleMesh
+
+CREASE_RAD = np.radians(45.0)
+"""Faces that meet at a smaller angle are shaded as one smooth surface."""
+
+_COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[int, ...], tuple[TriangleMesh, ...]]] = WeakKeyDictionary()
+"""By a body's first mesh: ids of all its meshes, and their coarse ones. Meshes come from caches and outlive a scene."""
+
+
+def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleMesh, ...]:
+    """Simplify the meshes of a body together, so that no gaps open between them.
+
+    Args:
+        meshes: The meshes; at least one.
+        faces: About how many faces they shall have in all.
+
+    Returns:
+        A coarse mesh for each, without texture coordinates. A mesh may lose all its faces.
+    """
+    key = tuple(id(mesh) for mesh in meshes)
+    known = _COARSE.get(meshes[0])
+    if known is None or known[0] != key:
+        _COARSE[meshes[0]] = known = key, _simplified(meshes, faces)
+    return known[1]
+
+
+def _simplified(meshes: Sequence[TriangleMesh], target: int) -> tuple[TriangleMesh, ...]:
+    if sum(len(mesh.faces) for mesh in meshes) <= target:
+        return tuple(meshes)
+    # Welded first: vertices that are split for their normals would come apart.
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    points, index = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    index = index.reshape(-1)
+    faces = np.concatenate([index[mesh.faces + start] for mesh, start in zip(meshes, starts[:-1], strict=True)])
+    owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    whole = _whole(faces)
+    faces, owner = faces[whole], owner[whole]
+    points = points.astype(np.float32)
+    collapses = fast_simplification.simplify(
+        points, faces.astype(np.int32), target_count=target, return_collapses=True
+    )[2]
+    points, _, mapping = fast_simplification.replay_simplification(points, faces.astype(np.int32), collapses)
+    faces = mapping[faces]
+    whole = _whole(faces)
+    faces, owner = faces[whole], owner[whole]
+    return tuple(_shaded(points, faces[owner == i]) for i in range(len(meshes)))
+
+
+def _whole(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
+    a, b, c = faces.T
+    return np.asarray((a != b) & (b != c) & (c != a))
+
+
+def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]) -> TriangleMesh:
+    """Give each corner of the faces the mean normal of the faces around it that are within `CREASE_RAD` of its own."""
+    corners = points[faces].astype(np.float64)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-12)
+    # Pairs of a corner and a face that meet at a point.
+    face_of = np.repeat(np.arange(len(faces)), 3)
+    around = csr_matrix((np.ones(faces.size), (np.arange(faces.size), faces.ravel())), (faces.size, len(points)))
+    pairs = (around @ around.T).tocoo()
+    own, other = face_of[pairs.row], face_of[pairs.col]
+    near = np.einsum("ij,ij->i", flat[own], flat[other]) > np.cos(CREASE_RAD)
+    normals = np.zeros((faces.size, 3))
+    np.add.at(normals, pairs.row[near], areas[other[near]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    both = np.round(np.concatenate([corners.reshape(-1, 3), normals], axis=1), 5).astype(np.float32)
+    both, index = np.unique(both, axis=0, return_inverse=True)
+    return TriangleMesh(
+        vertices=np.ascontiguousarray(both[:, :3]),
+        normals=np.ascontiguousarray(both[:, 3:]),
+        faces=index.reshape(-1, 3).astype(np.uint32),
+    )
