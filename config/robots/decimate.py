@@ -1,0 +1,85 @@
+"""Visual meshes of robots from COLLADA files: what the robots' ``derive.py`` share.
+
+Needs ``fast-simplification`` and ``pycollada``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import trimesh
+
+TRIANGLES = 1600
+CREASE_RAD = np.radians(32.0)
+WHITE = (233, 234, 236)  # the files say 255, which no painted surface reflects
+GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
+
+
+def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) -> trimesh.Scene:
+    """Decimate a COLLADA file's meshes, all together so that no gaps open between colours, and group them by colour.
+
+    Args:
+        source: The file.
+        triangles: Number of triangles to come to.
+        linear: Whether the file's colours are linear instead of sRGB.
+    """
+    scene = trimesh.load_scene(source)
+    vertices, faces, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], []
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name].copy()
+        color = tuple(int(c) for c in mesh.visual.material.main_color[:3])
+        if linear:
+            color = tuple(round(255.0 * (c / 255.0) ** (1.0 / 2.2)) for c in color)
+        mesh.apply_transform(transform)
+        faces.append(mesh.faces + sum(len(points) for points in vertices))
+        vertices.append(mesh.vertices)
+        colors += [(230, 235, 237) if color == (229, 234, 237) else color] * len(mesh.faces)
+    points, index = np.unique(np.round(np.concatenate(vertices), 5), axis=0, return_inverse=True)
+    corners, color_of = decimated(points, index.reshape(-1)[np.concatenate(faces)], np.array(colors), triangles)
+    result = trimesh.Scene()
+    for color in sorted(set(map(tuple, color_of.tolist())), reverse=True):
+        part = trimesh.Trimesh(*welded(corners[(color_of == color).all(axis=1)]), process=False)
+        part = trimesh.graph.smooth_shade(part, angle=CREASE_RAD)
+        part.visual = trimesh.visual.TextureVisuals(
+            material=trimesh.visual.material.PBRMaterial(
+                baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255],
+                metallicFactor=0.0,
+                roughnessFactor=GLOSS.get(color[0], 0.5),
+            )
+        )
+        _ = part.vertex_normals  # computed now so that the file carries them
+        result.add_geometry(part, geom_name="color_{:02x}{:02x}{:02x}".format(*color))
+    return result
+
+
+def decimated(
+    points: np.ndarray, faces: np.ndarray, colors: np.ndarray, triangles: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return coarser triangles, shape (M, 3, 3), and their colours, shape (M, 3)."""
+    kept = whole(faces)
+    faces, colors = faces[kept].astype(np.int32), colors[kept]
+    points = points.astype(np.float32)
+    if len(faces) > triangles:
+        *_, collapses = fast_simplification.simplify(
+            points, faces, target_count=triangles, agg=4.0, return_collapses=True
+        )
+        points, _, mapping = fast_simplification.replay_simplification(points, faces, collapses)
+        faces = mapping[faces]
+        kept = whole(faces)
+        faces, colors = faces[kept], colors[kept]
+    return points[faces], colors
+
+
+def whole(faces: np.ndarray) -> np.ndarray:
+    """Tell which faces have three different corners."""
+    a, b, c = faces.T
+    return (a != b) & (b != c) & (c != a)
+
+
+def welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of triangles, shape (M, 3, 3)."""
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return vertices, index.reshape(-1, 3)

@@ -1,0 +1,133 @@
+"""Make this folder's URDF, SRDF and meshes: a UR5 of the `example-robot-data` wheel with the Panda's hand.
+
+Run it only to renew them; needs ``example-robot-data``, ``pin``, ``fast-simplification`` and ``pycollada``::
+
+    python config/robots/ur5/derive.py
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import cmeel
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+HERE = Path(__file__).resolve().parent
+PANDA = HERE.parent / "panda"
+SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/ur_description"
+SAMPLES = 10_000
+TRIANGLES = 4500  # the caps are thin shells, which fewer would tear
+
+sys.path.append(str(HERE.parent))
+from decimate import visual  # noqa: E402 - found beside this folder
+
+
+def main() -> None:
+    """Write everything."""
+    for folder in ("collision", "visual"):
+        shutil.rmtree(HERE / folder, ignore_errors=True)
+        (HERE / folder).mkdir()
+    for source in sorted((SOURCE / "meshes/ur5/visual").glob("*.dae")):
+        (HERE / "visual" / f"{source.stem}.glb").write_bytes(
+            visual(source, triangles=TRIANGLES, linear=True).export(file_type="glb", include_normals=True)
+        )
+    for source in sorted((SOURCE / "meshes/ur5/collision").glob("*.stl")):
+        trimesh.load_mesh(source).convex_hull.export(HERE / "collision" / source.name)
+    for name in ("visual/hand.glb", "visual/finger.glb", "collision/hand.stl"):
+        shutil.copy(PANDA / name, HERE / name)
+    (HERE / "ur5.urdf").write_text(arm()[: -len("</robot>")] + hand() + "</robot>\n")
+    (HERE / "ur5.srdf").write_text(srdf())
+
+
+def arm() -> str:
+    """Return the URDF of the arm up to its flange, ``ur5_tool0``."""
+    text = (SOURCE / "urdf/ur5_joint_limited_robot.urdf").read_text()
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.S)
+    text = re.sub(r"\s*<(gazebo|transmission)\b.*?</\1>", "", text, flags=re.S)
+    for link, joint in (
+        ("world", "world_joint"),
+        ("ee_link", "ee_fixed_joint"),
+        ("base", "base_link-base_fixed_joint"),
+    ):
+        text = re.sub(rf'\s*<link name="{link}"\s*(/>|>.*?</link>)', "", text, flags=re.S)
+        text = re.sub(rf'\s*<joint name="{joint}".*?</joint>', "", text, flags=re.S)
+    text = text.replace("package://example-robot-data/robots/ur_description/meshes/ur5/", "package://ur5/")
+    text = text.replace(".dae", ".glb").replace(' xmlns:xacro="http://www.ros.org/wiki/xacro"', "")
+    text = re.sub(r"<dynamics [^>]*/>", '<dynamics damping="0.003" friction="0.0"/>', text)
+    text = re.sub(r'velocity="3\.[0-9]+"', f'velocity="{math.pi:.6f}"', text)  # 180 deg/s, as in the data sheet
+    for name in set(re.findall(r'<(?:link|joint) name="([^"]+)"', text)):
+        text = text.replace(f'"{name}"', f'"ur5_{name}"')
+    return re.sub(r"\n\s*\n", "\n", text).strip()
+
+
+def hand() -> str:
+    """Return the Panda's hand, mounted on the flange with its fingers opening along the flange's y axis."""
+    text = (PANDA / "panda.urdf").read_text()
+    text = text[text.index('<link name="panda_hand">') : text.rindex("</robot>")]
+    text = text.replace("package://panda/", "package://ur5/").replace('"panda_', '"ur5_')
+    mount = """    <joint name="ur5_hand_joint" type="fixed">
+        <parent link="ur5_tool0"/>
+        <child link="ur5_hand"/>
+        <origin rpy="0 0 0" xyz="0 0 0"/>
+    </joint>
+    """
+    return mount + text
+
+
+def srdf() -> str:
+    """Return the pairs of links that are not checked: adjacent ones, and those whose meshes never or always touch.
+
+    The original meshes decide: the convex hulls of the base and the upper arm overlap where the links pass each other.
+    """
+    urdf = str(HERE / "ur5.urdf")
+    model = pin.buildModelFromUrdf(urdf)
+    with tempfile.TemporaryDirectory() as folder:
+        meshes = Path(folder, "ur5", "collision")
+        shutil.copytree(SOURCE / "meshes/ur5/collision", meshes)
+        shutil.copy(HERE / "collision/hand.stl", meshes)
+        geometry = pin.buildGeomFromUrdf(model, urdf, pin.GeometryType.COLLISION, package_dirs=[folder])
+    geometry.addAllCollisionPairs()
+    data, placed = model.createData(), geometry.createData()
+    link = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    hits: dict[tuple[str, str], int] = {pair: 0 for pair in itertools.combinations(sorted(set(link)), 2)}
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(model.lowerPositionLimit, model.upperPositionLimit, (SAMPLES, model.nq)):
+        pin.computeCollisions(model, data, geometry, placed, q, False)
+        touching = {
+            tuple(sorted((link[pair.first], link[pair.second])))
+            for k, pair in enumerate(geometry.collisionPairs)
+            if placed.collisionResults[k].isCollision()
+        }
+        for pair in touching:
+            if pair in hits:
+                hits[pair] += 1
+    adjacent = _adjacent(model, set(link))
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<robot name="ur5">']
+    for pair, count in sorted(hits.items()):
+        reason = "Adjacent" if pair in adjacent else {0: "Never", SAMPLES: "Default"}.get(count)
+        if reason:
+            lines.append(f'    <disable_collisions link1="{pair[0]}" link2="{pair[1]}" reason="{reason}"/>')
+    return "\n".join([*lines, "</robot>", ""])
+
+
+def _adjacent(model: pin.Model, links: set[str]) -> set[tuple[str, str]]:
+    """Return the pairs of links with geometry that a joint or a mount connects."""
+
+    def above(frame: pin.Frame) -> str:
+        parent = model.frames[frame.parentFrame]
+        return parent.name if parent.type == pin.FrameType.BODY and parent.name in links else above(parent)
+
+    bodies = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.name in links]
+    return {tuple(sorted((frame.name, above(frame)))) for frame in bodies if frame.name != "ur5_base_link"}
+
+
+if __name__ == "__main__":
+    main()
