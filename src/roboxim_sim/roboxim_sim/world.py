@@ -43,7 +43,8 @@ class World:
             library: Where models come from; none: RoboXim's own.
         """
         self.library = library or ModelLibrary()
-        self._physics = Physics()
+        self.physics = Physics()
+        """The bodies; who moves them past this world makes its records untrue."""
         self._arms: dict[str, ArmKinematics] = {}
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
@@ -64,7 +65,7 @@ class World:
 
     def close(self) -> None:
         """Disconnect from the physics server."""
-        self._physics.close()
+        self.physics.close()
 
     # ---------------------------------------------------------------- state
 
@@ -173,7 +174,7 @@ class World:
         ScenePoses(scene, self.library, arm)
         self._scene = None  # until the new one stands
 
-        self._physics.build(scene, model, joints, models)
+        self.physics.build(scene, model, joints, models)
         self._controller = DeltaController(
             arm,
             workspace=scene.workspace,
@@ -188,7 +189,7 @@ class World:
         self._scene = self._tick0_scene = scene
         self._rewatch()
         self._advance(max(0, scene.settle_steps - self._steps_per_tick))
-        self._physics.begin_tick()
+        self.physics.begin_tick()
         self._advance(min(scene.settle_steps, self._steps_per_tick))
         self._episode_id = episode_id
         self._seq = self._steps = 0
@@ -235,8 +236,8 @@ class World:
         if seq != self._seq + 1:
             raise SimError(f"tick {seq} was asked for, the next one is {self._seq + 1}", ErrorCode.WRONG_SEQ)
         step = self._controller.step(self._command, action)
-        self._physics.begin_tick()
-        self._physics.robot.drive_gripper(step.state.gripper)
+        self.physics.begin_tick()
+        self.physics.robot.drive_gripper(step.state.gripper)
         before, self._command = self._command, step.state
         self._advance(self._steps_per_tick, before)
         self._seq += 1
@@ -356,7 +357,7 @@ class World:
         """
         scene = replace(self.scene, entities=(*self.scene.entities, entity))
         model = self.library.entity_model(entity)
-        self._physics.add(entity, model)
+        self.physics.add(entity, model)
         self._scene = scene
         return self._disturb()
 
@@ -366,7 +367,7 @@ class World:
         Raises:
             SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
         """
-        self._physics.remove(self._object(name))
+        self.physics.remove(self._object(name))
         self._scene = replace(self.scene, entities=tuple(e for e in self.scene.entities if e.name != name))
         return self._disturb()
 
@@ -430,16 +431,16 @@ class World:
         return self._scene_poses
 
     def _rewatch(self) -> None:
-        self._physics.rewatch()
+        self.physics.rewatch()
         self._scene_poses = None
-        self._physics.robot.drive_gripper(self._command.gripper)
+        self.physics.robot.drive_gripper(self._command.gripper)
 
     def _advance(self, steps: int, before: ControllerState | None = None) -> None:
         """Run physics while the arm's target moves evenly from an earlier command to the present one."""
-        self._physics.advance(steps, self._command.joints, None if before is None else before.joints)
+        self.physics.advance(steps, self._command.joints, None if before is None else before.joints)
 
     def _read(self) -> StateRecord:
-        return self._physics.read(
+        return self.physics.read(
             self._controller.arm,
             self._command,
             episode_id=self._episode_id,
@@ -476,7 +477,7 @@ class World:
 
     def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
         self._disturbed = True
-        self._physics.begin_tick()
+        self.physics.begin_tick()
         self._advance(steps, before)
         self._seq += 1
         self._steps += steps
@@ -496,10 +497,10 @@ class World:
 
     def _object(self, name: str) -> ObjectBody:
         _ = self.scene
-        for body in self._physics.objects:
+        for body in self.physics.objects:
             if body.name == name:
                 return body
-        names = [body.name for body in self._physics.objects]
+        names = [body.name for body in self.physics.objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
     def _follow(self, trajectory: JointTrajectory) -> Iterator[StateRecord]:
@@ -508,7 +509,7 @@ class World:
         targets = trajectory.sample(np.arange(1, total + 1) / rate).tolist()
         for start in range(0, total, self._steps_per_tick):
             self._disturbed = True
-            self._physics.begin_tick()
+            self.physics.begin_tick()
             steps = targets[start : start + self._steps_per_tick]
             for target in steps:
                 before, self._command = self._command, replace(self._command, joints=tuple(target))
@@ -521,7 +522,7 @@ class World:
 
     def _move_gripper(self, opening: float, force_n: float | None, timeout_s: float) -> Iterator[StateRecord]:
         self._command = replace(self._command, gripper=float(opening))
-        self._physics.robot.drive_gripper(opening, force_n)
+        self.physics.robot.drive_gripper(opening, force_n)
         last, still = self._record.robot.gripper_opening, 0
         for _ in range(round(timeout_s * self.scene.control_rate_hz)):
             record = self._free_motion(self._steps_per_tick)

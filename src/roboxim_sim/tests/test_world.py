@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pybullet
@@ -97,7 +96,7 @@ def test_pybullet_and_pinocchio_agree_on_every_robot(world: World, robot_id: str
         opening = float(rng.uniform(0, 1))
         spec = RobotSpec(model=robot_id, pose=base, joint_positions=joints, gripper_opening=opening)
         world.load(SceneSpec(robot=spec, settle_steps=0))
-        body, client = world._physics.robot, world._physics.client  # the comparison needs PyBullet's own numbers
+        body, client = world.physics.robot, world.physics.client  # the comparison needs PyBullet's own numbers
         ours = world.link_poses()
         for number, name in body.link_names.items():
             if number >= 0:
@@ -354,40 +353,3 @@ def test_a_held_cube_does_not_slip(world: World) -> None:
     slip = distance(held, now)
     assert slip[0] < 0.002
     assert slip[1] < 0.03
-
-
-_CABINET = """
-name: cabinet
-links:
-  - {name: body, mass: 5.0, collision: [{kind: box, size: [0.2, 0.2, 0.1]}]}
-  - {name: drawer, mass: 0.3, collision: [{kind: box, size: [0.1, 0.1, 0.04], pose: {position: [0.05, 0.0, 0.0]}}]}
-joints:
-  - {name: slide, kind: prismatic, parent: body, child: drawer, upper: 0.1, resistance: 3.0,
-     pose: {position: [0.1, 0.0, 0.02]}, axis: [1.0, 0.0, 0.0]}
-size: [0.2, 0.2, 0.1]
-rest_height: 0.05
-"""
-
-
-def test_articulated_object_reports_its_joint_and_stays_where_it_is(tmp_path: Path) -> None:
-    for folder in ("robots", "objects"):
-        (tmp_path / folder).mkdir()
-    for source in LIBRARY.search_path[-1].glob("robots/*"):
-        (tmp_path / "robots" / source.name).symlink_to(source)
-    (tmp_path / "objects" / "cabinet.yaml").write_text(_CABINET)
-    cabinet = EntitySpec(
-        name="cabinet",
-        model="cabinet",
-        pose=Pose(position=(0.6, 0.0, 0.05)),
-        joint_positions={"slide": 0.04},
-        fixed=True,
-    )
-    with World(ModelLibrary(tmp_path)) as world:
-        record = world.load(SceneSpec(entities=(cabinet,)), "e")
-        assert record.entity("cabinet").joint_positions == pytest.approx((0.04,), abs=1e-3)
-        world.set_entity_state("cabinet", joint_positions={"slide": 0.09})
-        entity = world.tick(1, hold_action(1.0)).entity("cabinet")
-        assert entity.joint_names == ("slide",)
-        assert entity.joint_positions == pytest.approx((0.09,), abs=1e-3)
-        assert entity.joint_lowest[0] <= entity.joint_positions[0] <= entity.joint_highest[0]
-        assert world.body_poses()["cabinet/drawer"].position == pytest.approx((0.79, 0.0, 0.07), abs=2e-3)

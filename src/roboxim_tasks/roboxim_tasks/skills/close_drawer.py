@@ -85,7 +85,10 @@ class CloseDrawer(Skill):
         "Close the {drawer} drawer of the {target}",
     )
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
-    reset = {"objects": CABINET_PLACES, "joints": {"target": {"lower": 0.6, "upper": 1.0}}}
+    reset = {
+        "objects": {**CABINET_PLACES, "area": {"lower": [0.70, -0.22], "upper": [0.80, 0.22]}},
+        "joints": {"target": {"lower": 0.6, "upper": 1.0}},
+    }
     max_steps = 150
     Parameters = CloseDrawerParameters
 

@@ -47,7 +47,9 @@ WAY_M = 0.12
 STANDOFF_M = 0.02
 BACK_OFF_M = 0.03
 FINGER_M = 0.014
-"""From the tool centre point to what touches the object first [m]."""
+"""From the tool centre point to what touches the object first: the flat sides of two fingers [m]."""
+FINGERS_M = 0.026
+"""The same when the tool is turned by 90 degrees: the back of a finger of the closed gripper [m]."""
 HEIGHT_M = 0.02
 LIFTED_M = 0.03
 TILTED_RAD = 0.35
@@ -206,13 +208,14 @@ def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[
     height = min(HEIGHT_M, model.size[2] / 2)
     heading = math.atan2(direction[1], direction[0])
     spread = min(1.0, SPREAD * 2 * beside / OPENING_M)
-    x, y, z = pose.position - direction * (behind + FINGER_M + STANDOFF_M)
-    place = (x, y, z - model.rest_height + height)
+    z = pose.position[2] - model.rest_height + height
     for lean in LEANS if model.size[2] < height + PALM_M else LEANS[1:]:
         for turn, opening in ((0.0, spread), (math.pi, spread), (math.pi / 2, 0.0), (-math.pi / 2, 0.0)):
+            reach = FINGER_M if opening else FINGERS_M
+            x, y, _ = pose.position - direction * (behind + reach + STANDOFF_M)
             tilt_back = Rotation.from_rotvec(-lean * across)
             rotation = tilt_back * Rotation.from_euler("z", heading + turn) * Rotation.from_euler("x", math.pi)
-            yield Pose.from_arrays(place, rotation), opening
+            yield Pose.from_arrays((x, y, z), rotation), opening
 
 
 def extent(model: ObjectModel, pose: Pose, direction: Array) -> float:

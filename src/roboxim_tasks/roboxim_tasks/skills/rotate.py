@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +23,8 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
-from roboxim_tasks.motion import TABLE, ExpertScene, Stage, grasp_poses, grasps_of, retreated, shifted
+from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
+from roboxim_tasks.placement import refusal
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, shift, table_force, turned
 from roboxim_tasks.reach import reaches, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
@@ -35,6 +36,7 @@ DIRECTIONS = {"clockwise": -1.0, "counter-clockwise": 1.0}
 LIFTS_M = (0.05, 0.10, 0.15)
 DROP_M = 0.002
 STEP_RAD = math.radians(120)
+FREE_GAP_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +108,17 @@ class Rotate(Skill):
                     return True
             return False
 
-        return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
+        def free(scene: SceneSpec) -> bool:
+            spec = scene.entity(entity)
+            others = replace(scene, entities=tuple(e for e in scene.entities if e.name != entity))
+            turns = (replace(spec, pose=_turned(spec.pose, angle)) for angle in _steps(parameters.angle_rad))
+            return not any(refusal(others, turn, FREE_GAP_M, context.library) for turn in turns)
+
+        return (
+            Constraint(name="free_to_turn", holds=free),
+            Constraint(name="target_reachable", holds=reachable),
+            start_clear(context),
+        )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Pick it up, turn it, put it down where it was; low lifts first."""
@@ -116,7 +128,7 @@ class Rotate(Skill):
         now = scene.pose_of(entity)
         done = float((now.rotation * begin.rotation.inv()).as_rotvec()[2])
         goal = Pose(position=begin.position, quat_xyzw=now.quat_xyzw)
-        grasps = [None] if scene.held == entity else grasps_of(scene, entity)
+        grasps: Sequence[Grasp | None] = [None] if scene.held == entity else grasps_of(scene, entity)
         for grasp in grasps:
             for lift_m in LIFTS_M:
                 script = Script(scene)

@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.description import GraspAnnotation, ObjectModel
-from roboxim_core.poses import Pose
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.poses import Array, Pose, Vec3
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -35,12 +36,13 @@ from roboxim_tasks.skills.placing import lies_still
 from roboxim_tasks.skills.push_object import extent
 
 YAWS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90))
-LEANS = tuple(math.radians(angle) for angle in range(-90, 91, 10))
-MOST_LEAN_RAD = math.radians(65)
+LEANS = tuple(math.radians(angle) for angle in (45, 37, 53, 30, 60))
+"""Angles between the tool and the axis of the standing object, best first [rad]; the lying one has the rest of 90."""
+LEVEL = 0.2
 PALM_M = 0.034
 """Room between the tool centre point and the palm, along the tool [m]."""
 PAD_M = 0.012
-STEP_M = 0.01
+STEP_M = 0.015
 OPENING_M = 0.08
 
 
@@ -122,25 +124,38 @@ class TurnUpright(Skill):
 def leaning_grasps(model: ObjectModel, pose: Pose) -> list[Grasp]:
     """Return grasps with which a toppled object can be put upright, best first; poses are in the object.
 
-    A grasp from the side is tried all along the object's axis. Each is turned about its closing axis so that the tool
-    leans by about 45 degrees both now and when the object stands.
+    Each is one of the model's, turned about its closing axis so that the tool leans by some 45 degrees both now and
+    when the object stands. The closing axis is level in both poses. A grasp across the object's axis is tried all along
+    it.
 
     Args:
         model: The object.
         pose: Its pose in the base, lying.
     """
-    found: list[tuple[float, Grasp]] = []
+    x, y, z = pose.rotation.inv().apply([0.0, 0.0, -1.0]).round(2).tolist()
+    return list(_leaning(model, (x, y, z)))
+
+
+@lru_cache(maxsize=64)
+def _leaning(model: ObjectModel, down: Vec3) -> tuple[Grasp, ...]:
+    found: dict[tuple[float, ...], tuple[float, Grasp]] = {}
     for annotation in model.grasps:
-        for grasp in _along_axis(model, annotation):
+        opening = min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / OPENING_M)
+        for grasp in grasp_poses(replace(model, grasps=(annotation,)), Pose(), Pose()):
+            approach, closing = grasp.rotation.apply([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+            if abs(closing[2]) > LEVEL or abs(float(closing @ np.array(down))) > LEVEL:
+                continue
+            side = math.copysign(1.0, _angle(np.array(down), closing))
             for lean in LEANS:
-                leaning = grasp @ Pose.from_arrays((0.0, 0.0, 0.0), Rotation.from_euler("y", lean))
-                leans = _lean(pose @ leaning), _lean(leaning)
-                if max(leans) > MOST_LEAN_RAD or _beyond_palm(model, leaning) > 0.0:
-                    continue
-                opening = min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / OPENING_M)
-                cost = abs(leans[0] - leans[1]) + leans[0] + leans[1]
-                found.append((cost, Grasp(pose=leaning, opening=1.0, release_opening=opening, name=annotation.name)))
-    return [grasp for _, grasp in sorted(found, key=lambda pair: (round(pair[0], 3), -pair[1].pose.position[2]))]
+                turn = Rotation.from_euler("y", side * lean - _angle(approach, closing))
+                leaning = grasp @ Pose.from_arrays((0.0, 0.0, 0.0), turn)
+                for place in _places(model, leaning):
+                    key = tuple(round(value, 3) + 0.0 for value in (*place.position, *place.rotation.as_rotvec()))
+                    if key not in found and _beyond_palm(model, place) <= 0.0:
+                        way = Grasp(pose=place, release_opening=opening, name=annotation.name)
+                        found[key] = (abs(lean - LEANS[0]), way)
+    ordered = sorted(found.values(), key=lambda pair: (round(pair[0], 3), -pair[1].pose.position[2]))
+    return tuple(grasp for _, grasp in ordered)
 
 
 def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
@@ -158,25 +173,20 @@ def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
     return [Pose.from_arrays(position, Rotation.from_euler("z", outwards + yaw)) for yaw in YAWS]
 
 
-def _along_axis(model: ObjectModel, annotation: GraspAnnotation) -> Iterator[Pose]:
-    """Yield the grasps of a family whose closing axis is level when the object stands, at any place of a side grasp."""
-    one = replace(model, grasps=(annotation,))
-    for grasp in grasp_poses(one, Pose(), Pose()):
-        approach, closing = grasp.rotation.apply([0.0, 0.0, 1.0]), grasp.rotation.apply([0.0, 1.0, 0.0])
-        if abs(closing[2]) > 0.1:
-            continue
-        if abs(approach[2]) > 0.1:
-            yield grasp
-            continue
-        top, foot = model.size[2] - model.rest_height, -model.rest_height
-        x, y, _ = grasp.position
-        for z in np.arange(top - PAD_M, foot + PAD_M, -STEP_M).tolist():
-            yield replace(grasp, position=(x, y, z))
+def _places(model: ObjectModel, grasp: Pose) -> Iterator[Pose]:
+    """Yield a grasp along the object's axis if it is across that, from the top; else the grasp alone."""
+    x, y, _ = grasp.position
+    if math.hypot(x, y) > 1e-3:
+        yield grasp
+        return
+    for z in np.arange(model.size[2] - model.rest_height - PAD_M, PAD_M - model.rest_height, -STEP_M).tolist():
+        yield replace(grasp, position=(x, y, z))
 
 
-def _lean(tool: Pose) -> float:
-    """Return the angle between a tool and the downward vertical [rad]."""
-    return math.acos(min(1.0, max(-1.0, -float(tool.rotation.apply([0.0, 0.0, 1.0])[2]))))
+def _angle(vector: Array, axis: Array) -> float:
+    """Return the angle about an axis from the object's downward axis to a vector [rad]."""
+    foot = np.array([0.0, 0.0, -1.0])
+    return math.atan2(float(np.cross(foot, vector) @ axis), float(foot @ vector))
 
 
 def _beyond_palm(model: ObjectModel, grasp: Pose) -> float:
