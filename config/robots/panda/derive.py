@@ -1,14 +1,14 @@
-"""Make this folder's URDF, SRDF and meshes from the `example-robot-data` wheel; run it only to renew them.
+"""Make this folder's URDF, SRDF and meshes from the `example-robot-data` wheel: ``make robot-visuals``.
 
-Needs ``example-robot-data``, ``fast-simplification`` and ``pycollada``::
-
-    python config/robots/panda/derive.py
+``--check`` writes nothing and says which visual meshes are not what would be made.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
 import shutil
+import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -18,8 +18,12 @@ import numpy as np
 import trimesh
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+from collada import read_collada  # noqa: E402
+
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
-TRIANGLES = 1600
+TRIANGLES, FINGER_TRIANGLES = 1130, 400
+"""Of a link; 11,000 in all, so that a renderer without a GPU has time for other things."""
 CREASE_RAD = np.radians(32.0)
 WHITE = (233, 234, 236)  # the files say 255, which no painted surface reflects
 GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
@@ -39,21 +43,15 @@ def decimated(mesh: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
 
 def visual(source: Path) -> trimesh.Scene:
     """Group a COLLADA file's meshes by colour and decimate each group to its share of the triangles."""
-    scene = trimesh.load_scene(source)
     groups: dict[tuple[int, ...], list[trimesh.Trimesh]] = defaultdict(list)
-    for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
-        mesh = scene.geometry[name].copy()
-        color = tuple(int(c) for c in mesh.visual.material.main_color[:3])
-        mesh.apply_transform(transform)
-        groups[(230, 235, 237) if color == (229, 234, 237) else color].append(
-            trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-        )
+    for color, mesh in read_collada(source):
+        groups[(230, 235, 237) if color == (229, 234, 237) else color].append(mesh)
+    target = FINGER_TRIANGLES if source.stem == "finger" else TRIANGLES
     total = sum(len(m.faces) for group in groups.values() for m in group)
     result = trimesh.Scene()
     for color, meshes in sorted(groups.items(), reverse=True):
         merged = trimesh.util.concatenate(meshes)
-        part = decimated(merged, max(60, round(TRIANGLES * len(merged.faces) / total)))
+        part = decimated(merged, max(60, round(target * len(merged.faces) / total)))
         part.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
                 baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255],
@@ -66,8 +64,29 @@ def visual(source: Path) -> trimesh.Scene:
     return result
 
 
-def main() -> None:
-    """Write everything."""
+def stale() -> list[str]:
+    """Return the visual meshes whose triangles are not those that would be made."""
+
+    def count(scene: trimesh.Scene) -> dict[str, int]:
+        return {name: len(mesh.faces) for name, mesh in scene.geometry.items()}
+
+    files = {
+        source: HERE / "visual" / f"{source.stem}.glb" for source in sorted((SOURCE / "meshes/visual").glob("*.dae"))
+    }
+    return [
+        file.name
+        for source, file in files.items()
+        if not file.is_file() or count(visual(source)) != count(trimesh.load_scene(file, process=False))
+    ]
+
+
+def main() -> int:
+    """Write everything, or check."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when a visual mesh is stale")
+    if parser.parse_args().check:
+        print("stale:", *(names := stale() or ["none"]))  # noqa: T201
+        return int(names != ["none"])
     for folder in ("collision", "visual"):
         shutil.rmtree(HERE / folder, ignore_errors=True)
         (HERE / folder).mkdir()
@@ -89,7 +108,8 @@ def main() -> None:
     (HERE / "panda.urdf").write_text(urdf)
     shutil.copy(SOURCE / "srdf/panda.srdf", HERE / "panda.srdf")
     shutil.copy(SOURCE / "LICENSE", HERE / "LICENSE")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
