@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import sys
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +22,11 @@ END = np.array([0.9, -0.2, 0.2, -2.0, 0.1, 1.9, 0.5])
 
 @pytest.fixture(scope="module", autouse=True)
 def _benchmarks_importable() -> Iterator[None]:
-    sys.path.insert(0, str(BENCHMARKS))
+    paths = [str(BENCHMARKS), str(BENCHMARKS / "peers")]
+    sys.path[:0] = paths
     yield
-    sys.path.remove(str(BENCHMARKS))
+    for path in paths:
+        sys.path.remove(path)
 
 
 def quintic(start: np.ndarray, end: np.ndarray, duration: float = 2.0) -> np.ndarray:
@@ -128,7 +132,7 @@ def test_skipping_what_cannot_collide_misses_nothing() -> None:
 
     rng = np.random.default_rng(3)
     referee = tabletop(0).referee()
-    for _ in range(12):
+    for _ in range(6):
         ends = rng.uniform(LOWER, UPPER, (2, 7))
         path = ends[0] + np.linspace(0.0, 1.0, 400)[:, None] * (ends[1] - ends[0])
         expected = next((i for i, q in enumerate(path) if referee.collides(q)), -1)
@@ -323,3 +327,75 @@ def test_a_fault_of_a_contenders_script_stops_the_benchmark(tmp_path: Path) -> N
     script.write_text("print('{\"ready\": true}', flush=True)\ninput()\nraise KeyError('typo')\n")
     with Contender("x", Path(sys.executable), str(script)) as contender, pytest.raises(RuntimeError, match="typo"):
         contender.ask({}, limit_s=5.0)
+
+
+@pytest.fixture(scope="module")
+def ours() -> Callable[..., Any]:
+    """Plans a problem in this process and returns the motion's samples and its duration."""
+    import run_roboxim
+
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_planner.pipeline import Planner
+
+    planner = Planner(ModelLibrary().robot("panda"))
+
+    def solve(problem: Any, seed: int = 1) -> tuple[np.ndarray, float]:
+        answer = run_roboxim.plan(planner, {"problem": problem.plain(), "seed": seed, "limit_s": 60.0})
+        assert not answer["error"], answer["error"]
+        return run_roboxim.unpack(answer["positions"]), answer["duration_s"]
+
+    return solve
+
+
+def verdict_on(problem: Any, motion: tuple[np.ndarray, float]) -> Any:
+    return problem.referee().judge(*motion, np.array(problem.start), problem.goal_value)
+
+
+def test_the_planners_motions_are_clean(ours) -> None:
+    from _problems import tabletop
+    from _problems_hard import FAMILIES, hard
+
+    problems = [tabletop(seed, salt=9) for seed in range(8)] + [hard(family, 3, salt=9) for family in FAMILIES]
+    for problem in problems:
+        assert verdict_on(problem, ours(problem)).clean, problem.name
+
+
+def test_a_planner_that_overlooks_obstacles_is_caught(ours, monkeypatch: pytest.MonkeyPatch) -> None:
+    import run_roboxim
+
+    from _problems import tabletop
+
+    seen = run_roboxim.scene_of
+    monkeypatch.setattr(run_roboxim, "scene_of", lambda problem: seen(problem | {"solids": []}))
+    verdicts = [verdict_on(problem, ours(problem)) for problem in (tabletop(seed, salt=9) for seed in range(0, 8, 2))]
+    assert any("collision" in fault for verdict in verdicts for fault in verdict.faults)
+
+
+def test_a_planner_that_forgets_what_it_holds_is_caught(ours, monkeypatch: pytest.MonkeyPatch) -> None:
+    import run_roboxim
+
+    from _problems import tabletop
+
+    seen = run_roboxim.scene_of
+    monkeypatch.setattr(run_roboxim, "scene_of", lambda problem: seen(problem | {"held": None}))
+    verdicts = [verdict_on(problem, ours(problem)) for problem in (tabletop(seed, salt=9) for seed in range(0, 30, 6))]
+    assert any("held" in fault for verdict in verdicts for fault in verdict.faults)
+
+
+def test_a_time_law_beyond_the_limits_is_refused_and_caught_when_the_verifier_is_blind(
+    ours, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from _problems import tabletop
+    from roboxim_planner import pipeline, timing
+    from roboxim_planner.verify import Finding
+
+    def hasty(path, corners, limits, *rest):
+        faster = replace(limits, velocity=1.2 * limits.velocity, acceleration=1.2 * limits.acceleration)
+        return timing.time_path(path, corners, faster, *rest)
+
+    problem = tabletop(0, salt=9)
+    monkeypatch.setattr(pipeline, "time_path", hasty)
+    with pytest.raises(AssertionError, match="TRAJECTORY_INVALID"):
+        ours(problem)
+    monkeypatch.setattr(pipeline, "verify_motion", lambda *_, **__: Finding())
+    assert verdict_on(problem, ours(problem)).violations
