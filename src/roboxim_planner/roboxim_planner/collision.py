@@ -13,7 +13,9 @@ import coal
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.poses import Vec3
 from roboxim_planner import native
+from roboxim_planner.constraint import Upright
 from roboxim_planner.contacts import ContactModel, ContactPair, ContactRules, held_shape
 from roboxim_planner.geometry import make_shape
 from roboxim_planner.robot import PlannerRobot, native_shape, pose_matrix
@@ -30,13 +32,16 @@ _PLAIN = ("box", "sphere", "cylinder", "capsule")
 class CollisionWorld:
     """The robot among the bodies of one scene. Serves one thread."""
 
-    def __init__(self, robot: PlannerRobot, scene: PlanningScene, *, padding: float = 0.0) -> None:
+    def __init__(
+        self, robot: PlannerRobot, scene: PlanningScene, *, padding: float = 0.0, upright: Upright | None = None
+    ) -> None:
         """Build the geometry of a scene.
 
         Args:
             robot: The robot.
             scene: What is around it.
             padding: Distance from obstacles at or below which the arm counts as touching them [m].
+            upright: What the tool must keep to for a state to count as free; none: nothing.
 
         Raises:
             InvalidRequestError: On a hull without volume or an allowed contact of an unknown name.
@@ -46,7 +51,11 @@ class CollisionWorld:
         self.padding = padding
         self._rules = ContactRules(robot, scene)
         self._coal: list[ContactModel] = []
+        self.upright = upright
         self.native = self._build()
+        if upright is not None:
+            direction = scene.robot_pose.rotation.inv().apply(_unit(upright.world_axis))
+            self.native.set_upright(_unit(upright.tool_axis), direction, upright.tolerance_rad)
 
     def padded(self, padding: float) -> CollisionWorld:
         """Return the same world with another padding; it shares the geometry."""
@@ -150,6 +159,10 @@ class CollisionWorld:
         """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1."""
         return math.ceil(self.first_hit(path) - 1e-9)
 
+    def tilt(self, joints: npt.ArrayLike) -> float:
+        """Return by how much the tool is tilted at a state [rad]; 0 where it need not be upright."""
+        return 0.0 if self.upright is None else self.native.tilt(np.asarray(joints, dtype=float))
+
     def clearance(self, joints: npt.ArrayLike, cap: float = 10.0) -> float:
         """Return the smallest distance of any checked pair at a state [m], at most ``cap``; 0: they touch."""
         return self.native.clearance(np.asarray(joints, dtype=float), cap)
@@ -157,6 +170,10 @@ class CollisionWorld:
     def free_states(self, states: Iterable[Array]) -> list[Array]:
         """Return those of some arm configurations that touch nothing."""
         return [q for q in states if self.is_free(q)]
+
+
+def _unit(axis: Vec3) -> Array:
+    return np.asarray(np.array(axis) / np.linalg.norm(axis))
 
 
 def _solid(part: BodyShape) -> tuple[str, Array]:

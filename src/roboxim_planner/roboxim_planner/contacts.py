@@ -113,6 +113,7 @@ class ContactModel:
         self._mesh_pairs = [k for k, pair in pairs if any(meshes) and (meshes[pair.first] or meshes[pair.second])]
         self._data = self._model.createData()
         self._scratch = robot.model.createData()
+        self._q = robot.full(np.zeros(robot.dof), scene.gripper_opening)
         self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(robot.model, self._model, self._data)
 
     def _add(self, body: Body, joint: int, placement: pin.SE3, *, held: bool) -> None:
@@ -124,7 +125,8 @@ class ContactModel:
 
     def is_free(self, joints: Array) -> bool:
         """Tell whether an arm configuration of shape (dof,) touches nothing."""
-        q = self._robot.full(joints, self._scene.gripper_opening)
+        self._q[self._robot.arm_indices] = joints
+        q = self._q
         if pin.computeCollisions(self._robot.model, self._scratch, self._broad, q, True):
             return False
         return all(self._distance(k) > 0.0 for k in self._mesh_pairs)  # coal's collide() misses flat meshes

@@ -1,4 +1,7 @@
-"""Collision-free joint paths: OMPL's RRTConnect over whole-edge checks, then deterministic shortcuts.
+"""Collision-free joint paths: OMPL over whole-edge checks in the native kernel, then random shortcuts.
+
+RRTConnect finds a way in the open within a few dozen iterations, and hardly ever one through narrow openings; the
+KPIECE family is the other way round. So a search is a list of planners with budgets, tried in this order.
 
 OMPL draws from a global random number generator, so searches take turns under a lock and set its seed first; with a
 budget of iterations instead of seconds the same request gives the same path under any load.
@@ -23,25 +26,37 @@ Watch = Callable[[str, int], None]
 """Called with the stage and the iterations spent; raises to end the request (deadline passed, cancelled)."""
 
 _OMPL_LOCK = threading.Lock()
+_WATCH_EVERY = 16
 ou.setLogLevel(ou.LOG_NONE)  # OMPL objects to each new seed, though a seed set under the lock does reproduce
+
+IMPROVERS = ("BITstar", "RRTstar", "InformedRRTstar")
+"""Planners that go on improving a path."""
+FINDERS = ("RRTConnect", "LBKPIECE1", "BKPIECE1", "KPIECE1", "RRT")
+"""Planners that stop at the first path."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
     """Budget of the path search."""
 
-    iterations: int = 4000
-    """Iterations of RRTConnect."""
+    planners: tuple[tuple[str, int], ...] = (("RRTConnect", 250), ("LBKPIECE1", 12000), ("BKPIECE1", 3000))
+    """Planners in the order tried, each with its iterations."""
     range_rad: float = 1.2
-    """Longest edge that the tree grows by [rad]."""
+    """Longest edge that a tree grows by [rad]."""
     resolution_m: float = 0.01
     """Motion of the arm's points below which a free state stands for what is around it on an edge [m]."""
     shortcuts: int = 100
     """Random shortcuts tried."""
+    upright_iterations: int = 3000
+    """Iterations of the search under a path constraint."""
+    upright_step_rad: float = 0.25
+    """Longest edge of that search [rad]."""
+    improve_iterations: int = 3000
+    """Iterations of a planner that improves a path, when a request does not say."""
 
 
 class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
-    """Hands whole edges to the collision world. It must not refer to the space information: that cycle leaks."""
+    """Hands whole edges to the native kernel. It must not refer to the space information: that cycle leaks."""
 
     def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, resolution: float) -> None:
         super().__init__(info)
@@ -64,12 +79,12 @@ class _Stop:
 
     def __call__(self) -> bool:
         self.spent += 1
-        if self.error is None:
+        if self.error is None and self.spent % _WATCH_EVERY == 1:
             try:
                 self._watch("search", self.spent)
             except BaseException as error:  # handed on after OMPL has returned
                 self.error = error
-        return bool(self.error is not None or self.spent > self._left)
+        return self.error is not None or self.spent > self._left
 
 
 def search(
@@ -88,37 +103,91 @@ def search(
     Returns:
         Waypoints, shape (M, dof), whose last is one of the goals; none when the budget is spent.
     """
-    robot = world.robot
+    if world.upright is not None:
+        found = world.native.connect_upright(
+            start,
+            goals,
+            seed,
+            config.upright_iterations,
+            config.upright_step_rad,
+            (world.padding, 0.0, config.resolution_m),
+            lambda spent: watch("search", spent),
+        )
+        return found if len(found) else None
     with _OMPL_LOCK:
         ou.RNG.setSeed(seed % (2**31 - 1) + 1)
-        space = ob.RealVectorStateSpace(robot.dof)
-        bounds = ob.RealVectorBounds(robot.dof)
-        for i in range(robot.dof):
-            bounds.setLow(i, float(robot.lower[i]))
-            bounds.setHigh(i, float(robot.upper[i]))
-        space.setBounds(bounds)
-        info = ob.SpaceInformation(space)
-        info.setStateValidityChecker(lambda state: world.is_free(state[0 : robot.dof]))
-        info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
-        info.setup()
-        problem = ob.ProblemDefinition(info)
-        problem.addStartState(_state(space, start))
-        targets = ob.GoalStates(info)
-        for goal in goals:
-            targets.addState(_state(space, goal))
-        problem.setGoal(targets)
-        planner = og.RRTConnect(info)
+        for name, iterations in config.planners:
+            path = _solve(name, world, start, goals, iterations, config, watch)
+            if path is not None:
+                return path
+    return None
+
+
+def improve(
+    planner: str, world: CollisionWorld, path: Array, *, seed: int, iterations: int, config: SearchConfig, watch: Watch
+) -> Array:
+    """Look for a shorter path between the ends of one.
+
+    Args:
+        planner: One of `IMPROVERS`.
+        world: Robot and obstacles.
+        path: Free waypoints, shape (N, dof) [rad].
+        seed: Seed of the search.
+        iterations: Iterations of the planner.
+        config: Budget of the rest.
+        watch: Called now and then; ends the search by raising.
+
+    Returns:
+        The shorter of the path given and that found.
+    """
+    with _OMPL_LOCK:
+        ou.RNG.setSeed(seed % (2**31 - 1) + 1)
+        found = _solve(planner, world, path[0], path[-1:], iterations, config, watch)
+    if found is None:
+        return path
+    found = shorten(world, without_repeats(found), seed=seed, config=config, watch=watch)
+    return min(path, found, key=lambda points: _length(world, points))
+
+
+def _length(world: CollisionWorld, path: Array) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0) / world.robot.max_velocity, axis=1).sum())
+
+
+def _solve(
+    name: str, world: CollisionWorld, start: Array, goals: Array, iterations: int, config: SearchConfig, watch: Watch
+) -> Array | None:
+    robot = world.robot
+    space = ob.RealVectorStateSpace(robot.dof)
+    bounds = ob.RealVectorBounds(robot.dof)
+    for i in range(robot.dof):
+        bounds.setLow(i, float(robot.lower[i]))
+        bounds.setHigh(i, float(robot.upper[i]))
+    space.setBounds(bounds)
+    info = ob.SpaceInformation(space)
+    info.setStateValidityChecker(lambda state: world.is_free(state[0 : robot.dof]))
+    info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
+    info.setup()
+    problem = ob.ProblemDefinition(info)
+    problem.addStartState(_state(space, start))
+    targets = ob.GoalStates(info)
+    for goal in goals:
+        targets.addState(_state(space, goal))
+    problem.setGoal(targets)
+    if name in IMPROVERS:
+        problem.setOptimizationObjective(ob.PathLengthOptimizationObjective(info))
+    planner = getattr(og, name)(info)
+    if hasattr(planner, "setRange"):
         planner.setRange(config.range_rad)
-        planner.setProblemDefinition(problem)
-        planner.setup()
-        stop = _Stop(watch, config.iterations)
-        planner.solve(ob.PlannerTerminationCondition(stop))
-        if stop.error is not None:
-            raise stop.error
-        if not problem.hasExactSolution():
-            return None
-        states = problem.getSolutionPath().getStates()
-        return np.array([state[0 : robot.dof] for state in states])
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    stop = _Stop(watch, iterations)
+    planner.solve(ob.PlannerTerminationCondition(stop))
+    if stop.error is not None:
+        raise stop.error
+    if not problem.hasExactSolution():
+        return None
+    states = problem.getSolutionPath().getStates()
+    return np.array([state[0 : robot.dof] for state in states])
 
 
 def _state(space: ob.RealVectorStateSpace, joints: Array) -> ob.State:
@@ -136,7 +205,7 @@ def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConf
         path: Waypoints, shape (N, dof).
         seed: Seed of the random cuts.
         config: Budget.
-        watch: Called now and then.
+        watch: Called once.
 
     Returns:
         Waypoints of a free path that is no longer.

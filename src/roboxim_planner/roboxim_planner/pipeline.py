@@ -7,7 +7,8 @@ seed; a deadline can only end a request (see `Watch`), never change its answer.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +20,8 @@ from roboxim_core.poses import Pose
 from roboxim_planner.cartesian import follow_line, time_line
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.ik import IkConfig, IkSolver
-from roboxim_planner.paths import SearchConfig, Watch, search, shorten, without_repeats
+from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
+from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory, Upright
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import Sweep
@@ -27,6 +29,12 @@ from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_p
 from roboxim_planner.verify import Finding, between, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
+Goals = tuple[Array, list[int]]
+"""Arm configurations, nearest first, shape (N, dof) [rad], and which goal each belongs to."""
+_BUDGETS = (1, 1, 2, 2, 4, 4)
+"""Of successive searches, in units of the configured one; every second one ignores the padding."""
+
+__all__ = ["MotionOptions", "PathIncompleteError", "Plan", "Planner", "PlannerConfig", "Trajectory", "Upright"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,105 +45,12 @@ class PlannerConfig:
     """Distance that the search keeps from obstacles where start and goal allow it [m]."""
     max_blend_rad: float = 0.4
     """Largest distance from a corner at which its blend begins [rad]."""
-    attempts: int = 4
-    """Searches with other seeds when a motion does not pass verification."""
+    attempts: int = 6
+    """Searches, each with another seed, until a motion passes verification; at most 6."""
     ik: IkConfig = IkConfig()
     """Inverse kinematics."""
     search: SearchConfig = SearchConfig()
     """Path search."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionOptions:
-    """What a request may ask of a motion."""
-
-    velocity_scaling: float = 1.0
-    """Fraction of the joints' velocity limits, in (0, 1]."""
-    acceleration_scaling: float = 1.0
-    """Fraction of their acceleration and jerk limits, in (0, 1]."""
-    max_tcp_speed_m_s: float = np.inf
-    """Limit of the tcp's speed [m/s]."""
-    max_tcp_rot_speed_rad_s: float = np.inf
-    """Limit of the tcp's angular speed [rad/s]."""
-    padding_m: float | None = None
-    """Distance kept from obstacles [m]; none: the planner's."""
-    seed: int = 0
-    """Same request and seed, same plan."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            InvalidRequestError: On a value that is not a number or out of range.
-        """
-        for name in ("velocity_scaling", "acceleration_scaling"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise InvalidRequestError(f"{name} must be in (0, 1], got {getattr(self, name)}")
-        for name in ("max_tcp_speed_m_s", "max_tcp_rot_speed_rad_s"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidRequestError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.padding_m is not None and not 0.0 <= self.padding_m <= 0.1:
-            raise InvalidRequestError(f"padding must be 0..0.1 m, got {self.padding_m}")
-        if self.seed < 0:
-            raise InvalidRequestError(f"seed must be >= 0, got {self.seed}")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """A verified motion."""
-
-    motion: Motion
-    """The motion as a function of time."""
-    route: str
-    """``still``, ``direct``, ``sampled`` or ``cartesian``."""
-    goal_index: int = -1
-    """Which of several goals was reached; -1 where there is no choice."""
-    fraction: float = 1.0
-    """Part of a straight line that it covers."""
-    waypoints: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """Joint path that was timed, shape (N, dof) [rad]."""
-
-    @property
-    def duration(self) -> float:
-        """[s]."""
-        return self.motion.duration
-
-    @property
-    def end(self) -> Array:
-        """Arm configuration at the end, shape (dof,) [rad]."""
-        return np.asarray(self.motion.evaluate(np.array([self.duration]))[0][0])
-
-    def sample(self, period_s: float) -> Trajectory:
-        """Sample the motion at a period, its end included."""
-        count = max(1, int(np.ceil(self.duration / period_s - 1e-9)))
-        times = np.append(np.arange(count) * period_s, self.duration)
-        q, v, a, _ = self.motion.evaluate(times)
-        return Trajectory(times=times, positions=q, velocities=v, accelerations=a)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trajectory:
-    """Samples of a motion."""
-
-    times: Array
-    """From 0, shape (N,) [s]."""
-    positions: Array
-    """Shape (N, dof) [rad]."""
-    velocities: Array
-    """Shape (N, dof) [rad/s]."""
-    accelerations: Array
-    """Shape (N, dof) [rad/s^2]."""
-
-
-class PathIncompleteError(PlannerError):
-    """A straight line can only be followed in part; ``partial`` is the verified plan of that part, or none."""
-
-    code = ErrorCode.PATH_INCOMPLETE
-
-    def __init__(self, message: str, partial: Plan) -> None:
-        """Make the error with the part that can be done."""
-        super().__init__(message)
-        self.partial = partial
 
 
 def no_watch(stage: str, iterations: int) -> None:
@@ -185,14 +100,19 @@ class Planner:
         begin = self._check_start(worlds, start)
         to_base = scene.robot_pose.inverse()
         goals = [to_base @ target for target in targets]
+        _check_upright(options, targets)
         watch("goals", 0)
         for i, goal in enumerate(goals):
             near = self.ik.nearest(goal, begin)
             plan = None if near is None else self._try_direct(worlds, begin, near, options, i, watch)
             if plan is not None:
                 return plan
-        found, owners = self._goal_configurations(worlds, begin, goals, options.seed, watch)
-        return self._plan(worlds, begin, found, owners, options, watch)
+        found = self._goal_configurations(worlds, begin, goals, options.seed, watch)
+
+        def more() -> Goals:
+            return self._goal_configurations(worlds, begin, goals, options.seed + 1, watch, thorough=True)
+
+        return self._plan(worlds, begin, found, options, watch, more)
 
     def plan_to_joints(
         self,
@@ -211,12 +131,11 @@ class Planner:
         if broken:
             raise PlannerError(f"goal unreachable: {'; '.join(broken)}", ErrorCode.GOAL_UNREACHABLE)
         goal = np.clip(goal, self.robot.lower, self.robot.upper)
-        contacts = worlds.exact.contacts(goal)
-        if contacts:
-            said = "; ".join(str(contact) for contact in contacts)
+        _check_upright(options, [scene.robot_pose @ self.robot.fk(goal)])
+        if not worlds.exact.is_free(goal):
+            said = "; ".join(str(contact) for contact in worlds.exact.contacts(goal))
             raise PlannerError(f"goal in collision: {said}", ErrorCode.GOAL_IN_COLLISION)
-        plan = self._try_direct(worlds, begin, goal, options, -1, watch)
-        return plan or self._plan(worlds, begin, goal[None], [-1], options, watch)
+        return self._plan(worlds, begin, (goal[None], [-1]), options, watch)
 
     def plan_cartesian(
         self,
@@ -388,9 +307,9 @@ class Planner:
         """Return the geometry of a scene; the last ones are kept, since requests come in runs on one scene."""
         padding = self.config.padding_m if options.padding_m is None else options.padding_m
         for kept in self._kept:
-            if kept.search_padding == padding and kept.scene == scene:
+            if (kept.search_padding, kept.upright) == (padding, options.upright) and kept.scene == scene:
                 return kept
-        worlds = _Worlds(self.robot, scene, padding)
+        worlds = _Worlds(self.robot, scene, padding, options.upright)
         self._kept = [worlds, *self._kept[:3]]
         return worlds
 
@@ -400,6 +319,7 @@ class Planner:
         if broken:
             raise PlannerError(f"start outside limits: {'; '.join(broken)}", ErrorCode.START_OUTSIDE_LIMITS)
         begin = np.clip(begin, self.robot.lower, self.robot.upper)
+        worlds.check_upright(begin)
         if collisions and not worlds.exact.is_free(begin):
             said = "; ".join(str(contact) for contact in worlds.exact.contacts(begin))
             raise PlannerError(
@@ -409,23 +329,22 @@ class Planner:
         return begin
 
     def _goal_configurations(
-        self, worlds: _Worlds, begin: Array, goals: list[Pose], seed: int, watch: Watch
-    ) -> tuple[Array, list[int]]:
-        """Return collision-free configurations of all goals, nearest first, and which goal each belongs to."""
+        self, worlds: _Worlds, begin: Array, goals: list[Pose], seed: int, watch: Watch, *, thorough: bool = False
+    ) -> Goals:
         all_found: list[Array] = []
         owners: list[int] = []
         failure: PlannerError | None = None
         for i, goal in enumerate(goals):
             watch("goals", i)
             try:
-                solutions = self.ik.solve(goal, begin, seed=seed)
+                solutions = self.ik.solve(goal, begin, seed=seed, thorough=thorough)
+                free = worlds.exact.free_states(solutions)
+                if not free and not thorough:
+                    solutions = self.ik.solve(goal, begin, seed=seed + 1, thorough=True)
+                    free = worlds.exact.free_states(solutions)
             except PlannerError as error:
                 failure = failure or error
                 continue
-            free = worlds.exact.free_states(solutions)
-            if not free:
-                solutions = self.ik.solve(goal, begin, seed=seed + 1, thorough=True)
-                free = worlds.exact.free_states(solutions)
             if not free:
                 failure = self._no_free_goal(worlds.exact, solutions)
             all_found += free
@@ -464,37 +383,63 @@ class Planner:
         self,
         worlds: _Worlds,
         begin: Array,
-        goals: Array,
-        owners: list[int],
+        found: Goals,
         options: MotionOptions,
         watch: Watch,
+        more: Callable[[], Goals] | None = None,
     ) -> Plan:
-        """Direct edges to every goal, nearest first; then searches until a motion passes verification."""
+        """Direct edges to every goal, nearest first; then searches until a motion passes verification.
+
+        ``more`` looks for more goal configurations; it is called when the first search finds no way to those there are.
+        """
+        goals, owners = found
         for goal, owner in zip(goals[:8], owners, strict=False):
             plan = self._try_direct(worlds, begin, goal, options, owner, watch)
             if plan is not None:
                 return plan
         finding: Finding | None = None
-        for attempt in range(self.config.attempts):
-            world = worlds.for_goals(begin, goals, padded=attempt < self.config.attempts - 1)
-            reachable = np.array([q for q in goals if world.is_free(q)])
+        refused = 0
+        for attempt, budget in enumerate(_BUDGETS[: self.config.attempts]):
+            if attempt == 1 and more is not None:
+                goals, owners = more()
+            world = worlds.for_goals(begin, goals, padded=attempt % 2 == 0)
             seed = options.seed + 7919 * attempt
-            finer = self.config.search.resolution_m / (1 + attempt)
-            config = replace(self.config.search, resolution_m=finer)
-            path = search(world, begin, reachable, seed=seed, config=config, watch=watch)
+            config = self._search_config(options, budget, refused)
+            path = search(world, begin, np.array(world.free_states(goals)), seed=seed, config=config, watch=watch)
             if path is None:
                 continue
             path = without_repeats(path)
             owner = owners[int(np.argmin(np.abs(goals - path[-1]).max(axis=1)))]
             path = shorten(world, path, seed=seed, config=config, watch=watch)
+            if options.planner in IMPROVERS and options.upright is None:
+                iterations = options.improve_iterations or config.improve_iterations
+                path = improve(
+                    options.planner, world, path, seed=seed, iterations=iterations, config=config, watch=watch
+                )
             motion, finding = self._time_and_verify(worlds, world, path, options, watch)
             if motion is not None:
                 return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
+            refused += 1
         if finding is not None:
             raise PlannerError(f"no path passed verification, the last because {finding}", ErrorCode.TRAJECTORY_INVALID)
+        constraint = "" if options.upright is None else " that keeps the tool upright"
         raise PlannerError(
-            f"no path found to {len(goals)} goal configuration(s) in {self.config.attempts} searches of "
-            f"{self.config.search.iterations} iterations; obstacles may close the way"
+            f"no path{constraint} found to {len(goals)} goal configuration(s) in {self.config.attempts} searches; "
+            "obstacles may close the way"
+        )
+
+    def _search_config(self, options: MotionOptions, budget: int, refused: int) -> SearchConfig:
+        """Return the budget of a search, finer the more motions verification has refused."""
+        base = self.config.search
+        planners = base.planners
+        if options.planner not in IMPROVERS and options.planner != planners[0][0]:
+            most = max(iterations for _, iterations in planners)
+            planners = ((options.planner, most), *planners)
+        return replace(
+            base,
+            planners=tuple((name, budget * iterations) for name, iterations in planners),
+            upright_iterations=budget * base.upright_iterations,
+            resolution_m=base.resolution_m / (1 + refused),
         )
 
     def _time_and_verify(
@@ -554,8 +499,10 @@ class Planner:
 class _Worlds(Sweep):
     """The scene exactly and with the padding that searches keep."""
 
-    def __init__(self, robot: PlannerRobot, scene: PlanningScene, search_padding: float) -> None:
-        super().__init__(robot, scene)
+    def __init__(
+        self, robot: PlannerRobot, scene: PlanningScene, search_padding: float, upright: Upright | None
+    ) -> None:
+        super().__init__(robot, scene, upright=upright)
         self.search_padding = search_padding
 
     @cached_property
@@ -573,3 +520,25 @@ class _Worlds(Sweep):
         if padded and self.padded.is_free(begin) and any(self.padded.is_free(q) for q in goals):
             return self.padded
         return self.exact
+
+    def check_upright(self, begin: Array) -> None:
+        """Check that the tool is upright at the start."""
+        if self.upright is not None and (tilt := self.exact.tilt(begin)) > self.upright.tolerance_rad:
+            raise PlannerError(
+                f"the tool is tilted by {tilt:.3f} rad at the start, {self.upright.tolerance_rad:g} rad allowed",
+                ErrorCode.CONSTRAINT_VIOLATED,
+            )
+
+
+def _check_upright(options: MotionOptions, targets: list[Pose]) -> None:
+    """Check that the tool is upright at one of some goals, its poses in the world."""
+    if options.upright is None:
+        return
+    tool, world = (np.array(axis) for axis in (options.upright.tool_axis, options.upright.world_axis))
+    cosines = [target.rotation.apply(tool) @ world for target in targets]
+    tilt = float(np.arccos(np.clip(max(cosines) / (np.linalg.norm(tool) * np.linalg.norm(world)), -1.0, 1.0)))
+    if tilt > options.upright.tolerance_rad:
+        raise PlannerError(
+            f"the tool is tilted by {tilt:.3f} rad at the goal, {options.upright.tolerance_rad:g} rad allowed",
+            ErrorCode.CONSTRAINT_VIOLATED,
+        )

@@ -76,7 +76,8 @@ class PlannerRobot:
         self.model = pin.buildModelFromUrdf(str(robot.urdf))
         self.dof = len(robot.joint_names)
         self._joint_ids = [self.model.getJointId(name) for name in robot.joint_names]
-        self._arm_q = np.array([self.model.joints[i].idx_q for i in self._joint_ids])
+        self.arm_indices = np.array([self.model.joints[i].idx_q for i in self._joint_ids])
+        """Places of the arm's joints in Pinocchio's configurations."""
         self._finger_q = np.array(
             [self.model.joints[self.model.getJointId(n)].idx_q for n in robot.gripper.joint_names], dtype=int
         )
@@ -180,7 +181,7 @@ class PlannerRobot:
         """
         arm = np.asarray(joints, dtype=float)
         q = np.tile(pin.neutral(self.model), (*arm.shape[:-1], 1))
-        q[..., self._arm_q] = arm
+        q[..., self.arm_indices] = arm
         q[..., self._finger_q] = opening * self.description.gripper.max_opening_m / 2
         return q
 

@@ -179,7 +179,7 @@ def test_no_way_to_the_goal_ends_in_planning_failed(planner: Planner) -> None:
     ]
     start = np.array([1.2, 0.9, 0.0, -2.2, 0.0, 2.6, 0.8])
     goal = start * [-1, 1, 1, 1, 1, 1, 1]
-    config = replace(planner.config, attempts=2, search=replace(planner.config.search, iterations=30))
+    config = replace(planner.config, attempts=2, search=replace(planner.config.search, planners=(("RRTConnect", 30),)))
     hurried = Planner(planner.robot.description, config)
     with pytest.raises(PlannerError, match="no path found") as caught:
         hurried.plan_to_joints(PlanningScene(bodies=tuple(parts)), start, goal)

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -64,6 +66,17 @@ class World:
         self_margin: float,
         resolution: float,
     ) -> _Array: ...
+    def connect_upright(
+        self,
+        start: npt.ArrayLike,
+        goals: npt.ArrayLike,
+        seed: int,
+        iterations: int,
+        step: float,
+        limits: tuple[float, float, float],
+        watch: Callable[[int], None],
+    ) -> _Array: ...
+    def tilt(self, joints: npt.ArrayLike) -> float: ...
     def clearance(self, joints: npt.ArrayLike, cap: float) -> float: ...
     @property
     def states_checked(self) -> int: ...

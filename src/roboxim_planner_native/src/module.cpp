@@ -1,5 +1,6 @@
 // The Python module. Arrays are C-contiguous float64; poses are (4, 4) matrices.
 
+#include <pybind11/functional.h>
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
@@ -141,7 +142,7 @@ PYBIND11_MODULE(_native, m) {
     throw py::import_error("roboxim_planner_native is compiled for processors with AVX2 and FMA (x86-64-v3)");
   }
 #endif
-  m.attr("API") = 1;
+  m.attr("API") = 2;
 
   py::class_<Arm, std::shared_ptr<Arm>>(m, "Arm")
       .def(py::init(&make_arm), py::kw_only(), py::arg("parents"), py::arg("placements"), py::arg("axes"),
@@ -178,7 +179,7 @@ PYBIND11_MODULE(_native, m) {
       .def(
           "set_upright",
           [](World& world, const Array& axis, const Array& direction, double tolerance) {
-            world.upright = {true, vector_of(axis), vector_of(direction), std::cos(tolerance), tolerance};
+            world.upright = {true, vector_of(axis), vector_of(direction), tolerance};
           },
           py::arg("axis"), py::arg("direction"), py::arg("tolerance"))
       .def(
@@ -207,6 +208,26 @@ PYBIND11_MODULE(_native, m) {
           },
           py::arg("path"), py::arg("seed"), py::arg("tries"), py::arg("weights"), py::arg("margin"),
           py::arg("self_margin"), py::arg("resolution"))
+      .def(
+          "connect_upright",
+          [](World& world, const Array& start, const Array& goals, std::uint64_t seed, int iterations, double step,
+             const std::tuple<double, double, double>& limits, const std::function<void(int)>& watch) {
+            const int n = world.arm().dof(), count = rows_of(goals, n, "goals");
+            rows_of(start, n, "start");
+            const auto [margin, self_margin, resolution] = limits;
+            return rows(world.connect_upright(start.data(), goals.data(), count, seed, iterations, step,
+                                              {margin, self_margin, resolution}, watch),
+                        n);
+          },
+          py::arg("start"), py::arg("goals"), py::arg("seed"), py::arg("iterations"), py::arg("step"),
+          py::arg("limits"), py::arg("watch"))
+      .def(
+          "tilt",
+          [](World& world, const Array& joints) {
+            rows_of(joints, world.arm().dof(), "joints");
+            return world.tilt(joints.data());
+          },
+          py::arg("joints"))
       .def(
           "clearance",
           [](World& world, const Array& joints, double cap) {

@@ -249,10 +249,9 @@ bool World::upright_fails(bool& left) const {
   for (int j = 0; j < arm_->dof(); ++j) {
     if (arm_->moves_tcp[j] && !arm_->joints[j].prismatic) turn += spread_[j];
   }
-  const Vec3 axis = arm_->tcp_pose(frames_.data()).r * upright.axis;
-  const double tilt = std::atan2(norm(cross(axis, upright.direction)), dot(axis, upright.direction));
-  if (tilt > upright.tolerance) return true;
-  left = tilt + turn > upright.tolerance && turn > 1e-3;
+  const double tilted = tilt_now();
+  if (tilted > upright.tolerance) return true;
+  left = tilted + turn > upright.tolerance && turn > 1e-3;
   return false;
 }
 

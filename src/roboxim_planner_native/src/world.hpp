@@ -8,6 +8,7 @@
 // is approximate: a state collides if and only if two shapes are within the margin.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -46,7 +47,7 @@ struct Upright {
   bool active = false;
   Vec3 axis;       // unit, in the tcp's frame
   Vec3 direction;  // unit, in the base
-  double cos_tolerance = -1.0, tolerance = 4.0;
+  double tolerance = 4.0;
 };
 
 class World {
@@ -63,6 +64,15 @@ class World {
   // Random shortcuts of a free polyline; returns one that is no longer. See world.cpp.
   std::vector<double> shorten(const double* path, int count, std::uint64_t seed, int tries, const Limits& limits,
                               const double* weights);
+
+  // A free path from a state to one of several that keeps the tool upright, or nothing when the iterations are spent.
+  // See upright.cpp. `watch` is called now and then with the iterations spent; it ends the search by throwing.
+  std::vector<double> connect_upright(const double* start, const double* goals, int goal_count, std::uint64_t seed,
+                                      int iterations, double step, const Limits& limits,
+                                      const std::function<void(int)>& watch);
+
+  // How far the tool is tilted at a state [rad].
+  double tilt(const double* q);
 
   // Smallest distance of any pair at a state, a lower bound within 1e-7 m; at most `cap`.
   double clearance(const double* q, double cap);
@@ -94,6 +104,8 @@ class World {
   bool earliest(const Interval& interval, double& where, int depth);
   bool look(const Interval& interval, bool& upright_left);
   bool upright_fails(bool& left) const;
+  double tilt_now() const;
+  bool straighten(double* q);
   void load(const double* path, int count);
   void place_at(double t);
   double variation(int joint, double t) const;

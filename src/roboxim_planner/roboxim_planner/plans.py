@@ -1,0 +1,120 @@
+"""What a motion may be asked to keep to, and what comes out: plain values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
+from roboxim_planner.constraint import Upright
+from roboxim_planner.paths import FINDERS, IMPROVERS
+from roboxim_planner.timing import Motion
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """What a request may ask of a motion."""
+
+    velocity_scaling: float = 1.0
+    """Fraction of the joints' velocity limits, in (0, 1]."""
+    acceleration_scaling: float = 1.0
+    """Fraction of their acceleration and jerk limits, in (0, 1]."""
+    max_tcp_speed_m_s: float = np.inf
+    """Limit of the tcp's speed [m/s]."""
+    max_tcp_rot_speed_rad_s: float = np.inf
+    """Limit of the tcp's angular speed [rad/s]."""
+    padding_m: float | None = None
+    """Distance kept from obstacles [m]; none: the planner's."""
+    upright: Upright | None = None
+    """Path constraint; none: the tool may turn as it likes."""
+    planner: str = "RRTConnect"
+    """Path planner to begin with; one of `paths.IMPROVERS` goes on from the first path to shorter ones."""
+    improve_iterations: int | None = None
+    """Iterations of a planner that improves; none: `SearchConfig.improve_iterations`."""
+    seed: int = 0
+    """Same request and seed, same plan."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            InvalidRequestError: On a value that is not a number or out of range, or an unknown planner.
+        """
+        for name in ("velocity_scaling", "acceleration_scaling"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InvalidRequestError(f"{name} must be in (0, 1], got {getattr(self, name)}")
+        for name in ("max_tcp_speed_m_s", "max_tcp_rot_speed_rad_s"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidRequestError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.padding_m is not None and not 0.0 <= self.padding_m <= 0.1:
+            raise InvalidRequestError(f"padding must be 0..0.1 m, got {self.padding_m}")
+        if self.planner not in (*FINDERS, *IMPROVERS):
+            raise InvalidRequestError(
+                f"unknown planner '{self.planner}'; {one_of((*FINDERS, *IMPROVERS), self.planner)}"
+            )
+        if self.improve_iterations is not None and self.improve_iterations < 1:
+            raise InvalidRequestError(f"improve_iterations must be positive, got {self.improve_iterations}")
+        if self.seed < 0:
+            raise InvalidRequestError(f"seed must be >= 0, got {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A verified motion."""
+
+    motion: Motion
+    """The motion as a function of time."""
+    route: str
+    """``still``, ``direct``, ``sampled``, ``cartesian`` or ``retimed``."""
+    goal_index: int = -1
+    """Which of several goals was reached; -1 where there is no choice."""
+    fraction: float = 1.0
+    """Part of a straight line that it covers."""
+    waypoints: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """Joint path that was timed, shape (N, dof) [rad]."""
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.motion.duration
+
+    @property
+    def end(self) -> Array:
+        """Arm configuration at the end, shape (dof,) [rad]."""
+        return np.asarray(self.motion.evaluate(np.array([self.duration]))[0][0])
+
+    def sample(self, period_s: float) -> Trajectory:
+        """Sample the motion at a period, its end included."""
+        count = max(1, int(np.ceil(self.duration / period_s - 1e-9)))
+        times = np.append(np.arange(count) * period_s, self.duration)
+        q, v, a, _ = self.motion.evaluate(times)
+        return Trajectory(times=times, positions=q, velocities=v, accelerations=a)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Samples of a motion."""
+
+    times: Array
+    """From 0, shape (N,) [s]."""
+    positions: Array
+    """Shape (N, dof) [rad]."""
+    velocities: Array
+    """Shape (N, dof) [rad/s]."""
+    accelerations: Array
+    """Shape (N, dof) [rad/s^2]."""
+
+
+class PathIncompleteError(PlannerError):
+    """A straight line can only be followed in part; ``partial`` is the verified plan of that part, or none."""
+
+    code = ErrorCode.PATH_INCOMPLETE
+
+    def __init__(self, message: str, partial: Plan) -> None:
+        """Make the error with the part that can be done."""
+        super().__init__(message)
+        self.partial = partial
