@@ -36,8 +36,9 @@ def sheet(
     roboxim assets sheet mug bowl --variants --out variants.png
     """
     from roboxim_bringup.asset_sheet import contact_sheet, draw_object
+    from roboxim_core.config import digest
     from roboxim_core.models.library import ModelLibrary
-    from roboxim_core.specs import EntitySpec, Scalar
+    from roboxim_core.specs import EntitySpec, LookSpec, Scalar
     from roboxim_sim.rendering import make_renderer
 
     library = ModelLibrary()
@@ -57,8 +58,11 @@ def sheet(
         renderer.close()
     picture = contact_sheet(pictures, texts if labels else None, columns)
     out.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(out, optimize=True)
-    click.echo(f"wrote {out}: {len(pictures)} pictures, drawn by {renderer_name} on {renderer.device}")
+    picture.save(out, optimize=True, quality=90)
+    click.echo(
+        f"wrote {out}: {len(pictures)} pictures, drawn by {renderer_name} on {renderer.device}, "
+        f"look {digest(LookSpec())}"
+    )
 
 
 @command.command("check")

@@ -148,9 +148,8 @@ def blade_steel() -> Field:
 
 @TEXTURES.register("soda_print")
 def soda_print() -> Field:
-    """The word on a can's ribbon, four times around, dark on white."""
-    text = _print([("SODA", 0.5, 0.30)])
-    return _mixed([0.98, 0.98, 0.98], [0.10, 0.12, 0.35], np.tile(text.reshape(SIZE, -1, 4).mean(axis=2), (1, 4)))
+    """The word on a can's ribbon, dark on white."""
+    return _mixed([0.98, 0.98, 0.98], [0.10, 0.12, 0.35], _print([("SODA", 0.5, 0.34)]))
 
 
 @TEXTURES.register("milk_print")
@@ -166,10 +165,10 @@ def milk_print() -> Field:
 
 @TEXTURES.register("bottle_label")
 def bottle_label() -> Field:
-    """A paper label, three times around: a coloured band with a word, lines of small print."""
+    """A paper label: a coloured band with a word, lines of small print."""
     u, v = grid()
     label = np.full((SIZE, SIZE, 3), 0.95)
     label = _mixed(label, [0.03, 0.22, 0.45], ((v > 0.34) & (v < 0.80)).astype(np.float64))
-    small = (((v * 24) % 1.0 < 0.45) & (v > 0.08) & (v < 0.26) & (np.abs((u * 3) % 1.0 - 0.5) < 0.3)).astype(np.float64)
+    small = (((v * 24) % 1.0 < 0.45) & (v > 0.08) & (v < 0.26) & (np.abs(u - 0.5) < 0.3)).astype(np.float64)
     label = _mixed(label, [0.35, 0.35, 0.4], small)
-    return _mixed(label, [0.97, 0.97, 0.97], _print([("WATER", 0.57, 0.24)])[:, (3 * np.arange(SIZE)) % SIZE])
+    return _mixed(label, [0.97, 0.97, 0.97], _print([("WATER", 0.57, 0.24)]))

@@ -83,17 +83,18 @@ def ribbon(size: tuple[float, ...]) -> TriangleMesh:
     """Return a wavy ribbon around z.
 
     Args:
-        size: Radius, height of its middle line, width, amplitude of the wave [m], number of waves.
+        size: Radius, height of its middle line, width, amplitude of the wave [m], number of waves, number of times that
+            the texture repeats around it.
 
     Raises:
         ValueError: On another number of values.
     """
-    radius, z, width, amplitude, waves = size
+    radius, z, width, amplitude, waves, repeats = size
     u = np.linspace(0.0, 1.0, 41)
     out = np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u), np.zeros_like(u)], axis=1)
     middle = z + amplitude * np.sin(2 * np.pi * waves * u)
     rows = [radius * out + np.outer(middle + side * width / 2, [0.0, 0.0, 1.0]) for side in (-1, 1)]
-    return _grid_mesh(np.array(rows), np.array([out, out]), u, np.array([0.0, 1.0]))
+    return _grid_mesh(np.array(rows), np.array([out, out]), repeats * u, np.array([0.0, 1.0]))
 
 
 def _pairs(size: tuple[float, ...]) -> Array:
