@@ -24,7 +24,8 @@ from roboxim_core.models.description import RobotModel, Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec
-from roboxim_planner.collision import ContactPair
+from roboxim_planner.constraint import Upright
+from roboxim_planner.contacts import ContactPair
 from roboxim_planner.pipeline import MotionOptions, Plan, Planner
 from roboxim_planner.queries import (
     Answer,
@@ -231,7 +232,21 @@ def options_from_msg(msg: Any) -> MotionOptions:
     }
     values = {name: default if value == 0.0 else float(value) for name, (value, default) in numbers.items()}
     padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
-    return MotionOptions(**values, padding_m=padding, seed=int(msg.seed))
+    named = {"planner": msg.planner_id} if msg.planner_id else {}
+    upright = _upright(msg.path_constraints)
+    return MotionOptions(**values, **named, padding_m=padding, upright=upright, seed=int(msg.seed))
+
+
+def _upright(msg: Any) -> Upright | None:
+    if msg.tilt_tolerance == 0.0:
+        return None
+    given = {"tool_axis": _vector(msg.tool_axis), "world_axis": _vector(msg.world_axis)}
+    axes = {name: axis for name, axis in given.items() if any(axis)}
+    return Upright(tolerance_rad=float(msg.tilt_tolerance), **axes)
+
+
+def _vector(msg: Any) -> tuple[float, float, float]:
+    return msg.x, msg.y, msg.z
 
 
 def _limited(options: MotionOptions, msg: Any) -> MotionOptions:
@@ -242,7 +257,9 @@ def _limited(options: MotionOptions, msg: Any) -> MotionOptions:
         "max_tcp_speed_m_s": msg.max_tcp_speed,
         "max_tcp_rot_speed_rad_s": msg.max_tcp_rot_speed,
     }
-    return replace(options, **{name: float(value) for name, value in numbers.items() if value != 0.0})
+    given: dict[str, Any] = {name: float(value) for name, value in numbers.items() if value != 0.0}
+    upright = _upright(msg.path_constraints)
+    return replace(options, **given, upright=options.upright if upright is None else upright)
 
 
 def sample_period(msg: Any) -> float:

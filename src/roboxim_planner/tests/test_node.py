@@ -507,6 +507,25 @@ def test_unknown_frames_are_named(graph: Graph) -> None:
         assert f"did you mean '{hint}'" in str(error)
 
 
+def test_tool_stays_upright_and_a_tilted_goal_is_refused(graph: Graph) -> None:
+    request = to_pose(x=0.5, y=-0.35, z=0.4)
+    request.request.path_constraints.tilt_tolerance = 0.1
+    request.request.with_tcp_poses = True
+    request.request.scene.objects = [obstacle()]
+    start = graph.call(ComputeIK, "compute_ik", ComputeIK.Request(target=target(0.5, 0.35, 0.4))).solutions[0]
+    request.request.start_state = start
+    for pose in graph.call(PlanToPose, "plan_to_pose", request).plan.tcp_poses:
+        q = pose.orientation
+        down = 1.0 - 2.0 * (q.x**2 + q.y**2)  # z of the tcp along z of the world
+        assert down < -np.cos(0.101)
+    fill_pose(request.target.pose, Pose(position=(0.5, -0.3, 0.4), quat_xyzw=(0.7071068, 0.0, 0.7071068, 0.0)))
+    error = graph.refused(PlanToPose, "plan_to_pose", request)
+    assert error.code == ErrorCode.CONSTRAINT_VIOLATED
+    assert "tilted" in str(error)
+    request.request.planner_id = "RRTConect"
+    assert "did you mean 'RRTConnect'" in str(graph.refused(PlanToPose, "plan_to_pose", request))
+
+
 def test_a_deadline_of_a_millisecond_ends_in_timeout_and_its_dump_says_the_same(graph: Graph) -> None:
     request = PlanToJoints.Request(target=JointState(position=[-1.2, *FOLDED]))
     request.request.start_state = JointState(position=[1.2, *FOLDED])
