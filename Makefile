@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers render-peers photo lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers render-peers photo robot-visuals lock clean clean-all
 
 help: ## list these commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -58,6 +58,10 @@ render-peers: setup ## install MuJoCo and robosuite, which bench-render and benc
 
 photo: setup ## install Blender (GPL) beside RoboXim, for roboxim rerender --renderer photo
 	@$(BIN)/python scripts/make_environment.py photo
+
+robot-visuals: setup ## make the robots' URDFs and decimated meshes again from the example-robot-data wheel
+	$(BIN)/python config/robots/panda/derive.py
+	$(BIN)/python config/robots/ur5/derive.py
 
 lock: setup ## make the locks in requirements/ again from the pyproject.toml files
 	@$(BIN)/python scripts/lock.py $(ARGS)

@@ -1,7 +1,4 @@
-"""Visual meshes of robots from COLLADA files: what the robots' ``derive.py`` share.
-
-Needs ``fast-simplification`` and ``pycollada``.
-"""
+"""Visual meshes of robots from COLLADA files: what the robots' ``derive.py`` share."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from pathlib import Path
 import fast_simplification
 import numpy as np
 import trimesh
+from collada import read_collada
 
 TRIANGLES = 1600
 CREASE_RAD = np.radians(32.0)
@@ -25,15 +23,10 @@ def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) ->
         triangles: Number of triangles to come to.
         linear: Whether the file's colours are linear instead of sRGB.
     """
-    scene = trimesh.load_scene(source)
     vertices, faces, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], []
-    for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
-        mesh = scene.geometry[name].copy()
-        color = tuple(int(c) for c in mesh.visual.material.main_color[:3])
+    for color, mesh in read_collada(source):
         if linear:
             color = tuple(round(255.0 * (c / 255.0) ** (1.0 / 2.2)) for c in color)
-        mesh.apply_transform(transform)
         faces.append(mesh.faces + sum(len(points) for points in vertices))
         vertices.append(mesh.vertices)
         colors += [(230, 235, 237) if color == (229, 234, 237) else color] * len(mesh.faces)

@@ -1,8 +1,6 @@
 """Make this folder's URDF, SRDF and meshes: a UR5 of the `example-robot-data` wheel with the Panda's hand.
 
-Run it only to renew them; needs ``example-robot-data``, ``pin``, ``fast-simplification`` and ``pycollada``::
-
-    python config/robots/ur5/derive.py
+``make robot-visuals`` renews them.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from roboxim_core.models.visuals import (
     box_mesh,
     object_link_poses,
     render_world,
+    robot_parts,
     visual_generators,
     visual_parts,
 )
@@ -204,3 +205,10 @@ def test_no_model_file_holds_an_absolute_path(robot_id: str) -> None:
     for line in robot.urdf.read_text().splitlines():
         if "filename" in line:
             assert 'filename="package://' in line
+
+
+def test_the_default_robot_has_few_enough_triangles_for_a_renderer_without_a_gpu() -> None:
+    robot = LIBRARY.robot("panda")
+    parts = robot_parts(robot.id, robot.urdf)
+    assert sum(len(part.mesh.faces) for link in parts.values() for part in link) <= 11_500
+    assert len(parts) == 11

@@ -1,0 +1,45 @@
+"""Reads the COLLADA files of `example-robot-data`: triangles, matrices and diffuse colours, no more."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+
+def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
+    """Return the colour (0..255, as the file has it) and the placed mesh of each geometry.
+
+    Raises:
+        ValueError: When the file uses what this does not read.
+    """
+    root = ElementTree.fromstring(re.sub(r' xmlns="[^"]*"', "", path.read_text(), count=1))
+    by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
+    found = []
+    try:
+        for node in root.iter("node"):
+            instance = node.find("instance_geometry")
+            if instance is not None:
+                matrix = np.array(node.find("matrix").text.split(), dtype=float).reshape(4, 4)
+                material = by_id[instance.find(".//instance_material").get("target")]
+                effect = by_id[material.find("instance_effect").get("url")]
+                diffuse = np.array(effect.find(".//diffuse/color").text.split()[:3], dtype=float)
+                mesh = _mesh(by_id[instance.get("url")].find("mesh/triangles"), by_id)
+                mesh.apply_transform(matrix)
+                found.append((tuple(int(c) for c in np.rint(255 * diffuse)), mesh))
+    except (AttributeError, KeyError) as error:
+        raise ValueError(f"{path} has more than triangles, matrices and diffuse colours: {error}") from None
+    return found
+
+
+def _mesh(triangles: ElementTree.Element, by_id: dict[str, ElementTree.Element]) -> trimesh.Trimesh:
+    inputs = {e.get("semantic"): (int(e.get("offset")), by_id[e.get("source")]) for e in triangles.iter("input")}
+    offset, vertices = inputs["VERTEX"]
+    positions = by_id[vertices.find("input[@semantic='POSITION']").get("source")]
+    points = np.array(positions.find("float_array").text.split(), dtype=float).reshape(-1, 3)
+    stride = 1 + max(number for number, _ in inputs.values())
+    index = np.array(triangles.find("p").text.split(), dtype=int).reshape(-1, stride)
+    return trimesh.Trimesh(points, index[:, offset].reshape(-1, 3), process=False)
