@@ -1,15 +1,18 @@
-"""What else the planner promises, measured with the referee's eyes: inverse kinematics, straight retreats, memory."""
+"""What else the planner promises, measured by the referee: inverse kinematics, straight retreats, memory, load."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from _contenders import Contender
+from _contenders import OURS, Contender
 from _problems import Problem, arm, configuration_at, tabletop
 from _referee import LOWER, PERIOD_S, UPPER, Referee
 from peers._serve import pack, unpack
@@ -43,6 +46,30 @@ def ik_row(ours: Contender, count: int, salt: int) -> Row:
         "median_ms": round(float(np.median(times)), 4),
         "p95_ms": round(float(np.percentile(times, 95)), 4),
         "max_ms": round(float(times.max()), 3),
+    }
+
+
+def load_row(make: Callable[[], Contender], count: int, salt: int) -> Row:
+    """Make the same plans in a fresh process, and in another while four processes per core keep the machine busy."""
+    problems = [tabletop(seed, salt).plain() for seed in range(count)]
+    request = {"op": "digests", "problems": problems, "seed": 0}
+    with make() as alone:
+        expected = alone.ask(request, 300.0)["digests"]
+    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * (os.cpu_count() or 1))]
+    try:
+        with make() as loaded:
+            found = loaded.ask(request, 600.0)["digests"]
+    finally:
+        for burner in burners:
+            burner.kill()
+            burner.wait()
+    same = sum(a == b for a, b in zip(expected, found, strict=True))
+    return {
+        "problems": "the same plans under 4 x CPU load",
+        "contender": OURS,
+        "count": count,
+        "valid": same,
+        "valid_share": round(same / count, 4),
     }
 
 

@@ -28,6 +28,7 @@ from peers._serve import unpack
 Array = npt.NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 TOOLS = HERE.parent / ".tools"
+OURS = "roboxim"
 LIMIT_S = 5.0
 """Time for a problem."""
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
@@ -180,13 +181,18 @@ def contenders(names: list[str], robot_folder: Path) -> tuple[list[Contender], l
     write_robot(robot_folder)
     found, missing = [], []
     for name in names:
-        python = Path(sys.executable) if name == "roboxim" else TOOLS / f"planner-{name}-env/bin/python"
-        arguments = [] if name == "roboxim" else [str(robot_folder)]
+        python = Path(sys.executable) if name == OURS else TOOLS / f"planner-{name}-env/bin/python"
+        arguments = [] if name == OURS else [str(robot_folder)]
         if python.exists():
             found.append(Contender(name, python, f"run_{name}.py", *arguments))
         else:
             missing.append(name)
     return found, missing
+
+
+def our_planner() -> Contender:
+    """Return ours, in a process of its own."""
+    return Contender(OURS, Path(sys.executable), "run_roboxim.py")
 
 
 def toppra_measure() -> Contender | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from _contenders import Contender, Outcome
+from _contenders import OURS, Contender, Outcome
 from _exhaustive import is_solvable
 from _problems import Problem, tabletop
 from _problems_hard import FAMILIES, hard
@@ -19,7 +19,6 @@ from peers._serve import pack
 
 Draw = tuple[str, int, Callable[[], Problem]]
 """Name, seed, and how to make the problem."""
-OURS = "roboxim"
 
 
 class Store:

@@ -11,6 +11,7 @@ hard       shelves, a crate, a cage, cluttered tables, in the manner of MotionBe
 ik         10,000 reachable poses
 retreat    a pose and 12 cm straight back from it as one request, where a brute-force search finds it feasible
 memory     growth of the process over 10,000 plans
+load       200 plans twice, the second time under four busy processes a core: bit for bit the same
 
 What a service adds to the core's time is ``benchmarks/planner_service.py``.
 """
@@ -27,18 +28,18 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parent))
-from _abilities import ik_row, memory_row, retreat_row
-from _contenders import Contender, contenders, toppra_measure
+from _abilities import ik_row, load_row, memory_row, retreat_row
+from _contenders import OURS, Contender, contenders, our_planner, toppra_measure
 from _harness import Bench
-from _motions import OURS, Draw, Store, file_draws, hard_draws, run_problems, summary, tabletop_draws, unsolved
+from _motions import Draw, Store, file_draws, hard_draws, run_problems, summary, tabletop_draws, unsolved
 from _problem_files import ProblemFileError, load_problems
 
-SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory")
+SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory", "load")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add this benchmark's options."""
-    parser.add_argument("--rows", default=",".join(SECTIONS), help=f"of {','.join(SECTIONS)}; default: all")
+    parser.add_argument("--rows", help=f"of {','.join(SECTIONS)}; default: all (quick: all but load)")
     parser.add_argument("--seed", type=int, default=0, help="another set of problems for each; default: 0")
     parser.add_argument("--count", type=int, help="tabletop problems; default: 1000 (quick: 30)")
     parser.add_argument("--hard-count", type=int, help="problems of each hard family; default: 100 (quick: 1)")
@@ -54,7 +55,7 @@ def main() -> None:
     """Run the benchmark."""
     bench = Bench("planner", __doc__, add_options)
     options = bench.options
-    rows = options.rows.split(",")
+    rows = options.rows.split(",") if options.rows else list(SECTIONS[: -1 if bench.quick else None])
     if set(rows) - set(SECTIONS):
         sys.exit(f"--rows: unknown {set(rows) - set(SECTIONS)}; there are {', '.join(SECTIONS)}")
     store = Store(options.resume)
@@ -93,6 +94,10 @@ def main() -> None:
             row = memory_row(ours, 500 if bench.quick else 10_000, options.seed)
             bench.row(**row)
             headlines.append(("memory left of 1 MB", 1.0 - float(row["grown_mib"]), "MiB", 0.0))
+        if "load" in rows:
+            row = load_row(our_planner, 20 if bench.quick else 200, options.seed)
+            headlines.append(("share of plans that load does not change", float(row["valid_share"]), "", 1.0))
+            bench.row(**row)
     name, value, unit, goal = headlines[0]
     bench.finish(name, value, unit, at_least=goal)
 

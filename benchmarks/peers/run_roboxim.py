@@ -1,11 +1,12 @@
 """RoboXim's planner as a contender. ``ms`` includes setting up the scene, which is part of each request.
 
-Beyond the contenders' protocol it answers requests with an ``op``: ``ik``, ``retreat`` and ``repeat``.
+Beyond the contenders' protocol it answers requests with an ``op``: ``ik``, ``retreat``, ``repeat`` and ``digests``.
 """
 
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 import time
 from collections.abc import Callable
@@ -28,7 +29,7 @@ def make() -> Callable[[dict[str, Any]], Answer]:
     """Load the robot."""
     planner = Planner(ModelLibrary().robot("panda"))
     planner.plan_to_joints(PlanningScene(), planner.named_state("home"), planner.named_state("ready"))
-    answers = {"plan": plan, "ik": inverse_kinematics, "retreat": retreat, "repeat": repeat}
+    answers = {"plan": plan, "ik": inverse_kinematics, "retreat": retreat, "repeat": repeat, "digests": digests}
     return lambda request: answers[request.get("op", "plan")](planner, request)
 
 
@@ -103,6 +104,18 @@ def repeat(planner: Planner, request: dict[str, Any]) -> Answer:
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return {"error": "", "rss_mib": pages * os.sysconf("SC_PAGESIZE") / 2**20}
+
+
+def digests(planner: Planner, request: dict[str, Any]) -> Answer:
+    """Plan problems; answers a hash of each motion's samples, or the error's code."""
+    found = []
+    for k, problem in enumerate(request["problems"]):
+        try:
+            samples = _plan(planner, problem, request["seed"] + k, no_watch).sample(1e-3)
+            found.append(hashlib.sha256(samples.positions.tobytes()).hexdigest())
+        except RoboximError as error:
+            found.append(error.code.name)
+    return {"error": "", "digests": found}
 
 
 def scene_of(problem: dict[str, Any]) -> PlanningScene:
