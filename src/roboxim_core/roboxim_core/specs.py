@@ -261,9 +261,9 @@ class LookSpec:
 
     table: MaterialSpec = MaterialSpec(color=(0.72, 0.56, 0.42), roughness=0.55, texture="wood")
     """Material of the table's top."""
-    floor: MaterialSpec = MaterialSpec(color=(0.44, 0.45, 0.47), roughness=0.9)
+    floor: MaterialSpec = MaterialSpec(color=(0.5, 0.51, 0.53), roughness=0.9, texture="concrete")
     """Material of the floor."""
-    wall: MaterialSpec = MaterialSpec(color=(0.92, 0.92, 0.9), roughness=0.95)
+    wall: MaterialSpec = MaterialSpec(color=(0.92, 0.92, 0.9), roughness=0.95, texture="plaster")
     """Material of the wall behind the table."""
     ambient: RGB = (0.54, 0.55, 0.58)
     """Radiance of the surroundings (image-based light's mean)."""

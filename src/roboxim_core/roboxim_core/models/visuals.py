@@ -185,7 +185,9 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
     wide, deep, thick = table.size
     legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
     under = z - thick
-    parts = [_slab(table.size, (x, y, z - thick / 2), look.table)]
+    top = _slab(table.size, (x, y, z - thick / 2), look.table)
+    # Without coordinates of its own a texture is as large as it is, not as the table.
+    parts = [replace(top, mesh=replace(top.mesh, uv=None))]
     for side_x in (-1, 1):
         for side_y in (-1, 1):
             foot = (x + side_x * (wide / 2 - 0.06), y + side_y * (deep / 2 - 0.06), (under + FLOOR_Z) / 2)

@@ -143,8 +143,8 @@ class Frame:
         ambient = np.asarray(self._look.ambient, dtype=float)
         rows = [
             [offset],
-            [*(1.25 * ambient), len(self.lights) - 1],
-            [*(ambient * (0.72, 0.66, 0.6)), size],
+            [*(1.1 * ambient), len(self.lights) - 1],
+            [*(ambient * (0.5, 0.45, 0.4)), size],
             vectors[0],
             colors[0],
             self.contact_box if self.touching.any() else [0.0, 0.0, 1.0, 0.0],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,13 +33,16 @@ VERTEX = np.dtype(
         ("ids", np.uint16, 2),
     ]
 )
-"""A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture layer; ids: body,
-entity."""
+"""A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture layer, openness; ids:
+body, entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
 COARSE_FACES = 700
 """Faces that a body is simplified to for its shadow, and for images in which it is small."""
 WHITE_LAYER = 0
+
+Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[npt.NDArray[np.uint8]]]
+"""From a body's meshes, and meshes whose vertices are asked about, to 0..255 for each vertex of the latter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,8 +118,12 @@ class PackedWorld:
         return max(tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
 
 
-def pack(world: RenderWorld) -> PackedWorld:
+def pack(world: RenderWorld, openness: Openness) -> PackedWorld:
     """Pack a world.
+
+    Args:
+        world: The world.
+        openness: Tells how open the vertices of a body's meshes are (see `occlusion`).
 
     Raises:
         InvalidRequestError: On a malformed mesh, a duplicate key, or too many bodies, entities or textures.
@@ -135,7 +142,7 @@ def pack(world: RenderWorld) -> PackedWorld:
         alone = body.entity in SURROUNDINGS
         for parts in [(part,) for part in body.parts] if alone else [body.parts] if body.parts else []:
             ids = (len(bodies), entities[body.entity])
-            bodies.append(_packed(body, parts, textures, ids, arrays))
+            bodies.append(_packed(body, parts, textures, ids, arrays, openness))
     return PackedWorld(
         vertices=np.concatenate(arrays.vertices),
         indices=np.concatenate(arrays.indices),
@@ -146,28 +153,38 @@ def pack(world: RenderWorld) -> PackedWorld:
 
 
 def _packed(
-    body: RenderBody, parts: Sequence[VisualPart], textures: Sequence[str], ids: tuple[int, int], arrays: _Arrays
+    body: RenderBody,
+    parts: Sequence[VisualPart],
+    textures: Sequence[str],
+    ids: tuple[int, int],
+    arrays: _Arrays,
+    openness: Openness,
 ) -> PackedBody:
     """Add a body's parts to the arrays: plain ones, textured ones, and all coarse ones (plain first)."""
     parts = sorted(parts, key=lambda part: bool(part.material.texture))
-    start = arrays.count
-    bounds = [start]
-    for with_texture in (False, True):
-        for part in parts:
-            if bool(part.material.texture) is with_texture:
-                arrays.add(*_shaped(part, part.mesh, textures.index(part.material.texture), ids))
-        bounds.append(arrays.count)
-    plain, textured = range(bounds[0], bounds[1]), range(bounds[1], bounds[2])
-    plain_coarse, shadow = plain, range(start, arrays.count)
-    if body.entity in SURROUNDINGS:
+    fine = [part.mesh for part in parts]
+    room = body.entity in SURROUNDINGS
+    coarse = (
+        () if room or sum(len(mesh.faces) for mesh in fine) <= 2 * COARSE_FACES else coarse_meshes(fine, COARSE_FACES)
+    )
+    if room or body.entity == "table":
+        shades: Sequence[npt.NDArray[np.uint8]] = [np.full(len(mesh.vertices), 255, np.uint8) for mesh in fine]
+    else:
+        shades = openness(fine, [*fine, *coarse])
+    start, plain_end = arrays.count, arrays.count
+    for part, mesh, shade in zip(parts, fine, shades, strict=False):
+        arrays.add(*_shaped(part, mesh, textures.index(part.material.texture), shade, ids))
+        plain_end = plain_end if part.material.texture else arrays.count
+    plain, textured, shadow = range(start, plain_end), range(plain_end, arrays.count), range(start, arrays.count)
+    plain_coarse = plain
+    if coarse:
+        start = plain_end = arrays.count
+        for part, mesh, shade in zip(parts, coarse, shades[len(fine) :], strict=True):
+            arrays.add(*_shaped(part, mesh, WHITE_LAYER, shade, ids))
+            plain_end = plain_end if part.material.texture else arrays.count
+        plain_coarse, shadow = range(start, plain_end), range(start, arrays.count)
+    if room:
         shadow = range(start, start)
-    elif len(shadow) > 2 * 3 * COARSE_FACES:
-        first = arrays.count
-        for part, mesh in zip(parts, coarse_meshes([part.mesh for part in parts], COARSE_FACES), strict=True):
-            arrays.add(*_shaped(part, mesh, WHITE_LAYER, ids))
-            if not part.material.texture:
-                plain_coarse = range(first, arrays.count)
-        shadow = range(first, arrays.count)
     points = np.concatenate([part.mesh.vertices for part in parts]).astype(float)
     low, high = points.min(axis=0), points.max(axis=0)
     center = (low + high) / 2
@@ -249,16 +266,19 @@ def linear(color: RGB) -> npt.NDArray[np.float64]:
 
 
 def _shaped(
-    part: VisualPart, mesh: TriangleMesh, layer: int, ids: tuple[int, int]
+    part: VisualPart, mesh: TriangleMesh, layer: int, shade: npt.NDArray[np.uint8], ids: tuple[int, int]
 ) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
-    mesh = textured(mesh) if layer else mesh
+    if layer and mesh.uv is None:
+        shade = shade[mesh.faces].reshape(-1)
+        mesh = textured(mesh)
     packed = np.zeros(len(mesh.vertices), VERTEX)
     packed["position"] = mesh.vertices
     packed["normal"] = mesh.normals
     packed["uv"] = 0.0 if mesh.uv is None else mesh.uv
     color = [*np.sqrt(linear(part.material.color)), part.material.metallic]
     packed["color"] = np.rint(255 * np.clip(color, 0.0, 1.0))
-    packed["surface"] = (round(255 * min(max(part.material.roughness, 0.08), 1.0)), layer, 0, 0)
+    packed["surface"][:, :2] = round(255 * min(max(part.material.roughness, 0.08), 1.0)), layer
+    packed["surface"][:, 2] = shade
     packed["ids"] = ids
     return packed, np.asarray(mesh.faces, dtype=np.uint32)
 

@@ -29,6 +29,7 @@ from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.frame import MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import check_request, pack
 from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, create_context
+from roboxim_sim.rendering.occlusion import OcclusionBaker
 from roboxim_sim.rendering.owner import Owner
 
 CONTACT_SIZE = 96
@@ -67,6 +68,7 @@ class RasterRenderer:
         self._shadow: Buffer | None = None
         self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], depth="buffer")
         self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")])
+        self._occlusion = OcclusionBaker(ctx)
         self._world: tuple[GpuWorld, LookSpec] | None = None
         self._targets: list[_Target] = []
 
@@ -79,7 +81,8 @@ class RasterRenderer:
             SimError: When called from another thread or process, or after `close`.
         """
         self._owner.check()
-        packed = pack(world)
+        with self._context:
+            packed = pack(world, self._occlusion.openness)
         if len(packed.bodies) > self._max_bodies or len(world.look.lights) > MAX_LIGHTS:
             raise InvalidRequestError(
                 f"renderer 'raster' draws at most {self._max_bodies} bodies and {MAX_LIGHTS} lights, got "
@@ -136,6 +139,7 @@ class RasterRenderer:
                 array.release()
             for shader in self._shaders.values():
                 shader.program.release()
+            self._occlusion.release()
             self._poses.release()
             self._views.release()
             self._corners.release()

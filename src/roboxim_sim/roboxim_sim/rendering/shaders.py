@@ -44,6 +44,17 @@ SHADOW_FRAGMENT = """
 void main() {}
 """
 
+# A body from many sides at once, one instance each, side by side.
+OCCLUSION_VERTEX = """
+uniform mat3 axes[SIDES];
+in vec3 in_position;
+void main() {
+    vec3 p = axes[gl_InstanceID] * in_position;          // within the unit ball
+    vec2 cell = vec2(gl_InstanceID % COLUMNS, gl_InstanceID / COLUMNS);
+    gl_Position = vec4((p.xy + 1.0 + 2.0 * cell) / vec2(COLUMNS, ROWS) - 1.0, p.z, 1.0);
+}
+"""
+
 SCENE_VERTEX = (
     _POSES
     + _VIEW
@@ -61,6 +72,7 @@ out vec2 uv;
 #endif
 flat out vec4 color;
 flat out vec3 surface;
+out float openness;
 void main() {
     position = to_world(in_ids.x, vec4(in_position, 1.0));
     normal = to_world(in_ids.x, vec4(in_normal, 0.0));
@@ -68,6 +80,7 @@ void main() {
     uv = in_uv;
 #endif
     color = in_color;
+    openness = in_surface.z;
     surface = vec3(in_surface.x, floor(in_surface.y * 255.0 + 0.5), float(in_ids.y));
     gl_Position = clip_from_world * vec4(position, 1.0);
 }
@@ -87,6 +100,7 @@ in vec2 uv;
 #endif
 flat in vec4 color;
 flat in vec3 surface;
+in float openness;
 layout(location = 0) out vec4 out_color;
 #ifdef GEOMETRY
 layout(location = 1) out vec2 out_geometry;
@@ -168,11 +182,11 @@ void main() {
     for (int i = 0; i < int(sky.w); i++) lit += reflected(s, more_vectors[i], more_colors[i].rgb);
 #endif
 
-    float open = 1.0;
+    float open = openness;
 #ifdef CONTACT
     vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.z).xy;
     float gap = covered.y - position.z;    // height of what hangs over this point
-    open -= 0.75 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
+    open -= 0.85 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
             * clamp(0.3 + n.z, 0.0, 1.0);
 #endif
 
@@ -184,7 +198,8 @@ void main() {
     around += sky.rgb * ((1.0 - roughness) * (2.2 * box_a * box_a + 1.6 * box_b * box_b));
     float g = 1.0 - nv;
     float g2 = g * g;
-    vec3 mirror = f0 * (1.0 - 0.45 * roughness) + (1.0 - roughness) * (1.0 - roughness) * (g2 * g2 * g) * (1.0 - f0);
+    float smoothness = 1.0 - roughness;
+    vec3 mirror = f0 * (1.0 - 0.45 * roughness) + 0.5 * smoothness * smoothness * (g2 * g2 * g) * (1.0 - f0);
     vec3 ambient = diffuse * mix(ground.rgb, sky.rgb, n.z * 0.5 + 0.5) + around * mirror;
     vec3 c = lit + ambient * open;
 

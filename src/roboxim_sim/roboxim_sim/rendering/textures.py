@@ -25,7 +25,8 @@ def wood() -> Field:
     rings = np.sin(2 * np.pi * (3.0 * y * boards + 0.9 * flow))
     tone = rng.uniform(-0.05, 0.05, boards)[board][:, None]
     gap = np.abs((y * boards + 0.5) % 1.0 - 0.5) * SIZE / boards
-    light = 0.82 + tone + 0.035 * rings + 0.05 * grain + 0.03 * fibre
+    pores = np.clip(rolled(noise(5, 24.0, 250.0), shift) - 1.6, 0.0, 1.0)
+    light = 0.82 + tone + 0.035 * rings + 0.05 * grain + 0.04 * fibre - 0.09 * pores
     light *= 1.0 - 0.45 * np.clip(1.4 - gap, 0.0, 1.0)
     warm = np.clip(0.82 - light, -0.2, 0.4)[..., None] * np.array([0.0, 0.25, 0.5])
     return np.asarray(np.clip(light, 0.25, 1.0)[..., None] - warm)
@@ -44,6 +45,14 @@ def concrete() -> Field:
     pores = np.clip(noise(13, 70, 70) - 2.3, 0.0, 1.0)
     clouds, grain = 0.05 * noise(11, 4, 4) + 0.03 * noise(12, 25, 25), 0.02 * noise(14, 200, 200)
     return np.asarray(np.clip(0.8 + clouds + grain - 0.4 * pores, 0, 1))
+
+
+@TEXTURES.register("plaster")
+def plaster() -> Field:
+    """Painted plaster: light, faintly uneven."""
+    return np.asarray(
+        np.clip(0.93 + 0.012 * noise(51, 5, 5) + 0.012 * noise(52, 60, 60) + 0.008 * noise(53, 200, 200), 0, 1)
+    )
 
 
 @TEXTURES.register("fabric")
