@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from click.testing import CliRunner
 from PIL import Image
 
 from roboxim_bringup.asset_check import check, simplify, starter
-from roboxim_core.errors import ConfigError
+from roboxim_bringup.commands.assets import command
+from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import Pose, look_at
@@ -230,9 +232,9 @@ def test_a_missing_texture_is_found(say: Callable[[str], str], library: ModelLib
     assert say(text) == ""
     for image in folder(library).glob("*.png"):
         image.unlink()
-    assert "names the texture" in say(text)
+    assert "needs the texture" in say(text)
     (folder(library) / "material.mtl").unlink()
-    assert "names the material file material.mtl" in say(text)
+    assert "needs the material file material.mtl" in say(text)
     plain = "{name: a, links: [{mass: 0.1, collision: [{kind: box, size: [0.05, 0.05, 0.05]}], visual: [{kind: box, "
     assert "did you mean 'wood_grain'" in say(plain + "size: [0.05, 0.05, 0.05], material: {texture: wood_gran}}]}]}")
     assert "label.png" in say(plain + "size: [0.05, 0.05, 0.05], material: {texture: label.png}}]}]}")
@@ -255,6 +257,41 @@ def test_a_mesh_gets_a_first_file_that_passes(library: ModelLibrary) -> None:
     assert "mesh_scale: 0.001" in text
     (folder(library) / "brick.yaml").write_text(text)
     assert check("brick", library) == []
+
+
+@pytest.mark.parametrize("ending", ["glb", "obj"])
+def test_the_hash_covers_the_files_that_the_yaml_names(library: ModelLibrary, ending: str) -> None:
+    brick().export(folder(library) / f"brick.{ending}")
+    (folder(library) / "brick.yaml").write_text(GOOD.replace("brick.glb", f"brick.{ending}"))
+    before = library.digest("brick")
+    for file in (f for f in folder(library).iterdir() if f.suffix != ".yaml"):
+        kept = file.read_bytes()
+        file.write_bytes(kept + b"#")
+        assert library.digest("brick") != before, file.name
+        file.write_bytes(kept)
+    assert library.digest("brick") == before
+
+
+def test_the_command_line_draws_checks_and_starts_objects(library: ModelLibrary, tmp_path: Path) -> None:
+    run = CliRunner()
+    out = tmp_path / "sheet.png"
+    args = ["sheet", "cube", "plate", "--size", "48", "--columns", "2", "--out", str(out)]
+    for more, height in (([], 78), (["--no-labels"], 56)):
+        drawn = run.invoke(command, [*args, *more])
+        assert drawn.exit_code == 0, drawn.output
+        with Image.open(out) as picture:
+            assert picture.size == (108, height)
+            assert np.asarray(picture).std() > 10
+    assert "2 pictures, drawn by raster" in drawn.output
+    brick((60.0, 40.0, 30.0)).export(folder(library) / "brick.glb")
+    (folder(library) / "brick.yaml").write_text(GOOD)
+    failed = run.invoke(command, ["check", "mug", "brick"])
+    assert isinstance(failed.exception, RoboximError)
+    assert "mug: good" in failed.output
+    assert "millimetres" in failed.output
+    started = run.invoke(command, ["new", str(folder(library) / "brick.glb")])
+    (folder(library) / "brick.yaml").write_text(started.output)
+    assert run.invoke(command, ["check", "brick"]).exit_code == 0
 
 
 def test_of_two_objects_of_one_name_the_users_counts(library: ModelLibrary) -> None:

@@ -5,7 +5,6 @@ Errors make an object unusable; warnings are what is probably not meant. Every b
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.bounds import links_bounds, shape_bounds
 from roboxim_core.models.description import GraspAnnotation, ObjectModel, Shape, Visual
-from roboxim_core.models.hulls import load_mesh
+from roboxim_core.models.hulls import load_mesh, obj_references
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.models.visuals import visual_parts
 from roboxim_core.poses import Array, Pose
@@ -152,18 +151,13 @@ def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
 
 def _missing_images(path: Path) -> list[Finding]:
     """Return which material files and textures of an OBJ are not there; other formats' readers say it themselves."""
-    if path.suffix.lower() != ".obj":
-        return []
-    found = []
-    for library in re.findall(r"^mtllib\s+(.+?)\s*$", path.read_text(errors="replace"), flags=re.M):
-        file = path.parent / library
-        if not file.is_file():
-            found.append(_error(f"{path.name} names the material file {library}, which is not beside it"))
-            continue
-        for image in re.findall(r"^\s*map_Kd\s+(.+?)\s*$", file.read_text(errors="replace"), flags=re.M):
-            if not (path.parent / image).is_file():
-                found.append(_error(f"{library} names the texture {image}, which is not there"))
-    return found
+    return [
+        _error(
+            f"{path.name} needs the {'material file' if name.endswith('.mtl') else 'texture'} {name}, which is not there"
+        )
+        for name, file in obj_references(path).items()
+        if not file.is_file()
+    ]
 
 
 def _urdf_inertias(path: Path) -> list[Finding]:

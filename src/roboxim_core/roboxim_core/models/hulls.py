@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -79,6 +80,19 @@ def hull_of(path: Path | str) -> trimesh.Trimesh:
     if flat:
         raise ConfigError(f"the mesh {path} is flat: its convex hull has no volume; use a box for its collision")
     return hull
+
+
+def obj_references(path: Path) -> dict[str, Path]:
+    """Return the material files that an OBJ file names, and the colour images that these name; others name none."""
+    if path.suffix.lower() != ".obj" or not path.is_file():
+        return {}
+    found = {}
+    for library in re.findall(r"^mtllib\s+(.+?)\s*$", path.read_text(errors="replace"), flags=re.M):
+        file = found[library] = path.parent / library
+        if file.is_file():
+            images = re.findall(r"^\s*map_Kd\s+(.+?)\s*$", file.read_text(errors="replace"), flags=re.M)
+            found |= {image: path.parent / image for image in images}
+    return found
 
 
 @lru_cache(maxsize=128)

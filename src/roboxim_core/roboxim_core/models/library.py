@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -163,9 +164,11 @@ class ModelLibrary:
         kind = "robots" if model_id in self.robot_ids else "objects"
         path = self.path(kind, model_id)
         files = [path, *sorted(p for p in path.with_suffix("").rglob("*") if p.suffix in _ASSETS)]
+        if kind == "objects":
+            files += sorted(set(_named_files(path, path.stat().st_mtime_ns)) - set(files))
         hashed = hashlib.blake2b(digest_size=8)
         for file in files:
-            hashed.update(json.dumps([file.relative_to(path.parent).as_posix(), file.stat().st_size]).encode())
+            hashed.update(json.dumps([os.path.relpath(file, path.parent), file.stat().st_size]).encode())
             hashed.update(file.read_bytes())
         return hashed.hexdigest()
 
@@ -207,6 +210,12 @@ def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
 
 
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}
+
+
+@lru_cache(maxsize=256)
+def _named_files(path: Path, _: int) -> tuple[Path, ...]:
+    """Return the files that an object's YAML file names, and those that they name; the time only keys the cache."""
+    return load_config(path, ObjectConfig).files(path.parent)
 
 
 @lru_cache(maxsize=8)

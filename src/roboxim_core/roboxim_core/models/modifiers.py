@@ -56,7 +56,9 @@ FINISHES: Mapping[str, Finish] = MappingProxyType(
             friction=0.8,
         ),
         "metal": Finish(
-            surface=MaterialSpec(color=(0.80, 0.80, 0.79), metallic=1.0, roughness=0.3), density=2.0, friction=0.7
+            surface=MaterialSpec(color=(0.80, 0.80, 0.79), metallic=1.0, roughness=0.25, texture="brushed_metal"),
+            density=2.0,
+            friction=0.7,
         ),
         "ceramic": Finish(surface=MaterialSpec(color=(0.90, 0.89, 0.86), roughness=0.2), density=1.5, friction=0.7),
         "rubber": Finish(surface=MaterialSpec(color=(0.13, 0.13, 0.14), roughness=0.85), density=1.2, friction=1.0),

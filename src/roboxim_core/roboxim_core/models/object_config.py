@@ -24,7 +24,7 @@ from roboxim_core.models.description import (
     Shape,
     Visual,
 )
-from roboxim_core.models.hulls import hull_file
+from roboxim_core.models.hulls import hull_file, obj_references
 from roboxim_core.models.modifiers import ModifierModel
 from roboxim_core.models.urdf import urdf_object
 from roboxim_core.poses import Array, Pose, Vec3
@@ -180,6 +180,24 @@ class ObjectConfig:
             )
             return replace(self, mesh="", links=(link,))
         return self
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """Return the files that it names, and the material files and images that these name, as far as they exist.
+
+        Args:
+            folder: Folder of the YAML file, which other files are relative to.
+
+        Raises:
+            ConfigError: When a URDF cannot be read.
+        """
+        names = [self.urdf]
+        for link in self.resolved(folder).links:
+            names += [shape.mesh for shape in link.collision] + [visual.mesh for visual in link.visual]
+            names += [v.material.texture for v in link.visual if Path(v.material.texture).suffix in _IMAGES]
+        found = [(folder / name).resolve() for name in dict.fromkeys(names) if name]
+        for file in found:
+            found += [other for other in obj_references(file).values() if other not in found]
+        return tuple(file for file in found if file.is_file())
 
     def model(self, object_id: str, folder: Path) -> ObjectModel:
         """Return the object without modifiers: files with their full paths, hulls in the cache, rings as boxes.
