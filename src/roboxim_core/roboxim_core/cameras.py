@@ -170,19 +170,20 @@ def rays_of_pixels(camera: CameraSpec) -> Array:
     """
     fx, fy, cx, cy = camera.matrix
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    pixels = (np.stack([u, v], axis=-1).reshape(-1, 2) - (cx, cy)) / (fx, fy)
+    pixels: Array = np.asarray((np.stack([u, v], axis=-1).reshape(-1, 2) - (cx, cy)) / (fx, fy), dtype=float)
     rays = pixels.copy()
     if any(camera.distortion):
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(MAX_ITERATIONS):  # Newton's method with the radial part's derivative
                 rays += (pixels - distort(camera, rays)) / _stretch(camera, rays)[:, None]
-            error = np.abs(distort(camera, rays) - pixels).max() * max(fx, fy)
+            error = float(np.abs(distort(camera, rays) - pixels).max()) * max(fx, fy)
         if not error < 0.01 or (_stretch(camera, rays) <= 0).any():
             raise InvalidRequestError(
                 f"camera '{camera.name}': the distortion {camera.distortion} folds the image at its edges; "
                 "it was calibrated for a narrower field of view"
             )
-    return rays.reshape(camera.height, camera.width, 2)
+    shaped: Array = rays.reshape(camera.height, camera.width, 2)
+    return shaped
 
 
 def _stretch(camera: CameraSpec, rays: Array) -> Array:

@@ -231,7 +231,7 @@ def _developed(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     over = np.maximum(light - 0.6, 0.0)
     light = np.clip(np.minimum(light, 0.6) + over / (1 + 2.5 * over), 0.0, 1.0)
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
-    return np.rint(255 * srgb).astype(np.uint8)
+    return np.asarray(np.rint(255 * srgb), dtype=np.uint8)
 
 
 def _foreign_environment() -> dict[str, str]:

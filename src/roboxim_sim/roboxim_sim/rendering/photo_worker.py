@@ -22,6 +22,8 @@ import numpy as np
 
 PIXEL_TYPES = {0: np.uint32, 1: np.float16, 2: np.float32}
 """OpenEXR's pixel types."""
+MARGIN = 4
+"""Pixels that are drawn around the image and cut off: the denoiser is wrong at its edges."""
 FAR_M = 1e9
 """Cycles gives this or more where there is nothing."""
 
@@ -59,7 +61,7 @@ class Studio:
 
     def __init__(self, samples: int, threads: int) -> None:
         """Set Cycles up; ``threads`` 0: one per core."""
-        import bpy
+        import bpy  # type: ignore[import-not-found]
 
         self._bpy = bpy
         self._samples, self._threads = samples, threads
@@ -245,7 +247,8 @@ class Studio:
 
     def _aim(self, values: dict[str, Any]) -> None:
         fx, fy, cx, cy = values["matrix"]
-        width, height = values["width"], values["height"]
+        width, height = values["width"] + 2 * MARGIN, values["height"] + 2 * MARGIN
+        cx, cy = cx + MARGIN, cy + MARGIN
         render, camera = self._scene.render, self._camera.data
         render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
         render.pixel_aspect_x, render.pixel_aspect_y = max(fy / fx, 1.0), max(fx / fy, 1.0)
@@ -264,11 +267,12 @@ class Studio:
         path = self._folder / "image.exr"
         self._scene.render.filepath = str(path)
         self._bpy.ops.render.render(write_still=True)
-        return read_exr(path)
+        inner = slice(MARGIN, -MARGIN)
+        return {name: pixels[inner, inner] for name, pixels in read_exr(path).items()}
 
 
 def _matrix(rows: Any) -> Any:
-    from mathutils import Matrix
+    from mathutils import Matrix  # type: ignore[import-not-found]
 
     return Matrix(rows)
 

@@ -31,6 +31,8 @@ from roboxim_core.specs import CameraNoise, CameraSpec, SceneSpec
 
 MAX_SIZE = 4096
 """Largest pinhole image that is drawn for a distorted one [px]."""
+FINER = 2
+"""Finer resolution of that image, so that the nearest pixel is at most a quarter of a pixel away."""
 Views = Sequence[tuple[CameraSpec, Pose]]
 
 
@@ -114,26 +116,28 @@ class Lens:
         low, high = rays.min(axis=(0, 1)), rays.max(axis=(0, 1))
         # One pixel of margin for the blending; the focal lengths stay, so that the middle is as sharp.
         cx, cy = (math.ceil(-low[0] * fx) + 1, math.ceil(-low[1] * fy) + 1)
-        width, height = (math.ceil(high[0] * fx) + 2 + cx, math.ceil(high[1] * fy) + 2 + cy)
-        if max(width, height) > MAX_SIZE:
+        width = max(math.ceil(high[0] * fx) + 2 + cx, 16)
+        height = max(math.ceil(high[1] * fy) + 2 + cy, 16)
+        if FINER * max(width, height) > MAX_SIZE:
             raise InvalidRequestError(
-                f"camera '{camera.name}': its distorted image needs a pinhole image of {width}x{height} px, more than "
-                f"{MAX_SIZE}; choose a narrower field of view or a smaller image"
+                f"camera '{camera.name}': its distorted image needs a pinhole image of {FINER * width}x"
+                f"{FINER * height} px, more than {MAX_SIZE}; choose a narrower field of view or a smaller image"
             )
-        self.source = replace(
-            ideal_camera(camera), width=max(width, 16), height=max(height, 16), intrinsics=(fx, fy, cx, cy)
-        )
-        """The pinhole camera whose image covers what the lens sees."""
+        coarse = replace(ideal_camera(camera), width=width, height=height, intrinsics=(fx, fy, cx, cy))
+        self.source = coarse.resized(FINER * width, FINER * height)
+        """The pinhole camera whose image covers what the lens sees, `FINER` than the lens' image."""
         at = rays * (fx, fy) + (cx, cy)
         self._corner = np.floor(at).astype(np.intp)
         self._weight = (at - self._corner).astype(np.float32)
-        self._nearest = np.rint(at).astype(np.intp)
+        self._nearest = np.rint((at + 0.5) * FINER - 0.5).astype(np.intp)
 
     def bend(self, images: CameraImages) -> CameraImages:
         """Return the distorted images of the pinhole camera's."""
         column, row = self._corner[..., 0], self._corner[..., 1]
         x, y = self._weight[..., :1], self._weight[..., 1:]
-        rgb = images.rgb.astype(np.float32)
+        height, width, _ = images.rgb.shape
+        fine = images.rgb.reshape(height // FINER, FINER, width // FINER, FINER, 3)
+        rgb = fine.astype(np.float32).mean(axis=(1, 3))
         upper = rgb[row, column] * (1 - x) + rgb[row, column + 1] * x
         lower = rgb[row + 1, column] * (1 - x) + rgb[row + 1, column + 1] * x
         column, row = self._nearest[..., 0], self._nearest[..., 1]
@@ -192,7 +196,7 @@ def _linear_table() -> npt.NDArray[np.float32]:
 def _srgb_table() -> npt.NDArray[np.uint8]:
     light = np.arange(_STEPS + 1) / _STEPS
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.rint(255 * srgb).astype(np.uint8)
+    return np.asarray(np.rint(255 * srgb), dtype=np.uint8)
 
 
 _STEPS = 16384

@@ -138,7 +138,7 @@ class TinyRenderer:
         fx, fy, cx, cy = camera.matrix
         projection[0], projection[5] = 2 * fx / camera.width, 2 * fy / camera.height
         # It samples pixels at a corner, not centrally: half a pixel more.
-        projection[8] = (2 * cx + 2) / camera.width - 1
+        projection[8] = 1 - 2 * cx / camera.width
         projection[9] = (2 * cy + 2) / camera.height - 1
         view = OPTICAL_TO_GL @ pose.inverse().matrix
         _, _, rgba, depth, mask = pybullet.getCameraImage(

@@ -1,0 +1,162 @@
+"""What a scene's cameras deliver, on a real renderer: intrinsics, distortion, noise, rate, and `CameraInfo`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboxim_core.cameras import distort, project
+from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
+from roboxim_core.poses import Pose, look_at
+from roboxim_core.rendering import RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.specs import CameraNoise, CameraSpec, LookSpec, MaterialSpec, SceneSpec
+from roboxim_sim.conversions import camera_info_msg
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.rig import CameraRig, draw_frames
+
+EYE = look_at((0.9, 0.5, 0.6), (0.0, 0.05, 0.0))
+PLAIN = CameraSpec(name="eye", width=360, height=270, depth=True, segmentation=True)
+CALIBRATED = replace(PLAIN, intrinsics=(330.0, 363.0, 157.0, 149.5))
+BARREL = replace(CALIBRATED, distortion=(-0.25, 0.06, 2e-3, -1e-3, 0.0))
+PINCUSHION = replace(PLAIN, distortion=(0.3, 0.1, 0.0, 0.0, 0.02))
+NOISY = replace(PLAIN, noise=CameraNoise(shot=0.03, read=0.01, depth=0.01, seed=5))
+
+
+@pytest.fixture(scope="module", params=["raster", "tiny"])
+def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
+    try:
+        made = make_renderer(request.param)
+    except SimError as error:
+        if error.code != ErrorCode.RENDERER_UNAVAILABLE:
+            raise
+        pytest.skip(str(error))
+    yield made
+    made.close()
+
+
+def body(key: str, shape: trimesh.Trimesh) -> RenderBody:
+    mesh = TriangleMesh(
+        vertices=shape.triangles.reshape(-1, 3).astype(np.float32),
+        normals=shape.face_normals.repeat(3, axis=0).astype(np.float32),
+        faces=np.arange(3 * len(shape.faces), dtype=np.uint32).reshape(-1, 3),
+    )
+    return RenderBody(key=key, entity=key, parts=(VisualPart(mesh=mesh, material=MaterialSpec(color=(0.5, 0.5, 0.5))),))
+
+
+def world(count: int = 1) -> RenderWorld:
+    """Small balls, and nothing around them."""
+    marker = trimesh.creation.icosphere(subdivisions=2, radius=0.025)
+    return RenderWorld(bodies=tuple(body(f"p{i}", marker) for i in range(count)), look=LookSpec())
+
+
+def floor(renderer: Renderer) -> Renderer:
+    """A wide grey floor is loaded."""
+    box = trimesh.creation.box((6.0, 6.0, 0.02))
+    renderer.load(RenderWorld(bodies=(body("ground", box),), look=LookSpec()))
+    return renderer
+
+
+@pytest.mark.parametrize("camera", [PLAIN, CALIBRATED, BARREL, PINCUSHION], ids=["fov", "k", "barrel", "pincushion"])
+def test_known_points_are_where_camera_info_says(renderer: Renderer, camera: CameraSpec) -> None:
+    """Projected with the message's K and D alone, as a user would, within half a pixel."""
+    info = camera_info_msg(0, camera)
+    assert (info.width, info.height, info.distortion_model) == (camera.width, camera.height, "plumb_bob")
+    focal, centre = np.array([info.k[0], info.k[4]]), np.array([info.k[2], info.k[5]])
+    points = np.random.default_rng(2).uniform(-0.24, 0.24, (8, 3))
+    renderer.load(world(len(points)))
+    optical = EYE.inverse().apply(points)
+    rays = distort(replace(camera, distortion=tuple(info.d)), optical[:, :2] / optical[:, 2:])
+    seen = 0
+    for i, expected in enumerate(rays * focal + centre):
+        poses = {f"p{j}": Pose(position=(0.0, 0.0, -50.0)) for j in range(len(points))}
+        poses[f"p{i}"] = Pose.from_arrays(points[i])
+        ids = draw_frames(renderer, 0, poses, [(camera, EYE)])["eye"].segmentation
+        assert ids is not None
+        rows, columns = np.nonzero(ids == i + 1)
+        inside = 15 < expected[0] < camera.width - 16 and 15 < expected[1] < camera.height - 16
+        if inside:
+            assert [columns.mean(), rows.mean()] == pytest.approx(expected.tolist(), abs=0.5)
+            seen += 1
+        elif not (-16 < expected[0] < camera.width + 15 and -16 < expected[1] < camera.height + 15):
+            assert len(rows) == 0
+    assert seen >= 6
+
+
+def test_depth_stays_metric_through_a_bending_lens(renderer: Renderer) -> None:
+    poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
+    down = look_at((0.0, 0.0, 1.2), (0.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
+    images = draw_frames(floor(renderer), 0, poses, [(BARREL, down)])["eye"]
+    assert images.depth is not None
+    assert np.abs(images.depth - 1.2).max() < 1e-3
+    assert images.rgb.shape == (270, 360, 3)
+    assert images.depth.shape == (270, 360)
+
+
+def test_noise_is_of_the_seed_the_camera_and_the_tick(renderer: Renderer) -> None:
+    poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
+
+    def take(camera: CameraSpec, seq: int):
+        images = draw_frames(floor(renderer), seq, poses, [(camera, EYE)])[camera.name]
+        return images.rgb, images.depth
+
+    rgb, depth = take(NOISY, 3)
+    again, depth_again = take(NOISY, 3)
+    assert np.array_equal(rgb, again)
+    assert np.array_equal(depth, depth_again)
+    assert not np.array_equal(rgb, take(NOISY, 4)[0])
+    assert not np.array_equal(rgb, take(replace(NOISY, noise=replace(NOISY.noise, seed=6)), 3)[0])
+    assert not np.array_equal(rgb, take(replace(NOISY, name="other"), 3)[0])
+    assert np.array_equal(rgb, take(replace(NOISY, depth=False), 3)[0])
+    ideal, ideal_depth = take(PLAIN, 3)
+    assert not np.array_equal(ideal, rgb)
+    near = ideal_depth < 2.0
+    assert np.std((depth[near] - ideal_depth[near]) / ideal_depth[near] ** 2) == pytest.approx(0.01, rel=0.1)
+
+
+def test_exposure_and_blur_do_what_they_say(renderer: Renderer) -> None:
+    poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
+
+    def take(**noise: float) -> np.ndarray:
+        camera = replace(PLAIN, noise=CameraNoise(**noise))
+        return draw_frames(floor(renderer), 0, poses, [(camera, EYE)])["eye"].rgb.astype(float)
+
+    ideal = take()
+    assert take(exposure_ev=1.0).mean() > ideal.mean() + 20
+    assert take(exposure_ev=-1.0).mean() < ideal.mean() - 20
+    edges = np.abs(np.diff(ideal, axis=0)).max()
+    assert np.abs(np.diff(take(blur_px=2.0), axis=0)).max() < 0.6 * edges
+
+
+def test_a_slow_camera_repeats_its_frame_until_the_next(renderer: Renderer) -> None:
+    slow, fast = replace(PLAIN, name="slow", rate_hz=2.5), replace(PLAIN, name="fast")
+    scene = SceneSpec(cameras=(slow, fast))
+    rig = CameraRig(renderer)
+    rig.load(world(), scene)
+    views = [(slow, EYE), (fast, EYE)]
+    taken = [rig.capture(seq, {"p0": Pose(position=(0.02 * seq, 0.0, 0.0))}, views) for seq in range(9)]
+    distinct = [not np.array_equal(a["slow"].rgb, b["slow"].rgb) for a, b in pairwise(taken)]
+    assert distinct == [False, False, False, True, False, False, False, True]
+    assert all(not np.array_equal(a["fast"].rgb, b["fast"].rgb) for a, b in pairwise(taken))
+    assert np.array_equal(taken[4]["slow"].rgb, taken[4]["fast"].rgb)
+    rig.load(world(), scene)
+    restarted = rig.capture(1, {"p0": Pose(position=(0.3, 0.0, 0.0))}, views)
+    assert np.array_equal(restarted["slow"].rgb, restarted["fast"].rgb)
+
+
+def test_an_impossible_lens_is_refused_when_the_scene_is_loaded(renderer: Renderer) -> None:
+    folded = replace(PLAIN, fov_y_rad=2.0, distortion=(-0.5, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(InvalidRequestError, match="'eye'.*folds"):
+        CameraRig(renderer).load(world(), SceneSpec(cameras=(folded,)))
+
+
+def test_the_projection_is_the_cores(renderer: Renderer) -> None:
+    """`project` and the message agree, so that a user may take either."""
+    point = np.array([[0.1, -0.05, 0.9]])
+    info = camera_info_msg(0, BARREL)
+    rays = distort(BARREL, point[:, :2] / point[:, 2:])
+    assert project(BARREL, point)[0] == pytest.approx(rays[0] * [info.k[0], info.k[4]] + [info.k[2], info.k[5]])

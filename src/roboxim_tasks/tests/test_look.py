@@ -1,0 +1,81 @@
+"""Reset components of what a scene looks like: cameras, lights, surfaces, background."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_core.cameras import load_camera
+from roboxim_core.errors import ConfigError
+from roboxim_tasks.config import load_task_config, parse_task_config
+
+VIEWS = """
+reset:
+  cameras:
+    names: [workspace, wrist]
+    views: {workspace: {values: [workspace_left, workspace_front, workspace_right], order: in_order}}
+"""
+NOISY = """
+reset:
+  cameras:
+    names: [workspace]
+    views: {workspace: {values: [wrist_realistic]}}
+    exposure_ev: {workspace: {lower: -0.5, upper: 0.5}}
+"""
+
+
+def test_a_camera_is_drawn_from_named_views_under_one_name(draw) -> None:
+    config = parse_task_config(VIEWS)
+    for index, view in enumerate(["workspace_left", "workspace_front", "workspace_right", "workspace_left"]):
+        camera = draw(index, config).scene.cameras[0]
+        assert camera == replace(load_camera(view), name="workspace")
+    assert draw(1, config).scene.entities == draw(1, parse_task_config("")).scene.entities
+
+
+def test_noise_is_seeded_by_the_episode_and_exposure_varies(draw) -> None:
+    config = parse_task_config(NOISY)
+    cameras = [draw(index, config).scene.cameras[0] for index in range(4)]
+    assert len({camera.noise.seed for camera in cameras}) == 4
+    assert all(-0.5 <= camera.noise.exposure_ev <= 0.5 for camera in cameras)
+    assert len({camera.noise.exposure_ev for camera in cameras}) == 4
+    assert cameras[2] == draw(2, config).scene.cameras[0]
+
+
+def test_everything_that_a_picture_shows_varies_and_is_in_the_scene(draw) -> None:
+    config = load_task_config("pick_cube_randomised")
+    looks = [draw(index, config).scene.look for index in range(30)]
+    assert {len(look.lights) for look in looks} == {1, 2, 3}
+    assert {look.background for look in looks} == {"room", "plain"}
+    assert len({look.table.texture for look in looks}) > 3
+    assert len({look.backdrop for look in looks}) == 30
+    for key in ("direction", "color", "intensity", "radius"):
+        assert len({getattr(look.lights[0], key) for look in looks}) == 30
+    lamps = [light for look in looks for light in look.lights[1:]]
+    assert {lamp.kind for lamp in lamps} == {"lamp"}
+    assert not any(lamp.shadow for lamp in lamps)
+    assert np.ptp([lamp.position for lamp in lamps], axis=0).min() > 0.5
+
+
+def test_more_lamps_leave_the_main_light_as_it_was(draw) -> None:
+    text = "reset: {lights: {intensity: {lower: 1, upper: 3}, lamps: {number: {values: [%d]}}}}"
+    one, many = (draw(3, parse_task_config(text % number)).scene.look.lights for number in (1, 3))
+    assert one[0] == many[0]
+    assert one[1] == many[1]
+    assert len(many) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("reset: {background: {kind: {values: [beach]}}}", "no background 'beach'"),
+        ("reset: {lights: {lamps: {number: {values: [9]}}}}", "lamps.number must be 0..3"),
+        ("reset: {cameras: {views: {workspace: {values: [workspace_lft]}}}}", "workspace_left"),
+        ("reset: {cameras: {views: {top: {values: [wrist]}}}}", "'top', which is not used"),
+        ("reset: {cameras: {names: [workspac]}}", "workspace"),
+    ],
+)
+def test_a_wrong_look_is_refused_before_anything_runs(text, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_task_config(text)
