@@ -116,6 +116,10 @@ def _compiler() -> Finding:
     )
 
 
+OPTIONAL_RENDERERS = {"photo"}
+"""Only for rendering recorded episodes again."""
+
+
 def _renderers() -> Finding:
     from roboxim_sim.rendering import available_renderers
 
@@ -124,7 +128,7 @@ def _renderers() -> Finding:
     absent = [name for name, status in found.items() if not status.available]
     return Finding(
         name="renderers",
-        state="missing" if len(absent) == len(found) else "warning" if absent else "ok",
+        state="missing" if len(absent) == len(found) else "warning" if {*absent} - OPTIONAL_RENDERERS else "ok",
         detail=detail,
         remedy="on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri",
         without="use -p sim:renderer:=tiny: PyBullet's own renderer, slower and plainer",

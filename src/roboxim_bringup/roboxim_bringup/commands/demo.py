@@ -96,7 +96,7 @@ def _renderer() -> str:
     """Choose raster where it works, else tiny, saying so."""
     from roboxim_sim.rendering import available_renderers
 
-    raster = available_renderers()["raster"]
+    raster = available_renderers(["raster"])["raster"]
     if raster.available:
         return "raster"
     click.echo(f"raster does not work here: {raster.detail}\nThe demo goes on with PyBullet's own renderer, tiny.")

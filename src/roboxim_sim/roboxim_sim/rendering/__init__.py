@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from roboxim_core.registry import Registry
@@ -64,13 +64,14 @@ class RendererStatus:
     """What draws, or why it cannot and what to do."""
 
 
-def available_renderers(timeout_s: float = 60.0) -> dict[str, RendererStatus]:
+def available_renderers(names: Iterable[str] | None = None, timeout_s: float = 60.0) -> dict[str, RendererStatus]:
     """Try every renderer in a process of its own, because a broken GL driver may crash or hang.
 
     Args:
+        names: Renderers to try; none: all.
         timeout_s: Longest time for one renderer [s].
     """
-    return {name: _probe(name, timeout_s) for name in RENDERERS}
+    return {name: _probe(name, timeout_s) for name in (RENDERERS if names is None else names)}
 
 
 _PROBE = """
