@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import fast_simplification
 import numpy as np
@@ -115,7 +116,7 @@ def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
         ConfigError: When the mesh cannot be read.
     """
     before = len(load_mesh(mesh).faces)
-    scene = trimesh.load_scene(mesh, process=False)
+    scene: Any = trimesh.load_scene(mesh, process=False)
     after = 0
     for name, part in scene.geometry.items():
         share = max(20, round(triangles * len(part.faces) / before))
@@ -133,8 +134,9 @@ def _simplified(part: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
         welded.vertices.astype(np.float32), welded.faces, target_count=triangles, agg=4.0
     )
     fewer = trimesh.Trimesh(points, faces, process=True)
+    visuals: Any = trimesh.visual
     uv, material = getattr(part.visual, "uv", None), getattr(part.visual, "material", None)
     if material is not None:
         _, nearest = part.kdtree.query(fewer.vertices)
-        fewer.visual = trimesh.visual.TextureVisuals(uv=None if uv is None else uv[nearest], material=material)
+        fewer.visual = visuals.TextureVisuals(uv=None if uv is None else uv[nearest], material=material)
     return fewer

@@ -19,6 +19,7 @@ def command() -> None:
 @click.option("--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Of each picture [px].")
 @click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
+@click.option("--shuffle", type=int, help="Seed of a random order, for a blind test; the order is printed.")
 @click.option("--variants", is_flag=True, help="A picture for each colour, material and size as well.")
 def sheet(
     objects: tuple[str, ...],
@@ -27,6 +28,7 @@ def sheet(
     size: int,
     columns: int,
     labels: bool,
+    shuffle: int | None,
     variants: bool,
 ) -> None:
     r"""Draw OBJECTS, or all there are, on one contact sheet in the default look.
@@ -34,7 +36,10 @@ def sheet(
     \b
     roboxim assets sheet
     roboxim assets sheet mug bowl --variants --out variants.png
+    roboxim assets sheet --no-labels --shuffle 7 --out blind.png
     """
+    import numpy as np
+
     from roboxim_bringup.asset_sheet import contact_sheet, draw_object
     from roboxim_core.config import digest
     from roboxim_core.models.library import ModelLibrary
@@ -51,6 +56,10 @@ def sheet(
         for modifiers in given:
             entities.append(EntitySpec(name=object_id, model=object_id, modifiers=modifiers))
             texts.append(" ".join([*map(str, modifiers.values()), object_id]))
+    if shuffle is not None:
+        order = np.random.default_rng(shuffle).permutation(len(entities))
+        entities, texts = [entities[k] for k in order], [texts[k] for k in order]
+        click.echo("\n".join(f"{k + 1}: {text}" for k, text in enumerate(texts)))
     renderer = make_renderer(renderer_name)
     try:
         pictures = [draw_object(renderer, library, entity, size) for entity in entities]

@@ -152,9 +152,7 @@ def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
 def _missing_images(path: Path) -> list[Finding]:
     """Return which material files and textures of an OBJ are not there; other formats' readers say it themselves."""
     return [
-        _error(
-            f"{path.name} needs the {'material file' if name.endswith('.mtl') else 'texture'} {name}, which is not there"
-        )
+        _error(f"{path.name} needs the {'material file' if file.suffix == '.mtl' else 'texture'} {name}: no such file")
         for name, file in obj_references(path).items()
         if not file.is_file()
     ]
