@@ -5,6 +5,7 @@ Every property draws from a stream of its own, so two datasets that differ in on
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from roboxim_tasks.config import TaskConfig
 
 MAX_TRIES = 1000
+ROUNDS = 50
+TRIES_A_ROUND = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,32 +99,47 @@ def generate_objects(
     Raises:
         TaskError: With code ``RESET_INFEASIBLE`` when none of many draws does.
     """
-    library = context.library
-    objects: dict[str, PhysicalObject] = {}
-    roles = context.config.objects
-    for role, config in roles.items():
-        refused: Counter[str] = Counter()
-        for attempt in range(MAX_TRIES):
-            thing = generate_object(context, role, config.models, config.modifiers, attempt)
-            drawn = objects | {role: thing}
-            models = {name: library.object(t.model, t.modifiers) for name, t in drawn.items()}
-            if any(_confusable(thing, other, library) for other in objects.values()):
-                refused["objects_distinct"] += 1
-            elif len(drawn) == len(roles) and not suits(models):
-                refused["objects_suit"] += 1
-            elif any(_matches(drawn, combination) for combination in context.config.exclude):
-                refused["excluded"] += 1
+    refused: Counter[str] = Counter()
+    for start in range(ROUNDS):
+        objects: dict[str, PhysicalObject] = {}
+        for role, config in context.config.objects.items():
+            for attempt in range(start * TRIES_A_ROUND, (start + 1) * TRIES_A_ROUND):
+                thing = generate_object(context, role, config.models, config.modifiers, attempt)
+                reason = _refusal(context, objects, {role: thing}, suits)
+                if not reason:
+                    objects[role] = thing
+                    break
+                refused[reason] += 1
             else:
-                objects = drawn
                 break
         else:
-            (worst, _), *_ = refused.most_common(1)
-            raise TaskError(
-                f"no object for role '{role}' of {context.config.skill}: {worst} refused {MAX_TRIES} draws, the last "
-                f"one a {description(thing)}; give objects.{role} other models or more modifiers, or exclude less",
-                ErrorCode.RESET_INFEASIBLE,
-            )
-    return objects
+            return objects
+    (worst, _), *_ = refused.most_common(1)
+    raise TaskError(
+        f"no objects for {context.config.skill}: {worst} refused most of {refused.total()} draws, the last one a "
+        f"{description(thing)} as {role}; give objects.{role} other models or more modifiers, or exclude less",
+        ErrorCode.RESET_INFEASIBLE,
+    )
+
+
+def _refusal(
+    context: GenerationContext,
+    objects: Mapping[str, PhysicalObject],
+    another: Mapping[str, PhysicalObject],
+    suits: Callable[[Mapping[str, ObjectModel]], bool],
+) -> str:
+    """Return why an object cannot join those drawn before it, or nothing."""
+    library = context.library
+    drawn = {**objects, **another}
+    for thing, other in itertools.product(another.values(), objects.values()):
+        if fits_description(thing, other, library) or fits_description(other, thing, library):
+            return "objects_distinct"
+    if any(_matches(drawn, combination) for combination in context.config.exclude):
+        return "excluded"
+    complete = len(drawn) == len(context.config.objects)
+    if complete and not suits({role: library.object(t.model, t.modifiers) for role, t in drawn.items()}):
+        return "objects_suit"
+    return ""
 
 
 def generate_distractors(
@@ -208,7 +226,3 @@ def _matches(objects: Mapping[str, PhysicalObject], combination: Mapping[str, Ma
         role in objects and wanted.items() <= {**objects[role].modifiers, "model": objects[role].model}.items()
         for role, wanted in combination.items()
     )
-
-
-def _confusable(a: PhysicalObject, b: PhysicalObject, library: ModelLibrary) -> bool:
-    return fits_description(a, b, library) or fits_description(b, a, library)

@@ -4,13 +4,14 @@ import pytest
 
 from roboxim_core.config import config_dir, to_plain
 from roboxim_core.errors import ConfigError
-from roboxim_tasks.config import load_task_config, parse_task_config, task_config
+from roboxim_tasks.config import TaskMix, load_task_config, parse_task_config, task_config
 
 
 @pytest.mark.parametrize("path", sorted((config_dir() / "tasks").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_shipped_task_loads_and_its_resolved_form_loads_again(path):
     config = load_task_config(str(path))
-    assert task_config(to_plain(config)) == config
+    for cell in config.cells if isinstance(config, TaskMix) else (config,):
+        assert task_config(to_plain(cell)) == cell
 
 
 @pytest.mark.parametrize(
@@ -115,3 +116,20 @@ exclude: [{target: {model: apple, color: green}}]
     counts = Counter((thing.model, thing.modifiers["color"]) for thing in drawn)
     assert set(counts) == {("cube", "red"), ("cube", "green"), ("apple", "red")}
     assert counts["apple", "red"] > 25
+
+
+@pytest.mark.parametrize(
+    ("name", "total", "each"),
+    [
+        ("skill_object_baseline", 324, 18), ("skill_object_leave_out", 324, 27), ("camera_object_baseline", 324, 18),
+        ("camera_object_leave_out", 324, 27), ("camera_skill_baseline", 306, 34), ("camera_skill_leave_out", 306, 51),
+    ],
+)  # fmt: skip
+def test_the_leave_out_and_baseline_datasets_have_the_counts_that_they_should(name, total, each):
+    mix = load_task_config(name)
+    assert (sum(mix.counts), set(mix.counts)) == (total, {each})
+    cells = {
+        (cell.skill, cell.objects["target"].models.values, cell.reset["cameras"].views.get("workspace"))
+        for cell in mix.cells
+    }
+    assert len(cells) == total // each

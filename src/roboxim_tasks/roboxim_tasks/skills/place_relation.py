@@ -41,6 +41,9 @@ GAPS_M = (0.05, 0.08, 0.03, 0.12, 0.16)
 SLOPES = (0.0, 0.25, -0.25, 0.45, -0.45)
 FREE_GAP_M = 0.012
 GOALS = 10
+BORDER_M = 0.05
+NEAREST_M, FARTHEST_M = 0.32, 0.74
+"""Distances from the robot's axis at which it puts things down from above at any yaw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +161,7 @@ def free_goals(
     parameters: RelationParameters,
     library: ModelLibrary,
 ) -> list[Pose]:
-    """Return poses of the target in the world that satisfy the relation and touch nothing, best first."""
+    """Return poses of the target in the world that satisfy the relation that the arm is comfortable at, touching nothing; best first."""
     spec, other = scene.entity(target), scene.entity(reference)
     model, other_model = library.entity_model(spec), library.entity_model(other)
     others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
@@ -176,11 +179,20 @@ def free_goals(
                     continue
                 xy = np.array(other.pose.position[:2]) + direction * along + side * slope * along
                 goal = raised(upright(spec.pose, (*xy, 0.0), yaw), height)
-                if not refusal(others, replace(spec, pose=goal), FREE_GAP_M, library):
+                if comfortable(scene, goal) and not refusal(others, replace(spec, pose=goal), FREE_GAP_M, library):
                     found.append(goal)
                     if len(found) == GOALS:
                         return found
     return found
+
+
+def comfortable(scene: SceneSpec, goal: Pose) -> bool:
+    """Tell whether a place is in the workspace, and neither so near to the robot nor so far that a grasp may not do."""
+    lower, upper = (np.array(corner[:2]) for corner in (scene.workspace.lower, scene.workspace.upper))
+    xy = np.array(goal.position[:2])
+    inside = bool(np.all(xy >= lower + BORDER_M) and np.all(xy <= upper - BORDER_M))
+    radius_m = float(np.linalg.norm((scene.robot.pose.inverse() @ goal).position[:2]))
+    return inside and NEAREST_M <= radius_m <= FARTHEST_M
 
 
 def half_extent(model: ObjectModel, rotation: Rotation, direction: Array) -> float:
