@@ -105,7 +105,7 @@ class SimClient:
     """The simulator, through its services; images through its topics."""
 
     def __init__(self, clients: Clients, holder: str = "") -> None:
-        """Subscribe to the sim's ticks.
+        """Remember whom to ask.
 
         Args:
             clients: The clients.
@@ -119,7 +119,6 @@ class SimClient:
         self._subscriptions: dict[str, Subscription] = {}
         self._renderer = ""
         self._base = IDENTITY
-        clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.STATE)
 
     @property
     def renderer(self) -> str:
@@ -133,7 +132,9 @@ class SimClient:
         return self._renderer
 
     def watch(self, cameras: tuple[str, ...]) -> None:
-        """Subscribe to cameras; done once per camera and run."""
+        """Subscribe to cameras and the notices of ticks; done once per camera and run."""
+        if cameras and not self._subscriptions:
+            self._clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.STATE)
         for camera in cameras:
             if camera not in self._subscriptions:
                 self._images[camera] = {}

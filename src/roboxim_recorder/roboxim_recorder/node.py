@@ -2,7 +2,8 @@
 
 Publishers of a tick are transient local and so are these subscriptions, hence a tick that is published before the two
 ends have found each other still arrives; what was published before the episode was opened is told by its source's time.
-Subscriptions are made once and kept: matching is what takes time.
+Subscriptions are made once and kept: matching is what takes time. A tick's messages are taken together, when the loop's
+step says that the tick is over: a node that wakes for each of them while the sim renders slows the sim down.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -28,6 +30,7 @@ from roboxim_recorder.recording import EpisodeRecording
 from roboxim_ros import qos
 from roboxim_ros.conversions import from_msg
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.on_demand import OnDemandGroup
 
 
 class RecorderNode(RoboximNode):
@@ -41,8 +44,9 @@ class RecorderNode(RoboximNode):
         self._opened_ns = 0
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.STATE)
+        self._of_ticks = OnDemandGroup()
         for topic, kind in topics.ALWAYS.items():
-            self._subscribe(topic[1:], kind, qos.RECORDING)
+            self._subscribe_tick(topic, kind)
         self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
         self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
 
@@ -65,7 +69,7 @@ class RecorderNode(RoboximNode):
         self._opened_ns = time.time_ns()
         self._failed = ""
         for topic, kind in recording.expected.items():
-            self._subscribe(topic[1:], kind, qos.RECORDING)
+            self._subscribe_tick(topic, kind)
         for name, kind in extra.items():
             self._subscribe(name, kind, self._matching_qos(name))
         self._recording = recording
@@ -99,7 +103,11 @@ class RecorderNode(RoboximNode):
 
     # ---------------------------------------------------------------- messages
 
-    def _subscribe(self, name: str, kind: str, profile: QoSProfile) -> None:
+    def _subscribe_tick(self, topic: str, kind: str) -> None:
+        """Subscribe to a topic of every tick, by its name in the bag; only the step is heard as it comes."""
+        self._subscribe(topic[1:], kind, qos.STATE, None if topic == topics.STEP else self._of_ticks)
+
+    def _subscribe(self, name: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None) -> None:
         """Subscribe to a topic by its name in the graph, unless that is done; another type replaces it."""
         topic = topics.absolute(name)
         known = self._subscribed.get(topic)
@@ -107,12 +115,18 @@ class RecorderNode(RoboximNode):
             if known[0] == kind:
                 return
             self.destroy_subscription(known[1])
-        subscription = self.create_subscription(_message_class(kind), name, self._callback(topic), profile, raw=True)
+        subscription = self.create_subscription(
+            _message_class(kind), name, self._callback(topic), profile, raw=True, callback_group=group
+        )
         self._subscribed[topic] = (kind, subscription)
 
     def _callback(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then tells the source's time
             self._on_message(topic, cdr, info["source_timestamp"])
+            if topic == topics.STEP:
+                self._of_ticks.take()
+            if topic == topics.STEP or self._of_ticks.open:  # the rest of the tick is heard as it comes
+                self._of_ticks.open = self._recording is not None and not self._recording.complete
 
         return received
 

@@ -90,6 +90,11 @@ class EpisodeRecording:
         """The first tick that is not yet in the bag."""
         return self._next
 
+    @property
+    def complete(self) -> bool:
+        """Whether every tick whose step has come is in the bag."""
+        return not self._steps
+
     def wants(self, topic: str) -> bool:
         """Tell whether a topic, by its name in the bag, is recorded."""
         return topic in self.expected or topic in self.extra

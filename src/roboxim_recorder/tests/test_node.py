@@ -123,9 +123,10 @@ def test_a_new_episode_removes_the_bag_of_a_dead_evaluator(graph, tmp_path, fake
 def test_a_tick_that_cannot_be_recorded_is_answered(graph, tmp_path, fake):
     episode = fake()
     graph.open(episode, tmp_path)
-    notice = episode.tick(0)["/sim/ticks"]
-    notice.topics = [*notice.topics, "camera/third/image"]
-    graph.publish("/sim/ticks", notice)
+    tick = episode.tick(0)
+    tick["/sim/ticks"].topics = [*tick["/sim/ticks"].topics, "camera/third/image"]
+    for topic in ("/sim/ticks", "/evaluator/step"):
+        graph.publish(topic, tick[topic])
     answer = graph.acknowledgement()
     assert (answer.seq, answer.error_code) == (0, ErrorCode.EPISODE_GAP)
     assert "camera/third/image" in answer.error_msg

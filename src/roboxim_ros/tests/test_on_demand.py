@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import threading
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from roboxim_ros import qos
+from roboxim_ros.clients import wait_until
+from roboxim_ros.on_demand import OnDemandGroup
+
+pytestmark = pytest.mark.ros
+
+
+class Listener(Node):
+    """Hears one topic on demand, another at once."""
+
+    def __init__(self, context):
+        super().__init__("listener", context=context)
+        self.group, self.heard, self.marks = OnDemandGroup(), [], []
+        self.opened = threading.Event()
+        self.create_subscription(
+            String, "quiet", lambda m: self.heard.append(m.data), qos.STATE, callback_group=self.group
+        )
+        self.create_subscription(String, "mark", lambda m: self.marks.append(m.data), qos.STATE)
+
+
+def test_messages_wait_until_they_are_taken(graph_host):
+    listener = graph_host.add(Listener)
+    talker = graph_host.add(lambda context: Node("talker", context=context))
+    quiet = talker.create_publisher(String, "quiet", qos.STATE)
+    mark = talker.create_publisher(String, "mark", qos.STATE)
+    for text in "abc":
+        quiet.publish(String(data=text))
+    for text in "xyz":
+        mark.publish(String(data=text))
+    assert wait_until(lambda: listener.marks == ["x", "y", "z"], 10.0)
+    assert listener.heard == []
+    assert wait_until(lambda: listener.group.take() or len(listener.heard) == 3, 10.0)
+    assert listener.heard == ["a", "b", "c"]
+
+    listener.group.open = True
+    listener.executor.wake()
+    quiet.publish(String(data="d"))
+    assert wait_until(lambda: listener.heard[-1] == "d", 10.0)
+    listener.group.open = False
+    quiet.publish(String(data="e"))
+    mark.publish(String(data="end"))
+    assert wait_until(lambda: listener.marks[-1] == "end", 10.0)
+    listener.group.take()
+    assert wait_until(lambda: listener.group.take() or listener.heard[-1] == "e", 10.0)
