@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +53,7 @@ class Pose:
         mat = np.asarray(matrix, dtype=float)
         return Pose.from_arrays(mat[:3, 3], Rotation.from_matrix(mat[:3, :3]))
 
-    @property
+    @cached_property
     def rotation(self) -> Rotation:
         """The rotation as a scipy ``Rotation``."""
         return Rotation.from_quat(self.quat_xyzw)

@@ -42,7 +42,7 @@ class TickObserver:
 
     def after_step(self) -> None:
         """Take in one physics step."""
-        self._last = last = {}
+        last: dict[_Pair, float] = {}
         pairs, highest_force = self._pairs, self._highest_force
         for point in pybullet.getContactPoints(physicsClientId=self._client):
             force = point[9]
@@ -53,6 +53,7 @@ class TickObserver:
         for pair, force in last.items():
             if pair not in highest_force or force > highest_force[pair]:
                 highest_force[pair] = force
+        self._last = last
         for body in self._jointed:
             now, _ = body.read_joints()
             lowest, highest = self._extremes.get(body.name, (now, now))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.poses import Array, Pose
@@ -51,10 +52,15 @@ def start_clear(context: ResetContext) -> Constraint:
 
 def reaches(context: ResetContext, *poses: Pose) -> bool:
     """Tell whether the arm follows poses of the tool centre point in its base, within its limits by a margin."""
-    joints = np.array(context.arm.model.home)
+    return follows(context.arm, *poses)
+
+
+def follows(arm: ArmKinematics, *poses: Pose) -> bool:
+    """Tell whether an arm follows poses of the tool centre point in its base, within its limits by a margin."""
+    joints = np.array(arm.model.home)
     for pose in poses:
-        found = context.arm.ik_near(pose, joints)
-        if not found.converged or not context.arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
+        found = arm.ik_near(pose, joints)
+        if not found.converged or not arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
             return False
         joints = found.joints
     return True

@@ -152,11 +152,11 @@ class PushObject(Skill):
             script.opening = opening
             script.move(shifted(begin, APPROACH_M), name="approach", free=True)
             script.move(begin, name="descend", speed=SLOW)
-            script.move(_along(begin, toward, WAY_M + STANDOFF_M), name="push", speed=SLOW, touching=touching)
             script.set_entity(entity, pose=_along(pose, toward, WAY_M))
+            script.move(_along(begin, toward, WAY_M + STANDOFF_M), name="push", speed=SLOW, touching=touching)
             script.wait(DWELL_S, name="dwell")
             script.move(_along(script.pose, toward, -BACK_OFF_M), name="back_off", touching=touching)
-            script.move(shifted(script.pose, APPROACH_M), name="rise")
+            script.move(shifted(script.pose, APPROACH_M), name="rise", touching=touching)
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
@@ -170,7 +170,7 @@ class PushObject(Skill):
         highest = [0.0]
 
         def moved(state: StateRecord) -> Array:
-            return np.subtract(state.entity(entity).pose.position[:2], start)
+            return np.array(state.entity(entity).pose.position[:2]) - start
 
         def sideways(state: StateRecord) -> float:
             along = float(moved(state) @ direction)

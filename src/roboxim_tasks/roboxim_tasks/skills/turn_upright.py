@@ -17,19 +17,21 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.description import ObjectModel
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.poses import Array, Pose, Vec3
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.motion import RELEASE_CLEARANCE_M, ExpertScene, Grasp, Stage, grasp_poses, retreated, shifted
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, table_force, tilt
-from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.reach import follows, start_clear
 from roboxim_tasks.script import APPROACH_M, LIFT_M, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still
@@ -83,30 +85,34 @@ class TurnUpright(Skill):
         def reachable(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
             model, pose = context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose
-            for grasp in leaning_grasps(model, pose):
-                tool = pose @ grasp.pose
-                if not reaches(context, retreated(tool, APPROACH_M), tool, shifted(tool, LIFT_M)):
-                    continue
-                for goal in standing(model, pose, grasp.pose):
-                    if reaches(context, shifted(goal @ grasp.pose, LIFT_M), goal @ grasp.pose):
-                        return True
-            return False
+            return any(
+                _follows(context.arm, pose @ grasp.pose, goal @ grasp.pose)
+                for grasp in leaning_grasps(model, pose)
+                for goal in standing(model, pose, grasp.pose)
+            )
 
         return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Grasp it with a leaning tool, lift it, turn it, put it down."""
+        """Grasp it with a leaning tool, lift it, turn it, put it down; first the ways that the arm seems to reach."""
         entity = scene.task.objects["target"].entity
         model, pose = scene.model_of(entity), scene.pose_of(entity)
-        grasps: Sequence[Grasp | None] = [None] if scene.held == entity else leaning_grasps(model, pose)
-        for grasp in grasps:
-            in_object = Script(scene).held_in_tcp.inverse() if grasp is None else grasp.pose
-            for goal in standing(model, pose, in_object):
+        if scene.held == entity:
+            for goal in standing(model, pose, Script(scene).held_in_tcp.inverse()):
                 script = Script(scene)
-                if grasp is not None:
-                    script.pick(entity, replace(grasp, pose=pose @ in_object))
                 script.place(goal)
                 yield script.stages
+            return
+        arm = _arm(scene.robot)
+        doubtful: list[tuple[Grasp, Pose]] = []
+        for grasp in leaning_grasps(model, pose):
+            for goal in standing(model, pose, grasp.pose):
+                if _follows(arm, pose @ grasp.pose, goal @ grasp.pose):
+                    yield _turn_up(scene, grasp, pose, goal)
+                else:
+                    doubtful.append((grasp, goal))
+        for grasp, goal in doubtful:
+            yield _turn_up(scene, grasp, pose, goal)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Upright, on the table, let go and at rest."""
@@ -119,6 +125,30 @@ class TurnUpright(Skill):
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
         )
         return Conditions(lies_still(entity, initial, stands), hold_s=parameters.hold_s)
+
+
+def _turn_up(scene: ExpertScene, grasp: Grasp, pose: Pose, goal: Pose) -> tuple[Stage, ...]:
+    entity = scene.task.objects["target"].entity
+    script = Script(scene)
+    script.pick(entity, replace(grasp, pose=pose @ grasp.pose))
+    script.place(goal)
+    return script.stages
+
+
+def _arm(robot: RobotModel) -> ArmKinematics:
+    if robot.urdf not in _ARMS:
+        _ARMS[robot.urdf] = ArmKinematics(robot)
+    return _ARMS[robot.urdf]
+
+
+_ARMS: dict[Path, ArmKinematics] = {}
+
+
+def _follows(arm: ArmKinematics, lying: Pose, standing: Pose) -> bool:
+    """Tell whether an arm reaches the tool's poses at the lying and the standing object, from above."""
+    return follows(
+        arm, retreated(lying, APPROACH_M), lying, shifted(lying, LIFT_M), shifted(standing, LIFT_M), standing
+    )
 
 
 def leaning_grasps(model: ObjectModel, pose: Pose) -> list[Grasp]:
