@@ -95,11 +95,11 @@ class FloatingGripper:
             gear, gearRatio=-1, erp=bodies.GEAR_ERP, maxForce=bodies.GEAR_FORCE_N, physicsClientId=client
         )
 
-    def run(self, seconds: float, opening_m: float, rise_m: float = 0.0) -> None:
+    def run(self, seconds: float, opening_m: float, way: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         start, steps = self.base, round(240 * seconds)
         for step in range(steps):
-            x, y, z = start.position
-            self.base = Pose(position=(x, y, z + rise_m * (step + 1) / steps), quat_xyzw=start.quat_xyzw)
+            x, y, z = np.add(start.position, np.multiply(way, (step + 1) / steps)).tolist()
+            self.base = Pose(position=(x, y, z), quat_xyzw=start.quat_xyzw)
             pybullet.changeConstraint(
                 self.anchor, self.base.position, self.base.quat_xyzw, maxForce=500.0, physicsClientId=self.client
             )
@@ -135,7 +135,7 @@ def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client:
             near = pybullet.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number, physicsClientId=client)
             assert min((point[8] for point in near), default=1.0) > -1e-3, f"the open {what} is inside the {other}"
     gripper.run(0.5, 0.0)
-    gripper.run(1.0, 0.0, LIFT_M)
+    gripper.run(1.0, 0.0, (0.0, 0.0, LIFT_M))
     gripper.run(0.5, 0.0)
     joints = held.read_joints()[0]
     end = held.read(joints, joints)[0].pose
@@ -144,3 +144,31 @@ def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client:
     assert rose > 0.6 * LIFT_M, f"it rose by {rose:.3f} m only"
     assert turned < math.radians(30), f"it turned by {math.degrees(turned):.0f} deg in the hand"
     assert np.hypot(end.position[0] - 0.5, end.position[1]) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("part", ["top", "middle", "bottom"])
+def test_a_handle_opens_and_closes_its_drawer(part: str, index: int, client: int) -> None:
+    model = LIBRARY.object("cabinet")
+    handle = next(handle for handle in model.handles if handle.name == part)
+    grasp = handle.grasps[index]
+    bodies.configure(client, 240.0)
+    names = bodies.build_table(client, TableSpec())
+    pose = Pose(position=(0.4, 0.0, model.rest_height))
+    cabinet = bodies.ObjectBody(client, model, EntitySpec(name="it", model="cabinet", pose=pose, fixed=True))
+    gripper = FloatingGripper(client, pose @ object_link_poses(model, {})[grasp.link] @ grasp.pose, grasp.opening_m)
+    table = next(body for body, what in names.items() if what == "table")
+    for number in (-1, 0, 1):
+        for body in (cabinet.id, table):
+            near = pybullet.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number, physicsClientId=client)
+            assert min((point[8] for point in near), default=1.0) > -1e-3, "the open gripper is inside something"
+    out = (pose.rotation * handle.pose.rotation).apply([0.13, 0.0, 0.0])
+    gripper.run(0.4, 0.0)
+    gripper.run(1.5, 0.0, tuple(out))
+    others = [k for k, name in enumerate(cabinet.joint_names) if name != handle.joint]
+    own = cabinet.joint_names.index(handle.joint)
+    assert cabinet.read_joints()[0][own] > 0.11
+    assert max(cabinet.read_joints()[0][k] for k in others) < 0.01
+    gripper.run(1.5, 0.0, tuple(-out))
+    assert cabinet.read_joints()[0][own] < 0.02

@@ -79,6 +79,17 @@ def test_what_is_seen_is_where_it_collides(object_id: str) -> None:
 
 
 @each_object
+def test_faces_and_normals_agree(object_id: str) -> None:
+    """The renderers leave out faces that are seen from behind."""
+    for link in LIBRARY.object(object_id).links:
+        for part in (part for visual in link.visual for part in visual_parts(visual)):
+            corners = part.mesh.vertices[part.mesh.faces].astype(float)
+            facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            smooth = part.mesh.normals[part.mesh.faces].mean(axis=1)
+            assert (np.einsum("ij,ij->i", facing, smooth) > 0).mean() > 0.98
+
+
+@each_object
 def test_it_stands_where_it_says_it_rests(object_id: str, client: int) -> None:
     model = LIBRARY.object(object_id)
     assert all(link.mass > 0 for link in model.links)
