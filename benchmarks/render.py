@@ -1,72 +1,177 @@
-"""Camera images: time per 256x256 pair (workspace and wrist), start-up and memory of every renderer."""
+"""Camera images: time per 256x256 pair (workspace and wrist) of raster, tiny and MuJoCo's renderer, start-up, memory.
+
+The scene is the default look with all effects: Panda, table, floor, walls, five textured objects, a light with shadows;
+the arm moves from pair to pair. MuJoCo (``make render-peers``) draws the same meshes and textures, RGB alone.
+``--pairs N`` also draws N pairs and says how the memory grew.
+"""
 
 from __future__ import annotations
 
+import argparse
+import pickle
+import subprocess
 import sys
+import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from _harness import Bench, rss_mib, time_ms
+from _harness import Bench
+from _mujoco_scene import write_scene
+from _peer import Peer, installed
 from render_scene import example_poses, example_scene
+from roboxim_core.config import digest
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.rendering import Renderer, RenderWorld
+from roboxim_core.rendering import RenderWorld
 from roboxim_core.specs import LightSpec, LookSpec
 from roboxim_sim.rendering import make_renderer
 
-LIBRARY = ModelLibrary()
-VARIANTS = {"rgb": (False, 256), "rgb+depth+segmentation": (True, 256), "rgb, 128x128": (False, 128)}
-"""Row title to (depth and segmentation, size [px])."""
+FRAMES = 8
+STEP_RAD = 0.02
+LAMP = LightSpec(kind="lamp", position=(0.8, 0.8, 1.2), shadow=False)
+HEADLINE = "raster, RGB + depth + segmentation"
+NO_SHADOWS = "raster, no shadows"
+TINY = "tiny, shadows"
+MUJOCO = "MuJoCo, RGB, shadows"
 
 
-def world_of(shadow: bool) -> RenderWorld:
-    """Return the README's scene, with or without shadows."""
-    return render_world(replace(example_scene(256), look=LookSpec(lights=(LightSpec(shadow=shadow),))), LIBRARY)
+@dataclass(frozen=True)
+class Contender:
+    """Who draws pairs, and how long that took."""
+
+    title: str
+    draw: Callable[[int], tuple[list[float], list[float]]]
+    """From a number of pairs to their wall and processor times [ms]."""
+    share: float = 1.0
+    """Share of the pairs of a round that it is given: slow ones need fewer."""
+    wall_ms: list[float] = field(default_factory=list)
+    cpu_ms: list[float] = field(default_factory=list)
 
 
-def measure(renderer: Renderer, everything: bool, size: int, repeats: int) -> tuple[float, float]:
-    """Return the median wall time and the mean processor time of a pair [ms]."""
-    poses, cameras = example_poses(example_scene(size, depth=everything, segmentation=everything), LIBRARY)
-    wall = time_ms(lambda: renderer.render(poses, cameras), repeats, warm_up=1)
-    start = time.process_time()
-    for _ in range(repeats):
-        renderer.render(poses, cameras)
-    return wall, 1e3 * (time.process_time() - start) / repeats
+def ours(
+    title: str, name: str, look: LookSpec, size: int = 256, geometry: bool = True, share: float = 1.0
+) -> Contender:
+    """Return one of our renderers with a world of its own."""
+    library, scene = ModelLibrary(), replace(example_scene(size, depth=geometry, segmentation=geometry), look=look)
+    frames = [example_poses(scene, library, STEP_RAD * i) for i in range(FRAMES)]
+    renderer = make_renderer(name)
+    renderer.load(render_world(scene, library))
+    for frame in frames[:3]:
+        renderer.render(*frame)
+
+    def draw(pairs: int) -> tuple[list[float], list[float]]:
+        wall, cpu = [], []
+        for i in range(pairs):
+            start, processor = time.perf_counter(), time.process_time()
+            renderer.render(*frames[i % FRAMES])
+            wall.append(1e3 * (time.perf_counter() - start))
+            cpu.append(1e3 * (time.process_time() - processor))
+        return wall, cpu
+
+    return Contender(f"{title} [{renderer.device.split(' (')[0]}]" if name == "raster" else title, draw, share)
+
+
+def mujoco(folder: Path) -> Contender:
+    """Return MuJoCo's renderer on the same scene."""
+    library, scene = ModelLibrary(), example_scene(256)
+    frames = [example_poses(scene, library, STEP_RAD * i) for i in range(FRAMES)]
+    write_scene(folder, render_world(scene, library), frames)
+    peer = Peer("robosuite", "run_mujoco.py", str(folder), variables={"MUJOCO_GL": "egl"})
+
+    def draw(pairs: int) -> tuple[list[float], list[float]]:
+        answer = peer.ask(pairs=pairs)
+        return answer["wall_ms"], answer["cpu_ms"]
+
+    return Contender(MUJOCO, draw, 0.3)
+
+
+FRESH = """
+import pickle, sys, time
+with open("/proc/self/stat") as file:
+    begun = int(file.read().rsplit(")", 1)[1].split()[19]) / 100
+sys.path.insert(0, sys.argv[3])
+from _harness import rss_mib
+from roboxim_sim.rendering.raster import RasterRenderer
+world, frames = pickle.load(open(sys.argv[1], "rb"))
+renderer = RasterRenderer()
+renderer.load(world)
+renderer.render(*frames[0])
+ready = time.clock_gettime(time.CLOCK_BOOTTIME) - begun
+for i in range(100):
+    renderer.render(*frames[i % len(frames)])
+before = rss_mib()
+for i in range(int(sys.argv[2])):
+    renderer.render(*frames[i % len(frames)])
+print("@@", ready, before, rss_mib() - before)
+"""
+
+
+def fresh(world: RenderWorld, frames: list[object], pairs: int, folder: Path) -> tuple[float, float, float]:
+    """Return a new process's time to its first pair [s], its memory [MiB], and the growth over so many pairs [MiB]."""
+    path = folder / "world.pickle"
+    path.write_bytes(pickle.dumps((world, frames)))
+    # argv 3: where the harness is; the process's begin is in /proc, so that the interpreter's start counts too.
+    command = [sys.executable, "-c", FRESH, str(path), str(pairs), str(Path(__file__).parent)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    ready, memory, growth = (float(word) for word in done.stdout.rpartition("@@")[2].split())
+    return ready, memory, growth
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add this benchmark's own options."""
+    parser.add_argument("--pairs", type=int, default=0, metavar="N", help="also draw N pairs and report the growth")
 
 
 def main() -> None:
     """Measure and report."""
-    bench = Bench("render", __doc__)
-    headline = float("nan")
-    worlds = {shadow: world_of(shadow) for shadow in (True, False)}
-    for name, repeats in (("raster", 20 if bench.quick else 300), ("tiny", 2 if bench.quick else 30)):
-        memory, start = rss_mib(), time.perf_counter()
-        renderer = make_renderer(name)
-        renderer.load(worlds[True])
-        measure(renderer, everything=True, size=256, repeats=1)
-        ready_s = time.perf_counter() - start
-        for images, (everything, size) in VARIANTS.items():
-            for shadow, world in worlds.items():
-                renderer.load(world)
-                wall, cpu = measure(renderer, everything, size, repeats)
-                if (name, size, everything, shadow) == ("raster", 256, True, True):
-                    headline = wall
-                bench.row(
-                    renderer=name,
-                    images=images,
-                    shadow="on" if shadow else "off",
-                    wall_ms_per_pair=round(wall, 2),
-                    cpu_ms_per_pair=round(cpu, 2),
-                )
-        load_ms = time_ms(lambda world=worlds[True], to=renderer: to.load(world), 5, warm_up=0)
-        grown = rss_mib() - memory
-        bench.row(renderer=name, start_s=round(ready_s, 2), load_ms=round(load_ms, 1), grown_mib=round(grown))
-        renderer.close()
-    bench.finish("raster, 256x256 pair of RGB + depth + segmentation, shadows", headline, "ms", at_most=20.0)
+    bench = Bench("render", __doc__, add_options)
+    look = LookSpec()
+    dark = replace(look, lights=tuple(replace(light, shadow=False) for light in look.lights))
+    contenders = [
+        ours(HEADLINE, "raster", look),
+        ours("raster, RGB", "raster", look, geometry=False),
+        ours(NO_SHADOWS, "raster", dark),
+        ours("raster, 128x128", "raster", look, size=128),
+        ours("raster, two lamps more", "raster", replace(look, lights=(*look.lights, *[LAMP] * 2))),
+        ours(TINY, "tiny", look, share=0.15),
+    ]
+    with tempfile.TemporaryDirectory(prefix="roboxim-") as name:
+        if installed("robosuite"):
+            contenders.append(mujoco(Path(name)))
+        for _ in range(3 if bench.quick else 10):  # in turns, so that all meet the same machine
+            for each in contenders:
+                wall, cpu = each.draw(max(2, round((20 if bench.quick else 30) * each.share)))
+                each.wall_ms.extend(wall)
+                each.cpu_ms.extend(cpu)
+        for each in contenders:
+            bench.row(
+                contender=each.title,
+                wall_ms_per_pair=round(median(each.wall_ms), 2),
+                cpu_ms_per_pair=round(median(each.cpu_ms), 2),
+                over_headline=round(median(each.wall_ms) / median(contenders[0].wall_ms), 2),
+            )
+        library, scene = ModelLibrary(), example_scene(256, depth=True, segmentation=True)
+        frames = [example_poses(scene, library, STEP_RAD * i) for i in range(FRAMES)]
+        ready, memory, growth = fresh(render_world(scene, library), frames, bench.options.pairs, Path(name))
+        bench.row(contender="raster, a new process", first_pair_s=round(ready, 2), memory_mib=round(memory))
+        if bench.options.pairs:
+            bench.row(
+                contender=f"raster, {bench.options.pairs} pairs", memory_mib=round(memory), grown_mib=round(growth, 2)
+            )
+    print(f"look {digest(look)}, scene {digest(replace(scene, cameras=()))}")
+    if not installed("robosuite"):
+        print("MuJoCo is not measured: `make render-peers` installs it")
+    bench.finish(
+        "256x256 pair of RGB + depth + segmentation, shadows", median(contenders[0].wall_ms), "ms", at_most=20.0
+    )
 
+
+LAMP = LightSpec(kind="lamp", position=(0.8, 0.8, 1.2), shadow=False)
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""Render the picture of the README: the workspace and the wrist camera's view of the Panda over a few cubes."""
+"""Render the picture of the README: the workspace and the wrist camera's view of the Panda over a few objects."""
 
 from __future__ import annotations
 
@@ -16,34 +16,37 @@ from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_core.state import RobotState
 from roboxim_sim.rendering import RENDERERS, make_renderer
 
-CUBES = {
-    "red": (0.50, 0.06, 0.4),
-    "blue": (0.58, -0.13, 1.0),
-    "green": (0.41, -0.09, 0.1),
-    "yellow": (0.63, 0.17, 0.7),
-    "orange": (0.38, 0.21, 0.25),
+OBJECTS = {
+    "apple": (0.50, 0.06, 0.4),
+    "soda_can": (0.58, -0.13, 1.0),
+    "knife": (0.41, -0.12, 0.9),
+    "plate": (0.63, 0.17, 0.7),
+    "cucumber": (0.38, 0.21, 0.25),
 }
-"""Colour to x, y [m] and yaw [rad]."""
+"""Model to x, y [m] and yaw [rad]."""
 ARM = (0.12, 0.28, 0.0, -2.05, 0.0, 2.33, 0.9)
-"""Arm joint positions [rad]: the hand above the red cube."""
+"""Arm joint positions [rad]: the hand above the apple."""
 
 
 def example_scene(size: int, depth: bool = False, segmentation: bool = False) -> SceneSpec:
-    """Return a table with cubes, a workspace camera and a wrist camera.
+    """Return a table with objects in the default look, a workspace camera and a wrist camera.
 
     Args:
         size: Width and height of the cameras [px].
         depth: Whether the cameras give depth.
         segmentation: Whether the cameras give segmentation.
     """
+    library = ModelLibrary()
     entities = tuple(
         EntitySpec(
-            name=f"{color}_cube",
-            model="cube",
-            modifiers={"color": color},
-            pose=Pose(position=(x, y, 0.0225), quat_xyzw=(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))),
+            name=model,
+            model=model,
+            pose=Pose(
+                position=(x, y, library.object(model).rest_height),
+                quat_xyzw=(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
+            ),
         )
-        for color, (x, y, yaw) in CUBES.items()
+        for model, (x, y, yaw) in OBJECTS.items()
     )
     workspace = look_at((1.3, 0.6, 0.68), (0.3, -0.01, 0.23))
     wrist = look_at((0.095, 0.0, 0.03), (0.03, 0.0, 0.16), up=(1.0, 0.0, 0.0))
@@ -55,13 +58,22 @@ def example_scene(size: int, depth: bool = False, segmentation: bool = False) ->
     return SceneSpec(entities=entities, cameras=cameras)
 
 
-def example_poses(scene: SceneSpec, library: ModelLibrary) -> tuple[dict[str, Pose], list[tuple[CameraSpec, Pose]]]:
-    """Return the poses of the moving bodies and of the cameras, with the arm at `ARM` and the gripper open."""
+def example_poses(
+    scene: SceneSpec, library: ModelLibrary, turned_rad: float = 0.0
+) -> tuple[dict[str, Pose], list[tuple[CameraSpec, Pose]]]:
+    """Return the poses of the moving bodies and of the cameras, with the gripper open.
+
+    Args:
+        scene: The scene.
+        library: Where its models come from.
+        turned_rad: How far the arm's joints are from `ARM` [rad].
+    """
+    arm = tuple(angle + turned_rad for angle in ARM)
     state = RobotState(
         joint_names=library.robot(scene.robot.model).joint_names,
-        joint_positions=ARM,
+        joint_positions=arm,
         joint_velocities=(0.0,) * 7,
-        joint_commands=ARM,
+        joint_commands=arm,
         pose_tcp_measured=IDENTITY,
         pose_tcp_commanded=IDENTITY,
         gripper_opening=1.0,

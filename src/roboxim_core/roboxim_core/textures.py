@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 from PIL import Image
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.registry import Registry
+
+if TYPE_CHECKING:
+    import trimesh
 
 Field = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
@@ -51,6 +54,8 @@ def pixels(name: str) -> Pixels:
 
 def _image(name: str) -> Image.Image:
     path, _, geometry = name.partition("#")
+    import trimesh  # half a second and 20 MiB, which a renderer of procedural textures does without
+
     try:
         if not geometry:
             return Image.open(path)

@@ -173,8 +173,11 @@ class GpuWorld:
 
 def _upload(images: Sequence[npt.NDArray[np.uint8]], context: moderngl.Context) -> moderngl.TextureArray:
     """Make an array of textures with mipmaps; four channels, because three are slower to read."""
-    padded = [np.dstack([image, np.full(image.shape[:2], 255, np.uint8)]) for image in images]
-    array = context.texture_array((textures.SIZE, textures.SIZE, len(images)), 4, np.concatenate(padded))
+    size = textures.SIZE
+    array = context.texture_array((size, size, len(images)), 4)
+    for layer, image in enumerate(images):
+        padded = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+        array.write(padded, viewport=(0, 0, layer, size, size, 1))
     array.build_mipmaps()
     array.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
     return array
