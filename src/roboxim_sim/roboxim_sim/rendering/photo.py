@@ -80,6 +80,8 @@ class PhotoRenderer:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, env=_foreign_environment(),
         )  # fmt: skip
         self._keys: tuple[str, ...] | None = None
+        self.cpu_s = 0.0
+        """Processor time of the last `render` [s]."""
         try:
             version = self._receive()[0]["version"]
         except SimError as error:
@@ -156,7 +158,8 @@ class PhotoRenderer:
                 "cameras": [_camera(camera, pose) for camera, pose in cameras],
             }
         )
-        _, arrays = self._receive()
+        answer, arrays = self._receive()
+        self.cpu_s = answer["cpu_s"]
         return {
             camera.name: CameraImages(
                 rgb=_developed(arrays[f"{camera.name}/rgb"]),

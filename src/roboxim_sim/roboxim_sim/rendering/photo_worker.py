@@ -15,6 +15,7 @@ import os
 import struct
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import IO, Any
 
@@ -342,7 +343,9 @@ def main(samples: str, threads: str) -> None:
                     studio.load(message, arrays)
                     send(answers, {})
                 else:
-                    send(answers, {}, studio.render(message))
+                    before = time.process_time()
+                    arrays = studio.render(message)
+                    send(answers, {"cpu_s": time.process_time() - before}, arrays)
             except Exception as error:  # the other side tells the user
                 send(answers, {"error": f"{type(error).__name__}: {error}"})
     studio.close()
