@@ -1,6 +1,7 @@
 """Straight-line motions of the tcp: position linear, rotation along the shortest arc, one speed law for both.
 
-The joint path follows by continuing the inverse kinematics densely along the line. The motion is a smooth spline
+The joint path follows by continuing the inverse kinematics densely along the line; where that ends early, the arm's
+redundancy is searched for a way on. The motion is a smooth spline
 through it, driven by a one-degree-of-freedom Ruckig profile that is stretched in time until every joint limit holds.
 Stretching is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
 """
@@ -15,7 +16,8 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import Pose, distance
-from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.robot import PlannerRobot, pose_matrix
 from roboxim_planner.timing import Motion, MotionLimits, line_profile, still
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +25,10 @@ _NODE_M = 0.004
 _NODE_RAD = 0.02
 _MIN_NODES = 8
 _JUMP_RAD = 0.15
+_SWING_RAD = 0.06
+_LAYER = 24
+_SMOOTHING = 8
+_LINE_RESOLUTION_M = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,28 +46,131 @@ class LinePath:
     reason: str = ""
     """Why it ends early; empty when it does not."""
 
+    def part(self, count: int) -> float:
+        """Return the part of the line that its first ``count`` configurations cover, 0..1."""
+        return self.fraction * (count - 1) / max(1, len(self.joints) - 1)
+
     def cut(self, count: int) -> LinePath:
         """Return the line up to its first ``count`` configurations."""
-        fraction = self.fraction * (count - 1) / max(1, len(self.joints) - 1)
-        return replace(self, joints=self.joints[:count], fraction=fraction)
+        return replace(self, joints=self.joints[:count], fraction=self.part(count))
 
 
 def follow_line(robot: PlannerRobot, start: Array, target: Pose) -> LinePath:
-    """Follow a straight line by inverse kinematics from a configuration.
-
-    First the redundancy stays as it is; where that ends at a limit or a singularity, once more with the redundancy
-    drawn to the middle of the joints' ranges. The longer of the two is returned.
+    """Follow a straight line by inverse kinematics from a configuration, moving each joint as little as possible.
 
     Args:
         robot: The robot.
         start: Arm configuration at the start, shape (dof,) [rad].
         target: The tcp at the end of the line, in the robot's base.
     """
-    best = _follow(robot, start, target, None)
-    if best.fraction < 1.0:
-        other = _follow(robot, start, target, 0.5 * (robot.lower + robot.upper))
-        best = max(best, other, key=lambda path: path.fraction)
-    return best
+    begin = robot.fk(start)
+    length, angle = distance(begin, target)
+    poses = _matrices(line_poses(begin, target, _count(length, angle)))
+    path, reason = [start], ""
+    previous = start
+    for i, pose in enumerate(poses[1:], start=1):
+        joints, error = _near(robot, pose, path[-1] + (path[-1] - previous))
+        jump = float(np.abs(joints - path[-1]).max())
+        if error > 0.0 or jump > _JUMP_RAD:
+            reason = _why(robot, joints, jump, error, (i - 1) / (len(poses) - 1), length)
+            break
+        previous = path[-1]
+        path.append(joints)
+    fraction = (len(path) - 1) / (len(poses) - 1)
+    return LinePath(joints=np.array(path), fraction=fraction, length_m=length, angle_rad=angle, reason=reason)
+
+
+def follow_line_widely(robot: PlannerRobot, start: Array, target: Pose, world: CollisionWorld | None) -> LinePath:
+    """Follow a straight line, using the arm's redundancy to get past limits, singularities and obstacles.
+
+    At each place along the line many configurations are kept, each reached from one at the place before with the elbow
+    resting or swung a little to either side; the smoothest chain that gets farthest is returned.
+
+    Args:
+        robot: The robot.
+        start: Arm configuration at the start, shape (dof,) [rad].
+        target: The tcp at the end of the line, in the robot's base.
+        world: What to avoid; none: collisions do not matter.
+    """
+    begin = robot.fk(start)
+    length, angle = distance(begin, target)
+    poses = _matrices(line_poses(begin, target, _count(length, angle)))
+    layers = [[_Knot(joints=start, move=np.zeros(robot.dof), cost=0.0, before=-1)]]
+    for pose in poses[1:]:
+        reached = _next_layer(robot, layers[-1], pose, world)
+        if not reached:
+            break
+        layers.append(reached)
+    chain, k = [], int(np.argmin([knot.cost for knot in layers[-1]]))
+    for layer in reversed(layers):
+        chain.append(layer[k].joints)
+        k = layer[k].before
+    joints = _smoothed(robot, np.array(chain[::-1]), poses, world)
+    fraction = (len(joints) - 1) / (len(poses) - 1)
+    reason = "" if fraction == 1.0 else f"no way of the elbow goes on at {100.0 * fraction:.0f} % of the line"
+    return LinePath(joints=joints, fraction=fraction, length_m=length, angle_rad=angle, reason=reason)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Knot:
+    joints: Array
+    move: Array
+    cost: float
+    before: int
+
+
+def _next_layer(robot: PlannerRobot, layer: list[_Knot], pose: Array, world: CollisionWorld | None) -> list[_Knot]:
+    reached: list[_Knot] = []
+    for before, knot in enumerate(layer):
+        swings = np.linalg.svd(robot.kinematics.jacobian(knot.joints))[2][6:]
+        for guess in (knot.move, *(sign * _SWING_RAD * swing for swing in swings for sign in (1.0, -1.0))):
+            joints, error = _near(robot, pose, knot.joints + guess)
+            move = joints - knot.joints
+            if error > 0.0 or float(np.abs(move).max()) > _JUMP_RAD:
+                continue
+            if world is not None and not world.edge_is_free(knot.joints, joints, _LINE_RESOLUTION_M):
+                continue
+            cost = knot.cost + float(np.square(move - knot.move).sum())
+            reached.append(_Knot(joints=joints, move=move, cost=cost, before=before))
+    reached.sort(key=lambda knot: knot.cost)
+    kept: list[_Knot] = []
+    for knot in reached:
+        if len(kept) < _LAYER and all(np.abs(knot.joints - other.joints).max() > 0.5 * _SWING_RAD for other in kept):
+            kept.append(knot)
+    return kept
+
+
+def _smoothed(robot: PlannerRobot, path: Array, poses: Array, world: CollisionWorld | None) -> Array:
+    """Draw each inner configuration to the middle of its neighbours, the tcp staying where it is."""
+    path = path.copy()
+    for turn in range(_SMOOTHING):
+        for i in range(1 + turn % 2, len(path) - 1, 2):
+            joints, error = _near(robot, poses[i], 0.5 * (path[i - 1] + path[i + 1]))
+            trial = np.stack([path[i - 1], joints, path[i + 1]])
+            if error == 0.0 and (world is None or world.path_is_free(trial, _LINE_RESOLUTION_M)):
+                path[i] = joints
+    return path
+
+
+def _near(robot: PlannerRobot, pose: Array, guess: Array) -> tuple[Array, float]:
+    """Return the configuration at a pose (4, 4) that descends from a guess, and by how much it misses it [m]."""
+    guess = np.clip(guess, robot.lower, robot.upper)
+    off = 0.0
+    for arm in (robot.arm_within_limits, robot.arm):
+        found, off, _ = arm.ik(
+            pose, guess, seed=0, starts=1, enough=1, iterations=40, position_tolerance=1e-7, rotation_tolerance=1e-6
+        )
+        if len(found):
+            return found[0], 0.0
+    return guess, max(off, 1e-9)
+
+
+def _count(length: float, angle: float) -> int:
+    return 1 + max(_MIN_NODES, int(np.ceil(max(length / _NODE_M, angle / _NODE_RAD))))
+
+
+def _matrices(poses: list[Pose]) -> Array:
+    return np.array([pose_matrix(pose) for pose in poses])
 
 
 def line_poses(begin: Pose, end: Pose, count: int) -> list[Pose]:
@@ -70,30 +179,6 @@ def line_poses(begin: Pose, end: Pose, count: int) -> list[Pose]:
     a, b = np.array(begin.position), np.array(end.position)
     places = np.linspace(0.0, 1.0, count)
     return [Pose.from_arrays(a + s * (b - a), Rotation.from_rotvec(s * turn) * begin.rotation) for s in places]
-
-
-def _follow(robot: PlannerRobot, start: Array, target: Pose, posture: Array | None) -> LinePath:
-    begin = robot.fk(start)
-    length, angle = distance(begin, target)
-    count = 1 + max(_MIN_NODES, int(np.ceil(max(length / _NODE_M, angle / _NODE_RAD))))
-    path, reason = [start], ""
-    previous = start
-    for i, pose in enumerate(line_poses(begin, target, count)[1:], start=1):
-        guess = path[-1] + (path[-1] - previous)
-        found = robot.kinematics.ik_near(pose, np.clip(guess, robot.lower, robot.upper), posture=posture)
-        jump = float(np.abs(found.joints - path[-1]).max())
-        if not found.converged or jump > _JUMP_RAD:
-            reason = _why(robot, found.joints, jump, found.position_error_m, (i - 1) / (count - 1), length)
-            break
-        previous = path[-1]
-        path.append(found.joints)
-    return LinePath(
-        joints=np.array(path),
-        fraction=(len(path) - 1) / (count - 1),
-        length_m=length,
-        angle_rad=angle,
-        reason=reason,
-    )
 
 
 def _why(robot: PlannerRobot, joints: Array, jump: float, error: float, fraction: float, length: float) -> str:

@@ -78,7 +78,7 @@ class CollisionWorld:
                 items.append(_held_item(joint, tcp_pose @ pose_matrix(held.body.pose) @ pose_matrix(part.pose), part))
                 item_names.append(held.body.name)
                 moving.append(True)
-        checks = lru_cache(maxsize=None)(self._rules.checks)
+        checks = self._rules.checks
         item_pairs = [
             index
             for pair in robot.geometry.collisionPairs

@@ -63,10 +63,19 @@ class ContactRules:
         for name, touched in self._touch.items():
             for link in touched - links:
                 raise InvalidRequestError(f"attached '{name}': no touch link '{link}'; {one_of(robot.links, link)}")
+        self._known: dict[tuple[str, str], bool] = {}
         self._allowed = list(_expand(scene.allowed, links, gripper, set(scene.names)))
 
     def checks(self, a: str, b: str) -> bool:
         """Tell whether two bodies may not touch; links of the robot among themselves also follow its SRDF."""
+        if not self._touch and not self._allowed:
+            return True
+        known = self._known.get((a, b))
+        if known is None:
+            known = self._known[a, b] = self._decide(a, b)
+        return known
+
+    def _decide(self, a: str, b: str) -> bool:
         if a in self._touch and (b in self._touch or b in self._touch[a]):
             return False
         if b in self._touch and a in self._touch[b]:

@@ -26,7 +26,7 @@ class IkConfig:
     """Largest position error of a solution [m]."""
     rotation_tolerance_rad: float = 1e-5
     """Largest rotation error of a solution [rad]."""
-    iterations: int = 60
+    iterations: int = 24
     """Iterations per start."""
     starts: int = 100
     """Starts: the reference, some near it, the rest uniform within the limits."""

@@ -6,7 +6,6 @@ seed; a deadline can only end a request (see `Watch`), never change its answer.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,16 +16,16 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-from roboxim_planner.cartesian import follow_line, time_line
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.ik import IkConfig, IkSolver
+from roboxim_planner.lines import plan_line
 from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
 from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory, Upright
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
-from roboxim_planner.verify import Finding, between, verify_motion, verify_samples
+from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
 Goals = tuple[Array, list[int]]
@@ -177,21 +176,15 @@ class Planner:
         at, done, reason = begin, 0.0, ""
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
-            path = follow_line(self.robot, at, to_base @ waypoint)
-            free, why = self._free_part(sweep, path.joints)
-            part = path.fraction * (free - 1) / max(1, len(path.joints) - 1)
-            reason = why or path.reason
-            motions.append(time_line(path.cut(free), limits))
-            done += part
-            at = path.joints[free - 1]
-            if part < 1.0:
+            target = to_base @ waypoint
+            line = plan_line(self.robot, sweep, at, target, limits)
+            motions.append(line.motion)
+            at, done, reason = line.end, done + line.part, line.reason
+            if line.part < 1.0:
                 break
         fraction = done / len(waypoints)
         watch("verify", 0)
         motion = MotionSequence(motions)
-        finding = verify_motion(sweep, self.robot, motion, limits)
-        if not finding.valid:
-            raise PlannerError(f"the timed line is not valid: {finding}", ErrorCode.TRAJECTORY_INVALID)
         plan = Plan(motion=motion, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
         if fraction < min_fraction - 1e-9:
             raise PathIncompleteError(
@@ -472,17 +465,6 @@ class Planner:
                     break
                 distance *= 0.5
         return corners
-
-    @staticmethod
-    def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:
-        """Return how many leading configurations of a path are free, also in between, and what stops it."""
-        if sweep is None:
-            return len(path), ""
-        hit = sweep.exact.first_hit(path)
-        if hit < 0.0:
-            return len(path), ""
-        said = "; ".join(str(contact) for contact in sweep.exact.contacts(between(path, hit))[:3])
-        return max(1, math.ceil(hit)), said
 
     def named_state(self, name: str) -> Array:
         """Return a named arm configuration of the robot.

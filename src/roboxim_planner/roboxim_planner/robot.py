@@ -22,11 +22,12 @@ from roboxim_planner import native
 from roboxim_planner.covers import cover_box, cover_hull, cover_round
 
 Array = npt.NDArray[np.float64]
+_INSIDE_RAD = 4e-3
 
 
 def se3(pose: Pose) -> pin.SE3:
     """Turn a pose into Pinocchio's rigid transform."""
-    return pin.SE3(pose.rotation.as_matrix(), np.array(pose.position))
+    return pin.SE3(pose_matrix(pose))
 
 
 def pose_matrix(pose: Pose) -> Array:
@@ -111,6 +112,14 @@ class PlannerRobot:
         Raises:
             ConfigError: When the description does not list the joints from base to tip.
         """
+        return self._native_arm(0.0)
+
+    @cached_property
+    def arm_within_limits(self) -> native.Arm:
+        """The same with limits drawn in a little, so that a smooth curve through configurations keeps the real ones."""
+        return self._native_arm(_INSIDE_RAD)
+
+    def _native_arm(self, margin: float) -> native.Arm:
         if self._joint_ids != sorted(self._joint_ids):
             raise ConfigError(f"robot '{self.description.id}': joint_names must go from the base to the tip")
         data = self._at_zero(1.0)
@@ -129,8 +138,8 @@ class PlannerRobot:
             placements=np.array([base.actInv(frame).homogeneous for base, frame in zip(bases, frames, strict=True)]),
             axes=np.array(axes),
             prismatic=prismatic,
-            lower=self.lower,
-            upper=self.upper,
+            lower=self.lower + margin,
+            upper=self.upper - margin,
             tcp_joint=tcp_joint,
             tcp=tcp,
         )

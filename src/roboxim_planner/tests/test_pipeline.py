@@ -3,13 +3,17 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError
+from roboxim_core.kinematics.arm import ArmKinematics
+from roboxim_core.kinematics.delta import DeltaController, delta_between
 from roboxim_core.poses import Pose, distance
+from roboxim_planner.cartesian import follow_line
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner
 from roboxim_planner.scene import AllowedContact, PlanningScene, box
@@ -115,6 +119,32 @@ def test_verifier_catches_a_collision_a_limit_and_a_missed_goal(
 
 def _smooth(a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
     return np.stack([-2 * (b - a) / time**3, 3 * (b - a) / time**2, 0 * a, a])[:, None, :]
+
+
+@pytest.mark.parametrize("fault", ["kernel says free", "searches in an empty scene", "no blend is checked"])
+def test_a_planted_bug_never_leaves_the_planner(
+    tcp_down: Down,
+    planner: Planner,
+    walled: PlanningScene,
+    left: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: str,
+) -> None:
+    """Whatever part lies about collisions, the answer is an error or a motion that coal finds free everywhere."""
+    faulty = Planner(planner.robot.description)
+    if fault == "kernel says free":
+        monkeypatch.setattr(CollisionWorld, "edge_is_free", lambda *_: True)
+        monkeypatch.setattr(CollisionWorld, "first_hit", lambda *_: -1.0)
+    elif fault == "searches in an empty scene":
+        empty = CollisionWorld(planner.robot, PlanningScene())
+        monkeypatch.setattr(CollisionWorld, "padded", lambda *_: empty)
+    else:
+        monkeypatch.setattr(CollisionWorld, "path_is_free", lambda *_: True)
+    goal = left * [-1, 1, -1, 1, -1, 1, -1]
+    with suppress(PlannerError):
+        samples = faulty.plan_to_joints(walled, left, goal).sample(0.002).positions
+        coal = CollisionWorld(planner.robot, walled).coal
+        assert all(coal.is_free(q) for q in samples)
 
 
 def test_goal_list_reaches_the_reachable_one(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
@@ -227,6 +257,24 @@ def test_cartesian_stops_before_an_obstacle_with_the_part_that_is_free(
     assert planner.plan_cartesian(scene, start, [tcp_down(0.5, 0.0, 0.05)], min_fraction=0.5).fraction < 1.0
 
 
+def test_line_swings_the_elbow_where_it_must(planner: Planner, tcp_down: Down) -> None:
+    """From some configurations the plain way of following a lift ends at a limit; with the elbow swung it does not."""
+    home, free = planner.named_state("home"), PlanningScene()
+    begins = [(yaw, q) for yaw in (0.0, 0.6, 1.2)
+              for q in planner.ik.solve(tcp_down(0.35, -0.3, 0.05, yaw), home, seed=4, thorough=True)]  # fmt: skip
+    ends = [(q, tcp_down(0.35, -0.3, 0.3, yaw)) for yaw, q in begins]
+    hard = [(q, goal) for q, goal in ends if follow_line(planner.robot, q, goal).fraction < 1.0]
+    done = 0
+    for start, goal in hard:
+        with suppress(PathIncompleteError):
+            plan = planner.plan_cartesian(free, start, [goal])
+            poses = planner.robot.arm.tcp_poses(plan.sample(0.002).positions)
+            assert np.abs(poses[:, :2, 3] - [0.35, -0.3]).max() < 5e-4
+            assert poses[-1] == pytest.approx(goal.matrix, abs=1e-5)
+            done += 1
+    assert done > 0
+
+
 def test_cartesian_out_of_reach_says_where(tcp_down: Down, planner: Planner) -> None:
     with pytest.raises(PathIncompleteError, match="of the line"):
         planner.plan_cartesian(PlanningScene(), planner.named_state("home"), [tcp_down(1.2, 0.0, 0.4)])
@@ -245,6 +293,33 @@ def test_check_trajectory_finds_an_elbow_between_its_points(planner: Planner) ->
     assert "post" in (finding.contacts[0].body_a, finding.contacts[0].body_b)
     assert finding.index == 0
     assert planner.check_trajectory(PlanningScene(), [a, b]).valid
+
+
+def test_an_elbow_that_only_the_rollout_moves_is_found(planner: Planner, tcp_down: Down) -> None:
+    """Rolled out as deltas, the hand is where the plan has it but the elbow is not: a post there is found in time."""
+    start = planner.named_state("home")
+    goals = planner.ik.solve(tcp_down(0.45, 0.35, 0.3), start, seed=0, thorough=True)
+    controller = DeltaController(ArmKinematics(planner.robot.description))
+
+    def elbows(path: np.ndarray) -> np.ndarray:
+        return np.array([planner.robot.fk(q, "panda_link4").position for q in path])
+
+    for goal in goals[::-1]:  # the farther the goal, the farther apart the two elbows
+        plan = planner.plan_to_joints(PlanningScene(), start, goal)
+        poses = planner.robot.tcp_poses(plan.sample(0.1).positions)
+        deltas = [delta_between(a, b, 1.0) for a, b in zip(poses, poses[1:], strict=False)]
+        rolled = np.array([start, *(step.state.joints for step in controller.rollout(start, deltas))])
+        planned = elbows(plan.sample(0.01).positions)
+        apart = [float(np.linalg.norm(planned - elbow, axis=1).min()) for elbow in elbows(rolled)]
+        if max(apart) > 0.15:
+            break
+    far = int(np.argmax(apart))
+    post = box("post", (0.02, 0.02, 0.02), Pose(position=tuple(elbows(rolled)[far].tolist())))
+    scene = PlanningScene(bodies=(post,))
+    assert planner.check_trajectory(scene, plan.sample(0.002).positions).valid
+    finding = planner.check_trajectory(scene, rolled)
+    assert "post" in (finding.contacts[0].body_a, finding.contacts[0].body_b)
+    assert 0 <= finding.index <= far
 
 
 def test_check_trajectory_finds_limits(planner: Planner, table: PlanningScene) -> None:

@@ -5,8 +5,10 @@
 namespace roboxim {
 namespace {
 
-constexpr int kNear = 4;          // starts in the neighbourhood of the reference
+constexpr int kNear = 2;          // starts in the neighbourhood of the reference
+constexpr int kDraws = 6;         // of which the nearest to the target is a start: cheaper than descents that fail
 constexpr double kNearRad = 0.5;  // half width of that neighbourhood
+constexpr double kTurn = 0.3;
 constexpr double kLongestStep = 0.6;
 
 Vec3 rotation_error(const Mat3& goal, const Mat3& now) {
@@ -49,6 +51,13 @@ struct Descent {
 
   Descent(const Arm& a, const Transform& t, const IkSettings& s)
       : arm(a), target(t), settings(s), frames(a.joints.size()), jacobian(6 * a.joints.size()) {}
+
+  // How far a state is from the target: metres, and radians as so many times kTurn metres.
+  double apart(const double* q) {
+    arm.forward(q, frames.data());
+    const Transform tcp = arm.tcp_pose(frames.data());
+    return norm(target.t - tcp.t) + kTurn * norm(rotation_error(target.r, tcp.r));
+  }
 
   // Damping falls with the error (Sugihara, IEEE T-RO 2011); joints that a step would push beyond a limit rest in it.
   bool run(double* q) {
@@ -131,17 +140,19 @@ IkOutcome inverse_kinematics(const Arm& arm, const Transform& target, const doub
   IkOutcome outcome;
   std::vector<double> q(static_cast<std::size_t>(n));
   int found = 0;
+  std::vector<double> drawn(q.size());
   for (int start = 0; start < settings.starts && found < settings.enough; ++start) {
-    for (int j = 0; j < n; ++j) {
-      const Joint& joint = arm.joints[j];
-      if (start == 0) {
-        q[j] = reference[j];
-      } else if (start <= kNear) {
-        q[j] = reference[j] + kNearRad * (2.0 * random.uniform() - 1.0);
-      } else {
-        q[j] = joint.lower + random.uniform() * (joint.upper - joint.lower);
+    double best = 1e300;
+    for (int draw = 0; draw < (start <= kNear ? 1 : kDraws); ++draw) {
+      for (int j = 0; j < n; ++j) {
+        const Joint& joint = arm.joints[j];
+        const double part = start == 0 ? 0.0 : random.uniform();
+        drawn[j] = start <= kNear ? reference[j] + (start > 0) * kNearRad * (2.0 * part - 1.0)
+                                  : joint.lower + part * (joint.upper - joint.lower);
+        drawn[j] = std::clamp(drawn[j], joint.lower, joint.upper);
       }
-      q[j] = std::clamp(q[j], joint.lower, joint.upper);
+      const double apart = start <= kNear ? 0.0 : descent.apart(drawn.data());
+      if (apart < best) best = apart, q = drawn;
     }
     if (descent.run(q.data())) {
       outcome.solutions.insert(outcome.solutions.end(), q.begin(), q.end());

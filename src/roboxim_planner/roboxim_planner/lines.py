@@ -1,0 +1,72 @@
+"""One straight line of the tcp, timed and verified: followed plainly, and widely only where that ends early."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.poses import Pose
+from roboxim_planner.cartesian import LinePath, follow_line, follow_line_widely, time_line
+from roboxim_planner.robot import PlannerRobot
+from roboxim_planner.sweep import Sweep
+from roboxim_planner.timing import Motion, MotionLimits, still
+from roboxim_planner.verify import at_fault, between, verify_motion
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """The part of a straight line that can be done."""
+
+    motion: Motion
+    """Its verified motion."""
+    part: float
+    """How much of the line it covers, 0..1."""
+    end: Array
+    """Arm configuration at its end, shape (dof,) [rad]."""
+    reason: str
+    """Why the line ends early; empty when it does not."""
+
+
+def plan_line(robot: PlannerRobot, sweep: Sweep | None, start: Array, target: Pose, limits: MotionLimits) -> Line:
+    """Plan a straight line of the tcp.
+
+    Args:
+        robot: The robot.
+        sweep: What to avoid; none: collisions do not matter.
+        start: Arm configuration at the start, shape (dof,) [rad].
+        target: The tcp at the end, in the robot's base.
+        limits: Limits of the motion.
+    """
+    plain = _line(robot, sweep, follow_line(robot, start, target), limits)
+    if plain.part == 1.0:
+        return plain
+    world = None if sweep is None else sweep.exact
+    wide = _line(robot, sweep, follow_line_widely(robot, start, target, world), limits)
+    return wide if wide.part > plain.part + 1e-9 else plain
+
+
+def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: MotionLimits) -> Line:
+    count, reason = _free_part(sweep, path.joints)
+    reason = reason or path.reason
+    motion: Motion = time_line(path.cut(count), limits)
+    finding = verify_motion(sweep, robot, motion, limits)
+    if not finding.valid:  # the curve between the configurations, not they themselves, breaks a limit
+        return Line(
+            motion=still(path.joints[0]), part=0.0, end=path.joints[0], reason=f"as a motion it is not valid: {finding}"
+        )
+    return Line(motion=motion, part=path.part(count), end=path.joints[count - 1], reason=reason)
+
+
+def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:
+    """Return how many leading configurations of a path are free, also in between, and what stops it."""
+    hit = -1.0 if sweep is None else sweep.exact.first_hit(path)
+    if sweep is None or hit < 0.0:
+        return len(path), ""
+    contacts, broken = at_fault(sweep.exact, between(path, hit))
+    said = "; ".join([*(str(contact) for contact in contacts[:3]), *broken])
+    return max(1, math.ceil(hit)), said
