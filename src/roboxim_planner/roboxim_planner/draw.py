@@ -149,7 +149,7 @@ class _Picture:
             color = _OBSTACLES[index % len(_OBSTACLES)]
             self._add(body_triangles(body), color, 1.0)
             self._entries[body.name] = color
-        joints = [plan.sample(max(plan.duration / 40.0, 1e-3)).positions for plan in plans]
+        joints = [plan.sample(max(plan.duration / 120.0, 1e-3)).positions for plan in plans]
         self.lines = [self._tcp(path) for path in joints]
         self.goals = _goals(query)
         self._robots(query, np.concatenate(joints) if joints else None, answer)
@@ -230,7 +230,7 @@ class _Picture:
             axes.plot(*np.array(contact.position)[:, None], "o", color=_BAD, markersize=7, zorder=10_002)
         low, high = self._extent()
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        axes.set_box_aspect(high - low, zoom=1.4)
+        axes.set_box_aspect(high - low, zoom=1.3)
         axes.set_axis_off()
 
     def _extent(self) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -12,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -33,7 +35,7 @@ from roboxim_interfaces.srv import (
 )
 from roboxim_interfaces.srv import PlanSequence as PlanSequenceSrv
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RequestTimeoutError, RoboximError
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
@@ -164,7 +166,12 @@ class PlannerNode(RoboximNode):
         robot_id = robot_id or self._config.robot
         if robot_id not in self._planners:
             config = PlannerConfig(padding_m=self._config.padding_m)
-            self._planners[robot_id] = Planner(self._library.robot(robot_id), config)
+            planner = Planner(self._library.robot(robot_id), config)
+            home = planner.named_state("home")
+            near = np.clip(home + 1e-3, planner.robot.lower, planner.robot.upper)
+            with contextlib.suppress(PlannerError):  # what is built on first use is built now, not in a request
+                planner.plan_to_joints(PlanningScene(), home, near)
+            self._planners[robot_id] = planner
         return self._planners[robot_id]
 
     def _scene(self, msg: Any) -> PlanningScene:

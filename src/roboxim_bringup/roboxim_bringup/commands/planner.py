@@ -27,15 +27,18 @@ def _folder_option(function: Any) -> Any:
 @_folder_option
 def dumps(folder: Path | None) -> None:
     """List the dumps, newest first."""
-    from roboxim_core.errors import ErrorCode
+    from roboxim_core.errors import ConfigError
     from roboxim_planner.dumps import dump_folder, list_dumps, read_dump
 
     found = list_dumps(folder or dump_folder())
     if not found:
         click.echo(f"no dumps in {folder or dump_folder()}")
     for path in found:
-        outcome = read_dump(path).outcome
-        click.echo(f"{path}\n  {ErrorCode(outcome.error_code).name}: {outcome.error_msg}")
+        try:
+            said = str(read_dump(path).outcome)
+        except ConfigError as error:  # e.g. of an older planner
+            said = str(error)
+        click.echo(f"{path}\n  {said}")
 
 
 @command.command("replay")
