@@ -129,7 +129,7 @@ class TinyRenderer:
     def _load_texture(self, name: str) -> int:
         with tempfile.TemporaryDirectory(prefix="roboxim-") as folder:
             path = Path(folder) / "texture.png"
-            Image.fromarray(textures.pixels(name)).save(path)
+            Image.fromarray(textures.pixels(name)[::-1]).save(path)  # its v runs downwards
             return int(pybullet.loadTexture(str(path), physicsClientId=self._client))
 
     def _draw(self, camera: CameraSpec, pose: Pose, parts: tuple[_Part, ...]) -> CameraImages:
