@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from roboxim_core.config import config_dir, from_plain, named_config
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import PALETTE, ModelLibrary
 from roboxim_core.models.visuals import (
@@ -212,3 +213,43 @@ def test_the_default_robot_has_few_enough_triangles_for_a_renderer_without_a_gpu
     parts = robot_parts(robot.id, robot.urdf)
     assert sum(len(part.mesh.faces) for link in parts.values() for part in link) <= 11_500
     assert len(parts) == 11
+
+
+def test_own_folders_are_searched_before_the_built_in_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cameras").mkdir()
+    (tmp_path / "cameras" / "mine.yaml").write_text("name: mine\n")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    assert named_config("cameras", "mine") == tmp_path / "cameras" / "mine.yaml"
+    assert named_config("cameras", "wrist").parent.parent == config_dir()
+    with pytest.raises(ConfigError, match="did you mean 'mine'"):
+        named_config("cameras", "mien")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path / "nowhere"))
+    with pytest.raises(ConfigError, match="which is no folder"):
+        ModelLibrary()
+
+
+def test_a_pose_may_be_given_in_degrees() -> None:
+    pose = from_plain({"position": [1, 2, 3], "rpy_deg": [180, 0, 90]}, Pose)
+    assert pose.rotation.apply([1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0])
+    assert pose.rotation.apply([0.0, 0.0, 1.0]) == pytest.approx([0.0, 0.0, -1.0])
+    with pytest.raises(ConfigError, match="not both"):
+        from_plain({"rpy_deg": [0, 0, 0], "quat_xyzw": [0, 0, 0, 1]}, Pose)
+    with pytest.raises(ConfigError, match="roll, pitch and yaw in degrees"):
+        from_plain({"rpy_deg": [0, 0]}, Pose)
+
+
+def test_materials_and_sizes_change_look_mass_and_grasps() -> None:
+    usual, metal = LIBRARY.object("cube"), LIBRARY.object("cube", {"material": "metal"})
+    assert metal.links[0].mass == pytest.approx(2 * usual.links[0].mass)
+    assert metal.links[0].visual[0].material.metallic == 1.0
+    assert (
+        LIBRARY.object("cube", {"material": "metal", "color": "blue"}).links[0].visual[0].material.color
+        == PALETTE["blue"]
+    )
+    large = LIBRARY.object("bowl", {"size": "large"})
+    assert large.size == pytest.approx([1.15 * value for value in LIBRARY.object("bowl").size])
+    assert large.regions[0].size == pytest.approx([1.15 * value for value in LIBRARY.object("bowl").regions[0].size])
+    with pytest.raises(ConfigError, match="did you mean 'large'"):
+        LIBRARY.object("cube", {"size": "lrage"})
+    with pytest.raises(ConfigError, match="unknown material 'ceramic'"):
+        LIBRARY.object("cube", {"material": "ceramic"})
