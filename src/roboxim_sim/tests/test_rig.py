@@ -61,7 +61,12 @@ def floor(renderer: Renderer) -> Renderer:
     return renderer
 
 
-@pytest.mark.parametrize("camera", [PLAIN, CALIBRATED, BARREL, PINCUSHION], ids=["fov", "k", "barrel", "pincushion"])
+@pytest.mark.parametrize(
+    ("renderer", "camera"),
+    [("raster", PLAIN), ("raster", CALIBRATED), ("raster", BARREL), ("raster", PINCUSHION), ("tiny", CALIBRATED)],
+    ids=["raster-fov", "raster-k", "raster-barrel", "raster-pincushion", "tiny-k"],
+    indirect=["renderer"],
+)
 def test_known_points_are_where_camera_info_says(renderer: Renderer, camera: CameraSpec) -> None:
     """Projected with the message's K and D alone, as a user would, within half a pixel."""
     info = camera_info_msg(0, camera)
