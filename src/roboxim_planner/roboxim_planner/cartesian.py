@@ -215,7 +215,7 @@ class LineMotion:
             0.999 * limits.tcp_rot_speed / max(angle_rad, 1e-12),
         )
         acceleration, jerk = float((limits.acceleration / slope).min()), float((limits.jerk / slope).min())
-        for _ in range(3):  # once is enough but for what falls between the samples
+        for _ in range(5):  # once is enough but for what falls between the samples
             self._set_law(*line_profile(1.0, 0.0, 0.0, speed, acceleration, jerk))
             factor = self._excess(limits)
             if factor <= 1.0:
@@ -229,7 +229,9 @@ class LineMotion:
 
     def _excess(self, limits: MotionLimits) -> float:
         """Return by what factor time must be stretched for every limit to hold (<= 1: they hold)."""
-        times = np.unique(np.concatenate([np.linspace(0.0, self.duration, 400), self._law[0].x, self._law[0].x - 1e-9]))
+        count = max(400, int(2000.0 * self.duration))
+        breaks = self._law[0].x
+        times = np.unique(np.concatenate([np.linspace(0.0, self.duration, count), breaks, breaks - 1e-9]))
         _, v, a, j = self.evaluate(times)
         return max(
             float((np.abs(v) / limits.velocity).max()),
