@@ -13,6 +13,7 @@ direction in the world into the task's arguments, so that a bag is judged withou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -44,6 +45,8 @@ GOALS = 10
 BORDER_M = 0.05
 NEAREST_M, FARTHEST_M = 0.32, 0.74
 """Distances from the robot's axis at which it puts things down from above at any yaw."""
+FARTHEST_X_M, FARTHEST_Y_M = 0.72, 0.32
+"""What the workspace camera sees of the table, in front of the robot and to its sides."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +164,10 @@ def free_goals(
     parameters: RelationParameters,
     library: ModelLibrary,
 ) -> list[Pose]:
-    """Return poses of the target in the world that satisfy the relation that the arm is comfortable at, touching nothing; best first."""
+    """Return poses of the target in the world that satisfy the relation and touch nothing, best first.
+
+    Only places at which the arm is comfortable.
+    """
     spec, other = scene.entity(target), scene.entity(reference)
     model, other_model = library.entity_model(spec), library.entity_model(other)
     others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
@@ -191,8 +197,8 @@ def comfortable(scene: SceneSpec, goal: Pose) -> bool:
     lower, upper = (np.array(corner[:2]) for corner in (scene.workspace.lower, scene.workspace.upper))
     xy = np.array(goal.position[:2])
     inside = bool(np.all(xy >= lower + BORDER_M) and np.all(xy <= upper - BORDER_M))
-    radius_m = float(np.linalg.norm((scene.robot.pose.inverse() @ goal).position[:2]))
-    return inside and NEAREST_M <= radius_m <= FARTHEST_M
+    x, y, _ = (scene.robot.pose.inverse() @ goal).position
+    return inside and x <= FARTHEST_X_M and abs(y) <= FARTHEST_Y_M and NEAREST_M <= math.hypot(x, y) <= FARTHEST_M
 
 
 def half_extent(model: ObjectModel, rotation: Rotation, direction: Array) -> float:
