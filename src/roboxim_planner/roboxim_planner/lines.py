@@ -32,7 +32,9 @@ class Line:
     """Why the line ends early; empty when it does not."""
 
 
-def plan_line(robot: PlannerRobot, sweep: Sweep | None, start: Array, target: Pose, limits: MotionLimits) -> Line:
+def plan_line(
+    robot: PlannerRobot, sweep: Sweep | None, start: Array, target: Pose, limits: MotionLimits, *, wide: bool = True
+) -> Line:
     """Plan a straight line of the tcp.
 
     Args:
@@ -41,9 +43,10 @@ def plan_line(robot: PlannerRobot, sweep: Sweep | None, start: Array, target: Po
         start: Arm configuration at the start, shape (dof,) [rad].
         target: The tcp at the end, in the robot's base.
         limits: Limits of the motion.
+        wide: Whether to look widely where the plain line ends early, which takes a hundred times as long.
     """
     plain = _line(robot, sweep, follow_line(robot, start, target), limits)
-    if plain.part == 1.0:
+    if plain.part == 1.0 or not wide:
         return plain
     world = None if sweep is None else sweep.exact
     wide = _line(robot, sweep, follow_line_widely(robot, start, target, world), limits)

@@ -145,6 +145,7 @@ class Planner:
         *,
         min_fraction: float = 1.0,
         ignore_collisions: bool = False,
+        wide: bool = True,
         watch: Watch = no_watch,
     ) -> Plan:
         """Plan straight lines of the tcp through poses, stopping at each.
@@ -156,6 +157,7 @@ class Planner:
             options: Limits and seed; the padding is not used: a line is checked exactly.
             min_fraction: Smallest part of the lines that counts as success, 0..1.
             ignore_collisions: Whether collisions do not matter.
+            wide: As of `plan_line`.
             watch: Called now and then; ends the request by raising.
 
         Raises:
@@ -177,7 +179,7 @@ class Planner:
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
             target = to_base @ waypoint
-            line = plan_line(self.robot, sweep, at, target, limits)
+            line = plan_line(self.robot, sweep, at, target, limits, wide=wide)
             motions.append(line.motion)
             at, done, reason = line.end, done + line.part, line.reason
             if line.part < 1.0:

@@ -109,8 +109,10 @@ class SequenceConfig:
 
     configurations: int = 48
     """Goal configurations of a pose stage that are looked at, nearest first."""
+    wide_configurations: int = 2
+    """Of those, from so many the lines are looked for widely when from none they succeed plainly; see `plan_line`."""
     motions: int = 6
-    """Of those from which the following lines succeed, free motions to so many are tried."""
+    """Free motions tried, to configurations from which the following lines succeed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,7 +191,7 @@ class _Search:
         if k == len(self._stages):
             return []
         if self._stages[k].kind == "cartesian":
-            steps = self._lines(k, at, scene)
+            steps = self._lines(k, at, scene, wide=True)
             return None if steps is None else self._go_on(k, steps)
         return self._free(k, at, scene)
 
@@ -206,10 +208,13 @@ class _Search:
                 plan = self._planner.plan_to_pose(here, at, targets, options, self._watch)
                 return [_Step(plan=plan, scene=left, goal_index=plan.goal_index)]
             return None
+        candidates = self._candidates(k, stage, at, here, options)
+        self._tried[k] = self._tried.get(k, 0) + len(candidates)
+        lines_follow = k + 1 < len(self._stages) and self._stages[k + 1].kind == "cartesian"
+        wider = candidates[: self._config.wide_configurations] if lines_follow else []
         motions = 0
-        for index, goal in self._candidates(k, stage, at, here, options):
-            self._tried[k] = self._tried.get(k, 0) + 1
-            following = self._lines(k + 1, goal, left)
+        for number, (index, goal) in enumerate([*candidates, *wider]):
+            following = self._lines(k + 1, goal, left, wide=number >= len(candidates))
             if following is None:
                 continue
             motions += 1
@@ -243,7 +248,7 @@ class _Search:
         found.sort(key=lambda pair: float(np.abs(pair[1] - at).max()))
         return found[: self._config.configurations]
 
-    def _lines(self, k: int, at: Array, scene: PlanningScene) -> list[_Step] | None:
+    def _lines(self, k: int, at: Array, scene: PlanningScene, *, wide: bool) -> list[_Step] | None:
         """Return the steps of the straight-line stages from k on up to the next free motion, or none."""
         steps: list[_Step] = []
         while k < len(self._stages) and self._stages[k].kind == "cartesian":
@@ -259,6 +264,7 @@ class _Search:
                     stage.options or self._options,
                     min_fraction=stage.min_fraction,
                     ignore_collisions=stage.ignore_collisions,
+                    wide=wide,
                     watch=self._watch,
                 )
             if plan is None:

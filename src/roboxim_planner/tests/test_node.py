@@ -364,7 +364,7 @@ def test_sequence_grasps_and_lifts(graph: Graph) -> None:
     for before, after in zip(answer.plans, answer.plans[1:], strict=False):
         end = np.array(before.trajectory.points[-1].positions)
         assert np.abs(end - np.array(after.trajectory.points[0].positions)).max() < 1e-6
-    error = graph.refused(PlanSequence, "plan_sequence", sequence(retreat=1.2))
+    error = graph.refused(PlanSequence, "plan_sequence", sequence(retreat=0.9))
     assert error.code == ErrorCode.PATH_INCOMPLETE
     assert "stage 'retreat' (3 of 3)" in str(error)
     assert "of stage 'approach' tried" in str(error)
