@@ -147,7 +147,8 @@ class Referee:
     def edge_collides(self, start: Array, end: Array) -> bool:
         """Tell whether the straight joint line touches anything, looked at every 2 mm of the arm's motion."""
         count = max(2, int(np.abs(end - start) @ self._reach / 0.002) + 1)
-        return self.first_collision(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)) >= 0
+        path = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
+        return any(self.collides(q) for q in path[:: max(1, count // 16)]) or self.first_collision(path) >= 0
 
     def tcp(self, joints: Array) -> pin.SE3:
         """Return the tcp in the base."""
