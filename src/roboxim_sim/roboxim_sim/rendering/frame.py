@@ -98,7 +98,7 @@ class Frame:
         seen = np.flatnonzero(visible(self.clip(camera, pose), self.centers, self.radii))
         distances = np.linalg.norm(self.centers[seen] - np.asarray(pose.position), axis=1)
         pixels = max(camera.matrix[:2]) * self.radii[seen] / np.maximum(distances, camera.near)
-        fine = 2 * np.pi * pixels**2 > PIXELS_PER_FACE * self._packed.plain_faces[seen]
+        fine = 2 * np.pi * pixels**2 > PIXELS_PER_FACE * self._packed.faces[seen]
         order = np.argsort(distances - self.radii[seen], kind="stable")
         kinds: dict[tuple[int, bool], list[range]] = {}
         shadowed = self._reached if self.shadowed else np.zeros(len(self.radii), dtype=bool)
@@ -108,7 +108,7 @@ class Frame:
             if body.plain:
                 kinds.setdefault((code, False), []).append(body.plain if whole else body.plain_coarse)
             if body.textured:
-                kinds.setdefault((code, True), []).append(body.textured)
+                kinds.setdefault((code, True), []).append(body.textured if whole else body.textured_coarse)
         return [Batch(flags=self._flags(*kind), ranges=tuple(kinds[kind])) for kind in sorted(kinds)]
 
     def _flags(self, code: int, texture: bool) -> tuple[str, ...]:

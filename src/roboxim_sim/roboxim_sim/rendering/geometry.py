@@ -37,8 +37,10 @@ VERTEX = np.dtype(
 body, entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
-COARSE_FACES = 700
-"""Faces that a body is simplified to for its shadow, and for images in which it is small."""
+COARSE_FACES = 500
+"""Faces that a robot's links, and bodies of many faces, are simplified to for shadows and where they look small."""
+MANY_FACES = 3000
+"""More faces than other bodies need."""
 WHITE_LAYER = 0
 
 Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[npt.NDArray[np.uint8]]]
@@ -59,6 +61,8 @@ class PackedBody:
     """The same with fewer faces."""
     textured: range
     """Indices of what has a texture."""
+    textured_coarse: range
+    """The same with fewer faces."""
     shadow: range
     """Indices of what casts its shadow: all of it, with few faces."""
     center: Array
@@ -107,9 +111,9 @@ class PackedWorld:
         return np.array([layers.get(body.entity, OBJECTS_LAYER) for body in self.bodies], dtype=np.int64)
 
     @cached_property
-    def plain_faces(self) -> npt.NDArray[np.int64]:
-        """Numbers of faces without a texture, shape (N,)."""
-        return np.array([len(body.plain) // 3 for body in self.bodies], dtype=np.int64)
+    def faces(self) -> npt.NDArray[np.int64]:
+        """Numbers of the bodies' faces, shape (N,)."""
+        return np.array([(len(body.plain) + len(body.textured)) // 3 for body in self.bodies], dtype=np.int64)
 
     @cached_property
     def slab(self) -> int | None:
@@ -164,37 +168,34 @@ def _packed(
     parts = sorted(parts, key=lambda part: bool(part.material.texture))
     fine = [part.mesh for part in parts]
     room = body.entity in SURROUNDINGS
-    coarse = (
-        () if room or sum(len(mesh.faces) for mesh in fine) <= 2 * COARSE_FACES else coarse_meshes(fine, COARSE_FACES)
-    )
+    faces = sum(len(mesh.faces) for mesh in fine)
+    simplified = faces > MANY_FACES or (body.entity == "robot" and faces > 1.5 * COARSE_FACES)
+    coarse = coarse_meshes(fine, max(COARSE_FACES, faces // 6)) if simplified and not room else ()
     if room or body.entity == "table":
         shades: Sequence[npt.NDArray[np.uint8]] = [np.full(len(mesh.vertices), 255, np.uint8) for mesh in fine]
     else:
         shades = openness(fine, [*fine, *coarse])
-    start, plain_end = arrays.count, arrays.count
-    for part, mesh, shade in zip(parts, fine, shades, strict=False):
-        arrays.add(*_shaped(part, mesh, textures.index(part.material.texture), shade, ids))
-        plain_end = plain_end if part.material.texture else arrays.count
-    plain, textured, shadow = range(start, plain_end), range(plain_end, arrays.count), range(start, arrays.count)
-    plain_coarse = plain
-    if coarse:
-        start = plain_end = arrays.count
-        for part, mesh, shade in zip(parts, coarse, shades[len(fine) :], strict=True):
-            arrays.add(*_shaped(part, mesh, WHITE_LAYER, shade, ids))
-            plain_end = plain_end if part.material.texture else arrays.count
-        plain_coarse, shadow = range(start, plain_end), range(start, arrays.count)
-    if room:
-        shadow = range(start, start)
+    ranges = []
+    for meshes in (fine, coarse or fine):
+        first = middle = arrays.count
+        for part, mesh, shade in zip(parts, meshes, shades[len(ranges) // 2 * len(fine) :], strict=False):
+            arrays.add(*_shaped(part, mesh, textures.index(part.material.texture), shade, ids))
+            middle = middle if part.material.texture else arrays.count
+        ranges += [range(first, middle), range(middle, arrays.count)]
+        if not coarse:
+            ranges *= 2
+            break
     points = np.concatenate([part.mesh.vertices for part in parts]).astype(float)
     low, high = points.min(axis=0), points.max(axis=0)
     center = (low + high) / 2
     return PackedBody(
         key=body.key,
         entity=body.entity,
-        plain=plain,
-        plain_coarse=plain_coarse,
-        textured=textured,
-        shadow=shadow,
+        plain=ranges[0],
+        textured=ranges[1],
+        plain_coarse=ranges[2],
+        textured_coarse=ranges[3],
+        shadow=range(0) if room else range(ranges[2].start, ranges[3].stop),
         center=center,
         half=(high - low) / 2,
         radius=float(np.linalg.norm(points - center, axis=1).max()),

@@ -9,11 +9,16 @@ import fast_simplification
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from roboxim_core.rendering import TriangleMesh
 
 CREASE_RAD = np.radians(45.0)
 """Faces that meet at a smaller angle are shaded as one smooth surface."""
+NEIGHBOURS = 8
+"""Fine vertices that a coarse corner chooses its texture coordinates from."""
+SEAM = 0.3
+"""Texture coordinates further apart than this, within a triangle, lie on two sides of a seam."""
 
 _COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[int, ...], tuple[TriangleMesh, ...]]] = WeakKeyDictionary()
 """By a body's first mesh: ids of all its meshes, and their coarse ones. Meshes come from caches and outlive a scene."""
@@ -27,7 +32,7 @@ def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleM
         faces: About how many faces they shall have in all.
 
     Returns:
-        A coarse mesh for each, without texture coordinates. A mesh may lose all its faces.
+        A coarse mesh for each, with texture coordinates where the fine one has some. A mesh may lose all its faces.
     """
     key = tuple(id(mesh) for mesh in meshes)
     known = _COARSE.get(meshes[0])
@@ -56,7 +61,7 @@ def _simplified(meshes: Sequence[TriangleMesh], target: int) -> tuple[TriangleMe
     faces = mapping[faces]
     whole = _whole(faces)
     faces, owner = faces[whole], owner[whole]
-    return tuple(_shaded(points, faces[owner == i]) for i in range(len(meshes)))
+    return tuple(_shaded(points, faces[owner == i], mesh) for i, mesh in enumerate(meshes))
 
 
 def _whole(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
@@ -64,8 +69,11 @@ def _whole(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
     return np.asarray((a != b) & (b != c) & (c != a))
 
 
-def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]) -> TriangleMesh:
-    """Give each corner of the faces the mean normal of the faces around it that are within `CREASE_RAD` of its own."""
+def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fine: TriangleMesh) -> TriangleMesh:
+    """Give each corner of the faces the mean normal of the faces around it that are within `CREASE_RAD` of its own.
+
+    Where the fine mesh has texture coordinates, each gets those of a fine vertex beside it.
+    """
     corners = points[faces].astype(np.float64)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-12)
@@ -78,10 +86,27 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer]) ->
     normals = np.zeros((faces.size, 3))
     np.add.at(normals, pairs.row[near], areas[other[near]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    both = np.round(np.concatenate([corners.reshape(-1, 3), normals], axis=1), 5).astype(np.float32)
-    both, index = np.unique(both, axis=0, return_inverse=True)
+    columns = [corners.reshape(-1, 3), normals]
+    if fine.uv is not None:
+        columns.append(_coordinates(corners, fine).reshape(-1, 2))
+    both, index = np.unique(np.round(np.concatenate(columns, axis=1), 5), axis=0, return_inverse=True)
+    both = both.astype(np.float32)
     return TriangleMesh(
         vertices=np.ascontiguousarray(both[:, :3]),
-        normals=np.ascontiguousarray(both[:, 3:]),
+        normals=np.ascontiguousarray(both[:, 3:6]),
         faces=index.reshape(-1, 3).astype(np.uint32),
+        uv=None if fine.uv is None else np.ascontiguousarray(both[:, 6:]),
     )
+
+
+def _coordinates(corners: npt.NDArray[np.float64], fine: TriangleMesh) -> npt.NDArray[np.float64]:
+    """Return texture coordinates of triangles' corners, shape (M, 3, 2), so that no triangle reaches across a seam."""
+    assert fine.uv is not None
+    tree, count = cKDTree(fine.vertices), min(NEIGHBOURS, len(fine.vertices))
+    uv = fine.uv.astype(np.float64)
+    middle = uv[tree.query(corners.mean(axis=1))[1]]  # (M, 2)
+    distances, near = tree.query(corners, k=count)  # (M, 3, count)
+    distances, near = distances.reshape(*corners.shape[:2], count), near.reshape(*corners.shape[:2], count)
+    apart = np.abs(uv[near] - middle[:, None, None]).max(axis=-1) > SEAM
+    best = (distances + 10.0 * apart).argmin(axis=-1)
+    return uv[np.take_along_axis(near, best[..., None], axis=-1)[..., 0]]
