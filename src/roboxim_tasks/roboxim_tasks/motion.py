@@ -100,6 +100,11 @@ class Grasp:
     """Name of the annotation."""
 
 
+def fingers_touch(scene: ExpertScene, entity: str) -> tuple[tuple[str, str], ...]:
+    """Return the pairs that may touch when fingers push or hold an entity whose shape the palm must stay clear of."""
+    return tuple((finger, entity) for finger in scene.robot.gripper.links[1:])
+
+
 RELEASE_CLEARANCE_M = 0.03
 
 

@@ -226,7 +226,7 @@ class GripperModel:
     speed_m_s: float
     """Speed of each finger [m/s]."""
     links: tuple[str, ...] = ()
-    """Links of the hand and fingers, which may touch a held object."""
+    """Links of the hand and fingers, which may touch a held object; the hand's first."""
 
 
 @dataclass(frozen=True, kw_only=True)

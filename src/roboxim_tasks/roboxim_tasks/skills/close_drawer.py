@@ -22,7 +22,7 @@ from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext
-from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, retreated
+from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.predicates import Condition, Conditions
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.script import SLOW, Script
@@ -113,7 +113,7 @@ class CloseDrawer(Skill):
         joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
         axis = opening_axis(model, handle, base)
         travel_m = joints[handle.joint] - joint_of(model, handle).lower
-        touching = ((GRIPPER, cabinet),)
+        touching = fingers_touch(scene, cabinet)
         for grasp in handle_grasps(model, handle, base, joints):
             touch = moved_by(grasp, axis * FINGER_M)
             begin = moved_by(touch, axis * STANDOFF_M)

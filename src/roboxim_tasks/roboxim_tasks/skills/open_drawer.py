@@ -20,7 +20,7 @@ from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext
-from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, retreated
+from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.predicates import Condition, Conditions, above
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.script import SLOW, Script
@@ -106,7 +106,7 @@ class OpenDrawer(Skill):
         joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
         goal_m = min(parameters.open_m + OVERSHOOT_M, joint_of(model, handle).upper)
         way = opening_axis(model, handle, base) * (goal_m - joints[handle.joint])
-        touching = ((GRIPPER, cabinet),)
+        touching = fingers_touch(scene, cabinet)
         for grasp in handle_grasps(model, handle, base, joints):
             script = Script(scene)
             script.opening = GRASP_OPENING

@@ -24,7 +24,7 @@ from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
-from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, retreated
+from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, joint_highest_ever
 from roboxim_tasks.reach import reaches, start_clear
 from roboxim_tasks.script import SLOW, Script
@@ -88,6 +88,7 @@ class PushButton(Skill):
         """Go above it with closed fingers, press, withdraw; the yaw that the tool has first."""
         entity = scene.task.objects["target"].entity
         face = _face(scene.model_of(entity), scene.pose_of(entity))
+        touching = fingers_touch(scene, entity)
         now = scene.pose_tcp.rotation.apply([1.0, 0.0, 0.0])
         heading = math.atan2(now[1], now[0])
         for yaw in YAWS:
@@ -95,9 +96,9 @@ class PushButton(Skill):
             script = Script(scene)
             script.opening = 0.0
             script.move(retreated(pressed, APPROACH_M), name="approach", free=True)
-            script.move(pressed, name="press", speed=SLOW, touching=((GRIPPER, entity),))
+            script.move(pressed, name="press", speed=SLOW, touching=touching)
             script.wait(DWELL_S, name="dwell")
-            script.move(retreated(pressed, APPROACH_M), name="withdraw", touching=((GRIPPER, entity),))
+            script.move(retreated(pressed, APPROACH_M), name="withdraw", touching=touching)
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:

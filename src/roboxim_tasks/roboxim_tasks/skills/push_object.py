@@ -28,7 +28,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
-from roboxim_tasks.motion import GRIPPER, ExpertScene, Stage, shifted
+from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.placement import refusal
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
 from roboxim_tasks.reach import reaches, start_clear
@@ -146,7 +146,7 @@ class PushObject(Skill):
         in_world = np.array([parameters.direction_x, parameters.direction_y, 0.0])
         toward = scene.scene.robot.pose.rotation.inv().apply(in_world)
         pose = scene.pose_of(entity)
-        touching = ((GRIPPER, entity),)
+        touching = fingers_touch(scene, entity)
         for begin, opening in pushing_poses(scene.model_of(entity), pose, toward):
             script = Script(scene)
             script.opening = opening
