@@ -1,12 +1,14 @@
 """What the planner's services cost beyond the core: the same requests through the node and without it, interleaved.
 
-The node is in this process, in a thread of its own, as in every graph that `roboxim` starts in one process.
+The node is in this process, in a thread of its own, as in every graph that `roboxim` starts in one process. Also what a
+change of the scene costs: a new snapshot with a body elsewhere, or held, and the geometry of it, up to the first check.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import median
 
 from geometry_msgs.msg import PoseStamped
@@ -15,9 +17,10 @@ from roboxim_interfaces.srv import CheckState, ComputeIK, PlanCartesian, PlanToP
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 
-from _harness import Bench
+from _harness import Bench, time_ms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
+from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.node import PlannerNode
 from roboxim_planner.pipeline import Planner
 from roboxim_planner.scene import PlanningScene, box
@@ -36,6 +39,30 @@ def stamped(pose: Pose) -> PoseStamped:
     msg = PoseStamped()
     fill_pose(msg.pose, pose)
     return msg
+
+
+def crowded() -> PlanningScene:
+    """Return a table with ten boxes."""
+    bodies = [box(f"box{k}", (0.05, 0.05, 0.05), Pose(position=(0.3 + 0.04 * k, 0.4, 0.03))) for k in range(10)]
+    return PlanningScene(bodies=(box("table", (0.9, 1.4, 0.05), Pose(position=(0.5, 0.0, -0.03))), *bodies))
+
+
+def moved(step: int) -> Callable[[], PlanningScene]:
+    """Return what makes the scene with its first box elsewhere."""
+    scene = crowded()
+
+    def change() -> PlanningScene:
+        body = replace(scene.bodies[1], pose=Pose(position=(0.3, -0.3 + 1e-4 * step, 0.03)))
+        return replace(scene, bodies=(scene.bodies[0], body, *scene.bodies[2:]))
+
+    return change
+
+
+def held(step: int) -> Callable[[], PlanningScene]:
+    """Return what makes the scene with its first box in the gripper."""
+    scene = crowded()
+    tcp = Pose(position=(0.3, 0.4, 0.03 + 1e-4 * step), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
+    return lambda: scene.attach("box0", tcp)
 
 
 def main() -> None:
@@ -61,6 +88,10 @@ def main() -> None:
         ("check_state", CheckState, check, lambda: planner.check_state(scene, home)),
         ("compute_ik", ComputeIK, ik, lambda: planner.inverse_kinematics(GOAL, home)),
     ]
+    for name, change in (("a body's pose changes", moved), ("a body is attached", held)):
+        snapshots = iter([change(k) for k in range(repeats + 3)])
+        cost = time_ms(lambda made=snapshots: CollisionWorld(planner.robot, next(made)()).is_free(home), repeats)
+        bench.row(what=name, core_ms=round(cost, 2))
     worst = 0.0
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
         host.add(lambda context: PlannerNode(context=context, parameters={"dumps_kept": 0}))
@@ -79,7 +110,7 @@ def main() -> None:
                         beyond.append(time.perf_counter() - between - spent[-1])
                 overhead = 1e3 * median(beyond)
                 worst = max(worst, overhead)
-                bench.row(service=name, core_ms=round(1e3 * median(spent), 2), overhead_ms=round(overhead, 2))
+                bench.row(what=name, core_ms=round(1e3 * median(spent), 2), overhead_ms=round(overhead, 2))
         finally:
             clients.close()
     bench.finish("largest overhead of a service over the core call", worst, "ms", at_most=3.0)

@@ -52,7 +52,13 @@ def cover_box(size: npt.ArrayLike) -> Array:
     Returns:
         Rows of centre and radius, shape (N, 4), N <= 8 [m].
     """
-    extents = np.asarray(size, dtype=float)
+    x, y, z = np.asarray(size, dtype=float).tolist()
+    return _cover_box(x, y, z).copy()
+
+
+@lru_cache(maxsize=1024)
+def _cover_box(x: float, y: float, z: float) -> Array:
+    extents = np.array([x, y, z])
     parts = np.ones(3, dtype=int)
     while True:
         longest = int(np.argmax(extents / parts))
