@@ -63,10 +63,7 @@ class IkSolver:
 
     def any(self, target: Pose, reference: Array, *, seed: int = 0) -> Array:
         """Return the first solution found, starting at the reference; arguments and errors as `solve`."""
-        found, off, turned = self._run(target, reference, seed=seed, starts=self.config.starts, enough=1)
-        if not len(found):
-            raise _unreachable(target, off, turned)
-        return np.asarray(found[0])
+        return np.asarray(self._found(target, reference, seed=seed, starts=self.config.starts, enough=1)[0])
 
     def solve(self, target: Pose, reference: Array, *, seed: int, thorough: bool = False) -> Array:
         """Return the distinct solutions found, nearest to the reference first.
@@ -85,13 +82,19 @@ class IkSolver:
         """
         times = self.config.thorough if thorough else 1
         starts, enough = times * self.config.starts, times * self.config.enough
+        return self._distinct(self._found(target, reference, seed=seed, starts=starts, enough=enough), reference)
+
+    def _found(self, target: Pose, reference: Array, *, seed: int, starts: int, enough: int) -> Array:
+        """Return solutions; before giving up, look longer, for a few poses at the edge of reach need it."""
         found, off, turned = self._run(target, reference, seed=seed, starts=starts, enough=enough)
         if not len(found):
+            found, off, turned = self._run(target, reference, seed=seed + 1, starts=4 * starts, enough=enough, longer=4)
+        if not len(found):
             raise _unreachable(target, off, turned)
-        return self._distinct(found, reference)
+        return found
 
     def _run(
-        self, target: Pose, reference: Array, *, seed: int, starts: int, enough: int
+        self, target: Pose, reference: Array, *, seed: int, starts: int, enough: int, longer: int = 1
     ) -> tuple[Array, float, float]:
         config = self.config
         return self.robot.arm.ik(
@@ -100,7 +103,7 @@ class IkSolver:
             seed=seed,
             starts=starts,
             enough=enough,
-            iterations=config.iterations,
+            iterations=longer * config.iterations,
             position_tolerance=config.position_tolerance_m,
             rotation_tolerance=config.rotation_tolerance_rad,
         )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.models.description import RobotModel
-from roboxim_core.poses import Pose
+from roboxim_core.poses import IDENTITY, Pose
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.lines import plan_line
@@ -97,8 +97,7 @@ class Planner:
             raise InvalidRequestError("plan_to_pose needs at least one target pose")
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start)
-        to_base = scene.robot_pose.inverse()
-        goals = [to_base @ target for target in targets]
+        goals = [_in_base(scene.robot_pose, target) for target in targets]
         _check_upright(options, targets)
         watch("goals", 0)
         for i, goal in enumerate(goals):
@@ -173,12 +172,11 @@ class Planner:
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start, collisions=not ignore_collisions)
         sweep = None if ignore_collisions else worlds
-        to_base = scene.robot_pose.inverse()
         motions: list[Motion] = []
         at, done, reason = begin, 0.0, ""
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
-            target = to_base @ waypoint
+            target = _in_base(scene.robot_pose, waypoint)
             line = plan_line(self.robot, sweep, at, target, limits, wide=wide)
             motions.append(line.motion)
             at, done, reason = line.end, done + line.part, line.reason
@@ -268,15 +266,14 @@ class Planner:
             PlannerError: ``GOAL_UNREACHABLE`` or ``GOAL_IN_COLLISION``.
         """
         near = self.robot.check_joints(reference, what="seed_state")
-        base = scene.robot_pose if scene is not None else (robot_pose or Pose())
-        goal = base.inverse() @ target
-        world = None if scene is None else self._worlds(scene, MotionOptions()).exact
-        if count == 1:
-            first = self.ik.nearest(goal, near)
-            if first is not None and (world is None or world.is_free(first)):
-                return first[None]
-        if count == 1 and world is None:
+        goal = _in_base(scene.robot_pose if scene is not None else (robot_pose or IDENTITY), target)
+        if count == 1 and scene is None:
             return self.ik.any(goal, near, seed=seed)[None]
+        world = None if scene is None else self._worlds(scene, MotionOptions()).exact
+        if count == 1 and world is not None:
+            first = self.ik.nearest(goal, near)
+            if first is not None and world.is_free(first):
+                return first[None]
         solutions = self.ik.solve(goal, near, seed=seed)
         if world is None:
             return solutions[:count]
@@ -512,6 +509,10 @@ class _Worlds(Sweep):
                 f"the tool is tilted by {tilt:.3f} rad at the start, {self.upright.tolerance_rad:g} rad allowed",
                 ErrorCode.CONSTRAINT_VIOLATED,
             )
+
+
+def _in_base(base: Pose, target: Pose) -> Pose:
+    return target if base == IDENTITY else base.inverse() @ target
 
 
 def _check_upright(options: MotionOptions, targets: list[Pose]) -> None:

@@ -6,8 +6,9 @@ namespace roboxim {
 namespace {
 
 constexpr int kNear = 2;          // starts in the neighbourhood of the reference
-constexpr int kDraws = 6;         // of which the nearest to the target is a start: cheaper than descents that fail
+constexpr int kDraws = 6;        // of which the nearest to the target is a start: cheaper than descents that fail
 constexpr double kNearRad = 0.5;  // half width of that neighbourhood
+constexpr int kStall = 5;  // iterations in which the error must halve
 constexpr double kTurn = 0.3;
 constexpr double kLongestStep = 0.6;
 
@@ -70,7 +71,7 @@ struct Descent {
       const double far = norm(off), angle = norm(turned);
       if (far + 0.1 * angle < best_position + 0.1 * best_rotation) best_position = far, best_rotation = angle;
       if (far <= settings.position_tolerance && angle <= settings.rotation_tolerance) return true;
-      if (turn % 15 == 14) {  // a descent that stalls is not worth its iterations
+      if (turn % kStall == kStall - 1) {  // a descent that stalls is not worth its iterations
         if (far + 0.1 * angle > 0.5 * recent) return false;
         recent = far + 0.1 * angle;
       }
@@ -110,22 +111,30 @@ struct Descent {
   }
 
   void solve(const double* error, double damping, std::uint64_t resting, double* change, int n) const {
+    const int width = (n + 3) / 4 * 4;
+    alignas(32) double active[6 * 64];
+    std::fill(active, active + 6 * width, 0.0);
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < n; ++j)
+        if (!(resting >> j & 1)) active[i * width + j] = jacobian[i * n + j];
     double normal[36], y[6];
     for (int i = 0; i < 6; ++i) {
       y[i] = error[i];
       for (int k = 0; k <= i; ++k) {
-        double sum = i == k ? damping : 0.0;
-        for (int j = 0; j < n; ++j) {
-          if (!(resting >> j & 1)) sum += jacobian[i * n + j] * jacobian[k * n + j];
+        Quad sum{};
+        for (int j = 0; j < width; j += 4) {
+          Quad a, b;
+          __builtin_memcpy(&a, active + i * width + j, sizeof a);
+          __builtin_memcpy(&b, active + k * width + j, sizeof b);
+          sum += a * b;
         }
-        normal[6 * i + k] = sum;
+        normal[6 * i + k] = sum[0] + sum[1] + sum[2] + sum[3] + (i == k ? damping : 0.0);
       }
     }
     solve_six(normal, y);
     for (int j = 0; j < n; ++j) {
       change[j] = 0.0;
-      if (resting >> j & 1) continue;
-      for (int i = 0; i < 6; ++i) change[j] += jacobian[i * n + j] * y[i];
+      for (int i = 0; i < 6; ++i) change[j] += active[i * width + j] * y[i];
     }
   }
 };
