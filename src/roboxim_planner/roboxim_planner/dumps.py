@@ -190,7 +190,11 @@ def read_dump(path: Path) -> Dump:
 
 def list_dumps(folder: Path) -> list[Path]:
     """Return the dumps of a folder, newest first."""
-    return sorted(folder.glob("*.json"), key=lambda path: (path.stat().st_mtime_ns, path.name), reverse=True)
+    dated = []
+    for path in folder.glob("*.json"):
+        with contextlib.suppress(FileNotFoundError):  # another process has removed it
+            dated.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(dated, reverse=True)]
 
 
 def find_dump(name: str, folder: Path) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import threading
 import time
 import traceback
@@ -253,7 +254,7 @@ class PlannerNode(RoboximNode):
             robot_digest=self._library.digest(query.robot),
         )
         folder = Path(self._config.dump_dir).expanduser() if self._config.dump_dir else dump_folder()
-        name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{query.kind}-{code.name.lower()}"
+        name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{query.kind}-{code.name.lower()}-{os.getpid()}"
         try:
             path = write_dump(dump, folder, name, kept=self._config.dumps_kept)
         except OSError as error:

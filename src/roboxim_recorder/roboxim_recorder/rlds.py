@@ -340,8 +340,9 @@ def _metadata(source: _Source, cameras: dict[str, str]) -> dict[str, MetaValue]:
 
 def _describe(sources: Sequence[_Source], semantics: ActionSemantics) -> str:
     skills = ", ".join(sorted({source.info.task.skill for source in sources}))
+    robots = ", ".join(sorted({source.info.scene.robot.model for source in sources}))
     return (
-        f"{len(sources)} simulated episodes of a Franka Panda recorded with RoboXim; skills: {skills}; "
+        f"{len(sources)} simulated episodes recorded with RoboXim; robot: {robots}; skills: {skills}; "
         f"{semantics.rate_hz:g} Hz; actions: {semantics.control} in {semantics.frame}, {semantics.rotation}, "
         f"gripper {semantics.gripper}."
     )
