@@ -9,9 +9,10 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, SimError, TaskError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk, CameraRequirement, Observation, PolicyDescription
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.verdicts import Verdict
 
@@ -30,12 +31,13 @@ class World:
         self.goal, self.slides_back = goal, slides_back
         self.log, self.steps, self.closed, self.executed = [], [], [], []
         self.infeasible_attempts = 0
+        self.entities = ()
 
     def draw(self, seed, task_config):
         if seed.attempt < self.infeasible_attempts:
             raise TaskError("no room", ErrorCode.RESET_INFEASIBLE)
         task = TaskSpec(skill="go", objects={}, instruction=f"go {seed.index}")
-        scene = SceneSpec(cameras=(CameraSpec(name="workspace"), CameraSpec(name="wrist")))
+        scene = SceneSpec(cameras=(CameraSpec(name="workspace"), CameraSpec(name="wrist")), entities=self.entities)
         return Draw(task=task, scene=scene, max_steps=8)
 
     def load(self, episode_id, scene):
@@ -68,6 +70,7 @@ class World:
 
     def open(self, info):
         self.log.append("open")
+        self.info = info
         self.steps = []
 
     def step(self, step):
@@ -239,3 +242,17 @@ def test_a_privileged_policy_is_marked_in_every_episode():
     run(Noting(), Actor(version="7")).run_index(0)
     run(Noting(), Actor(version="7", privileged=True)).run_index(0)
     assert [info.versions["policy test"] for info in infos] == ["7", "7, privileged"]
+
+
+def test_the_hashes_of_robot_and_objects_are_in_every_episodes_record():
+    world, library = World(), ModelLibrary()
+    world.entities = tuple(EntitySpec(name=name, model="cube") for name in ("a", "b"))
+    ports = Ports(scenes=world, sim=world, actor=Actor(), judge=world, recorder=world, clock=lambda: 0.0)
+    runner = EpisodeRunner(
+        ports, RunConfig(output_dir="/out", settle_ticks=2), versions={"numpy": "2"}, library=library
+    )
+    runner.run_index(0)
+    versions = {name: value for name, value in world.info.versions.items() if not name.startswith("policy")}
+    assert versions == {"numpy": "2", "model panda": library.digest("panda"), "model cube": library.digest("cube")}
+    assert library.changed(versions) == ()
+    assert library.changed({**versions, "model cube": "another", "model gone": "1"}) == ("cube", "gone")

@@ -18,6 +18,7 @@ from roboxim_interfaces.srv import RunEpisodes as RunEpisodesService
 
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, Ports, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, RoboximError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.ports import RosPorts
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
@@ -115,7 +116,7 @@ class EvaluatorNode(RoboximNode):
             raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")
         self._goal = goal
         try:
-            self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions())
+            self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions(), library=ModelLibrary())
             for index in request.indices:
                 yield self._runner.run_index(int(index), cancelled=cancelled)
         except RoboximError as error:

@@ -37,6 +37,7 @@ def command(bags: tuple[Path, ...], namespace: str, run_id: str | None, domain: 
 
 def _is_same(path: Path, clients: Any) -> bool:
     """Replay one bag, say what came of it, and tell whether every bit is the same."""
+    from roboxim_core.models.library import ModelLibrary
     from roboxim_core.verdicts import Verdict
     from roboxim_eval.ports import SimClient, TaskClient
     from roboxim_recorder.bag import BagReader
@@ -62,4 +63,6 @@ def _is_same(path: Path, clients: Any) -> bool:
             f"{path}: diverges at tick {report.diverged_at}: {report.difference} "
             f"(recorded {report.recorded_hash}, replayed {report.replayed_hash})"
         )
+        if changed := ModelLibrary().changed(reader.info.versions):
+            click.echo(f"  not the same as when it was recorded: the files of {', '.join(changed)}")
     return report.same

@@ -13,6 +13,7 @@ from roboxim_core.config import to_json
 from roboxim_core.episode.ports import Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
@@ -79,13 +80,21 @@ class _Window:
 class EpisodeRunner:
     """Runs episodes over the ports; one instance serves a whole run."""
 
-    def __init__(self, ports: Ports, config: RunConfig, *, versions: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        ports: Ports,
+        config: RunConfig,
+        *,
+        versions: dict[str, str] | None = None,
+        library: ModelLibrary | None = None,
+    ) -> None:
         """Prepare a run: ask the actor what it is.
 
         Args:
             ports: The five sides.
             config: How to run.
             versions: Package to version, for the bags.
+            library: Robots and objects, whose hashes go into the bags; none: no hashes.
 
         Raises:
             RoboximError: When the actor cannot be asked.
@@ -93,6 +102,7 @@ class EpisodeRunner:
         self.ports = ports
         self.config = config
         self.versions = dict(versions or {})
+        self._library = library
         self.description = ports.actor.describe()
         policy = self.description
         self.versions[f"policy {policy.name}"] = (policy.version or "unnamed") + (", privileged" * policy.privileged)
@@ -140,7 +150,7 @@ class EpisodeRunner:
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
             renderer=self.ports.sim.renderer,
-            versions=self.versions,
+            versions=self.versions | (self._library.hashes(scene) if self._library else {}),
             config_json=f'{{"run":{to_json(self.config)},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip

@@ -20,7 +20,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, one_of
 from roboxim_core.models.description import GripperModel, JointLimits, ObjectModel, RobotModel
 from roboxim_core.models.modifiers import PALETTE, ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
-from roboxim_core.specs import EntitySpec, Scalar
+from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,6 +172,25 @@ class ModelLibrary:
             hashed.update(file.read_bytes())
         return hashed.hexdigest()
 
+    def hashes(self, scene: SceneSpec) -> dict[str, str]:
+        """Return ``model <id>`` to `digest` of a scene's robot and objects, as an episode's record keeps them.
+
+        Raises:
+            ConfigError: When an id is unknown; lists what there is.
+        """
+        models = dict.fromkeys([scene.robot.model, *(entity.model for entity in scene.entities)])
+        return {f"{RECORDED}{model}": self.digest(model) for model in models}
+
+    def changed(self, recorded: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the ids of recorded models that are not here any more or not the same.
+
+        Args:
+            recorded: What `hashes` gave then; other names are left alone.
+        """
+        names = [name.removeprefix(RECORDED) for name in recorded if name.startswith(RECORDED)]
+        known = {*self.robot_ids, *self.object_ids}
+        return tuple(n for n in names if n not in known or self.digest(n) != recorded[f"{RECORDED}{n}"])
+
     def _ids(self, kind: str) -> tuple[str, ...]:
         return tuple(sorted({path.stem for folder in self.search_path for path in (folder / kind).glob("*.yaml")}))
 
@@ -209,6 +228,8 @@ def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
     return load_config(path, ObjectConfig)
 
 
+RECORDED = "model "
+"""Put before a model's id among an episode's recorded versions."""
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}
 
 
