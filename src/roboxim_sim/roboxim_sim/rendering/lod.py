@@ -15,6 +15,8 @@ from roboxim_core.rendering import TriangleMesh
 
 CREASE_RAD = np.radians(45.0)
 """Faces that meet at a smaller angle are shaded as one smooth surface."""
+SLIVER = 0.15
+"""A triangle that is thinner than this, over its longest side, is one."""
 NEIGHBOURS = 8
 """Fine vertices that a coarse corner chooses its texture coordinates from."""
 SEAM = 0.3
@@ -82,7 +84,10 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fi
     around = csr_matrix((np.ones(faces.size), (np.arange(faces.size), faces.ravel())), (faces.size, len(points)))
     pairs = (around @ around.T).tocoo()
     own, other = face_of[pairs.row], face_of[pairs.col]
-    near = np.einsum("ij,ij->i", flat[own], flat[other]) > np.cos(CREASE_RAD)
+    # A sliver's own normal says nothing: it takes that of all around.
+    longest = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
+    sliver = np.linalg.norm(areas, axis=1) < SLIVER * longest
+    near = (np.einsum("ij,ij->i", flat[own], flat[other]) > np.cos(CREASE_RAD)) | sliver[own]
     normals = np.zeros((faces.size, 3))
     np.add.at(normals, pairs.row[near], areas[other[near]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

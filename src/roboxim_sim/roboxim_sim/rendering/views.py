@@ -102,6 +102,7 @@ def light_view(light: LightSpec, centers: Array, radii: Array) -> LightView:
     points = centers @ axes.T
     low, high = (points - radii[:, None]).min(axis=0), (points + radii[:, None]).max(axis=0)
     extent = math.ceil((high - low)[:2].max() / EXTENT_STEP_M + 0.5) * EXTENT_STEP_M
+    extent = max(extent, NOMINAL_EXTENT_M)  # so that the edges around few small things are as soft
     texel = extent / size
     middle = np.round((low + high)[:2] / 2 / texel) * texel
     scale = np.array([2 / extent, 2 / extent, 2 / (high - low)[2]])
