@@ -119,6 +119,7 @@ def _lamp_view(light: LightSpec, centers: Array, radii: Array, size: int) -> Lig
     radius = float((np.linalg.norm(centers - middle, axis=1) + radii).max())
     distance = max(float(np.linalg.norm(middle - position)), 1e-3)
     half_angle = math.asin(min(radius / distance, math.sin(math.radians(70.0))))
+    half_angle = max(half_angle, math.atan(min(NOMINAL_EXTENT_M / 2 / distance, 2.0)))
     near, far = max(distance - radius, 0.05), distance + radius
     axes = _axes(middle - position)
     view = np.eye(4)
