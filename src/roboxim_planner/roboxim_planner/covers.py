@@ -100,7 +100,7 @@ def _ball(points: Array) -> Array:
     """Return a small sphere around points: the far point pulls the centre less and less (Badoiu and Clarkson, 2003)."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     best_center, best = center, float(np.linalg.norm(points - center, axis=1).max())
-    for step in range(1, 200):
+    for step in range(1, 60):
         away = np.linalg.norm(points - center, axis=1)
         far = int(np.argmax(away))
         if away[far] < best:
@@ -115,9 +115,9 @@ def _halve(points: Array) -> list[Array]:
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     height = (points - middle) @ axis
     height -= 0.5 * (height.min() + height.max())
-    above, below = points[height >= 0], points[height <= 0]
-    high, low = height[height >= 0], height[height <= 0]
-    share = high[:, None] / np.maximum(high[:, None] - low[None, :], 1e-12)
-    cut = above[:, None, :] + share[..., None] * (below[None, :, :] - above[:, None, :])
-    edge = cut.reshape(-1, 3)
-    return [_corners(np.concatenate([half, edge])) for half in (above, below)]
+    faces = ConvexHull(points, qhull_options="QJ").simplices
+    edges = np.concatenate([faces[:, pair] for pair in ([0, 1], [1, 0], [1, 2], [2, 1], [2, 0], [0, 2])])
+    i, k = edges[(height[edges[:, 0]] > 0) & (height[edges[:, 1]] < 0)].T
+    share = (height[i] / (height[i] - height[k]))[:, None]
+    cut = points[i] + share * (points[k] - points[i])
+    return [_corners(np.concatenate([half, cut])) for half in (points[height >= 0], points[height <= 0])]
