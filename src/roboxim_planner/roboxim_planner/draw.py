@@ -58,7 +58,7 @@ def draw_scene(query: Query, planner: Planner, answer: Answer | None, path: Path
     picture = _Picture(query, planner, plans, answer)
     figure = Figure(figsize=(15.0, 8.2), dpi=DPI)
     for column, (elevation, azimuth, name) in enumerate(_VIEWS):
-        axes = figure.add_axes((0.5 * column, 0.05, 0.5, 0.84), projection="3d")
+        axes: Any = figure.add_axes((0.5 * column, 0.05, 0.5, 0.84), projection="3d")
         picture.fill(axes)
         axes.view_init(elev=elevation, azim=azimuth)
         axes.text2D(0.5, 0.97, name, transform=axes.transAxes, ha="center", color="#555555")
@@ -186,8 +186,8 @@ class _Picture:
                 return self._planner.inverse_kinematics(goal, query.start, robot_pose=self._base)
             except PlannerError:
                 continue
-        goal = np.array(getattr(query, "goal", ()))
-        return goal[None] if goal.size else np.empty((0, self._planner.robot.dof))
+        wanted = np.array(getattr(query, "goal", ()))
+        return wanted[None] if wanted.size else np.empty((0, self._planner.robot.dof))
 
     def _note(self, scene: PlanningScene, q: Array) -> None:
         self.contacts += self._planner.check_state(scene, q).contacts
@@ -281,7 +281,7 @@ def _shape_triangles(shape: BodyShape) -> Array:
     if isinstance(shape, PointHull):
         return _hull(np.array(shape.points))
     if isinstance(shape, TriangleMesh):
-        return np.array(shape.vertices)[np.array(shape.triangles)]
+        return np.asarray(np.array(shape.vertices)[np.array(shape.triangles)])
     if shape.kind == "hull":
         return _hull(np.array(mesh_points(shape.mesh, shape.scale)))
     return _primitive(shape)
@@ -317,9 +317,8 @@ def _hull(points: Array) -> Array:
 
 def _fine(triangles: Array, edge: float = 0.12) -> Array:
     """Split large triangles: they are painted in the order of their distance, which goes wrong for long ones."""
-    vertices, faces = trimesh.remesh.subdivide_to_size(
-        triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=edge
-    )
+    split: Any = trimesh.remesh.subdivide_to_size
+    vertices, faces = split(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=edge)
     return np.asarray(vertices[faces])
 
 
@@ -366,5 +365,6 @@ def _title(query: Query, plans: Sequence[Plan]) -> str:
 
 def _save(figure: Figure, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    FigureCanvasAgg(figure).print_png(str(path))
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.print_png(str(path))
     return path

@@ -124,14 +124,12 @@ def test_folder_is_bounded_and_names_are_found(planner: Planner, tmp_path: Path,
         read_dump(other)
 
 
-@pytest.mark.parametrize("index", [0, 3])
-def test_pictures_are_drawn(planner: Planner, tmp_path: Path, down: Pose, index: int) -> None:
-    query = queries(down)[index]
+def test_pictures_are_drawn(planner: Planner, tmp_path: Path, down: Pose) -> None:
+    query = queries(down)[3]
     outcome, answer = answered(query, planner)
     assert answer is not None, outcome
     with Image.open(draw_scene(query, planner, answer, tmp_path / "scene.png")) as picture:
         colors = {color for _, color in picture.convert("RGB").getcolors(1_000_000)}
     assert len(colors) > 300
-    if answer.plans:
-        with Image.open(draw_profiles(query, planner, answer.plans, tmp_path / "profiles.png")) as picture:
-            assert picture.width > 1000
+    with Image.open(draw_profiles(query, planner, answer.plans, tmp_path / "profiles.png")) as picture:
+        assert picture.width > 1000
