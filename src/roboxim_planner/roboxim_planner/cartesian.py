@@ -1,9 +1,9 @@
 """Straight-line motions of the tcp: position linear, rotation along the shortest arc, one speed law for both.
 
 The joint path follows by continuing the inverse kinematics densely along the line; where that ends early, the arm's
-redundancy is searched for a way on. The motion is a smooth spline
-through it, driven by a one-degree-of-freedom Ruckig profile that is stretched in time until every joint limit holds.
-Stretching is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
+redundancy is searched for a way on. The motion is a smooth spline through it, driven by a one-degree-of-freedom Ruckig
+profile that is stretched in time until every joint limit holds. Stretching is exact: velocity, acceleration and jerk
+fall with the factor, its square and its cube.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import Pose, distance
 from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.paths import Watch
 from roboxim_planner.robot import PlannerRobot, pose_matrix
 from roboxim_planner.timing import Motion, MotionLimits, line_profile, still
 
@@ -80,7 +81,9 @@ def follow_line(robot: PlannerRobot, start: Array, target: Pose) -> LinePath:
     return LinePath(joints=np.array(path), fraction=fraction, length_m=length, angle_rad=angle, reason=reason)
 
 
-def follow_line_widely(robot: PlannerRobot, start: Array, target: Pose, world: CollisionWorld | None) -> LinePath:
+def follow_line_widely(
+    robot: PlannerRobot, start: Array, target: Pose, world: CollisionWorld | None, watch: Watch
+) -> LinePath:
     """Follow a straight line, using the arm's redundancy to get past limits, singularities and obstacles.
 
     At each place along the line many configurations are kept, each reached from one at the place before with the elbow
@@ -91,12 +94,14 @@ def follow_line_widely(robot: PlannerRobot, start: Array, target: Pose, world: C
         start: Arm configuration at the start, shape (dof,) [rad].
         target: The tcp at the end of the line, in the robot's base.
         world: What to avoid; none: collisions do not matter.
+        watch: Called at each place; ends the request by raising.
     """
     begin = robot.fk(start)
     length, angle = distance(begin, target)
     poses = _matrices(line_poses(begin, target, _count(length, angle)))
     layers = [[_Knot(joints=start, move=np.zeros(robot.dof), cost=0.0, before=-1)]]
-    for pose in poses[1:]:
+    for place, pose in enumerate(poses[1:]):
+        watch("line", place)
         reached = _next_layer(robot, layers[-1], pose, world)
         if not reached:
             break

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from roboxim_core.poses import Pose
 from roboxim_planner.cartesian import LinePath, follow_line, follow_line_widely, time_line
+from roboxim_planner.paths import Watch
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import Motion, MotionLimits, still
@@ -33,7 +34,14 @@ class Line:
 
 
 def plan_line(
-    robot: PlannerRobot, sweep: Sweep | None, start: Array, target: Pose, limits: MotionLimits, *, wide: bool = True
+    robot: PlannerRobot,
+    sweep: Sweep | None,
+    start: Array,
+    target: Pose,
+    limits: MotionLimits,
+    watch: Watch,
+    *,
+    wide: bool = True,
 ) -> Line:
     """Plan a straight line of the tcp.
 
@@ -43,13 +51,14 @@ def plan_line(
         start: Arm configuration at the start, shape (dof,) [rad].
         target: The tcp at the end, in the robot's base.
         limits: Limits of the motion.
+        watch: Called now and then; ends the request by raising.
         wide: Whether to look widely where the plain line ends early, which takes a hundred times as long.
     """
     plain = _line(robot, sweep, follow_line(robot, start, target), limits)
     if plain.part == 1.0 or not wide:
         return plain
     world = None if sweep is None else sweep.exact
-    wide = _line(robot, sweep, follow_line_widely(robot, start, target, world), limits)
+    wide = _line(robot, sweep, follow_line_widely(robot, start, target, world, watch), limits)
     return wide if wide.part > plain.part + 1e-9 else plain
 
 

@@ -177,7 +177,7 @@ class Planner:
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
             target = _in_base(scene.robot_pose, waypoint)
-            line = plan_line(self.robot, sweep, at, target, limits, wide=wide)
+            line = plan_line(self.robot, sweep, at, target, limits, watch, wide=wide)
             motions.append(line.motion)
             at, done, reason = line.end, done + line.part, line.reason
             if line.part < 1.0:
