@@ -25,6 +25,7 @@ from roboxim_core.poses import IDENTITY, Pose, look_at
 from roboxim_core.rendering import CameraImages, RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, MaterialSpec, SceneSpec
 from roboxim_core.state import RobotState
+from roboxim_sim.rendering.gl import create_context
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.raster import RasterRenderer
 
@@ -276,3 +277,32 @@ def test_a_larger_light_makes_softer_edges(raster: RasterRenderer, kind: str, ed
         line = rgb[200].astype(float).sum(axis=1)
         widths.append(np.ptp(line) / np.abs(np.diff(line)).max())
     assert widths[1] > 1.5 * widths[0]
+
+
+def test_a_gpu_is_preferred_and_software_serves_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    released: list[str] = []
+
+    class Context:
+        def __init__(self, name: str) -> None:
+            self.info = {"GL_RENDERER": name}
+
+        def release(self) -> None:
+            released.append(self.info["GL_RENDERER"])
+
+    def devices(*names: str) -> None:
+        def create(device_index: int, **_: object) -> Context:
+            if device_index >= len(names) or not names[device_index]:
+                raise Exception("no such device")  # as the real one does
+            return Context(names[device_index])
+
+        monkeypatch.setattr("roboxim_sim.rendering.gl.moderngl.create_context", create)
+
+    monkeypatch.delenv("GLCONTEXT_DEVICE_INDEX", raising=False)
+    devices("", "llvmpipe (LLVM 15)", "NVIDIA H100/PCIe/SSE2")
+    assert create_context().info["GL_RENDERER"] == "NVIDIA H100/PCIe/SSE2"
+    devices("llvmpipe (LLVM 15)", "llvmpipe (LLVM 19)", "")
+    assert create_context().info["GL_RENDERER"] == "llvmpipe (LLVM 15)"
+    assert released == ["llvmpipe (LLVM 15)", "llvmpipe (LLVM 19)"]
+    devices()
+    with pytest.raises(SimError, match="libegl1"):
+        create_context()

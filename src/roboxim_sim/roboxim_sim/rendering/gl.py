@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,24 +19,45 @@ Array = npt.NDArray[np.float64]
 
 PACKAGES = "libegl1 libgl1-mesa-dri"
 """Packages of Debian and Ubuntu that give software GL."""
+SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")
+"""Words in the names of GL renderers that do not run on a GPU."""
+MAX_DEVICES = 16
+"""EGL devices that are tried."""
 
 
 def create_context() -> moderngl.Context:
-    """Create a GL context without a window and make it the thread's current one.
+    """Create a GL context without a window: a GPU's where there is one that works, else software's.
+
+    The environment variable ``GLCONTEXT_DEVICE_INDEX`` chooses an EGL device by its number.
 
     Raises:
         SimError: RENDERER_UNAVAILABLE when this machine has no working EGL.
     """
-    # libEGL dispatches core GL too, so libGL and the X11 libraries it needs are not needed.
-    options: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
-    try:
-        return moderngl.create_context(require=330, standalone=True, **options)
-    except Exception as error:  # moderngl and its loader raise plain Exception
-        raise SimError(
-            f"renderer 'raster' needs OpenGL 3.3 through EGL, and this machine gives none ({error}). On Debian or "
-            f"Ubuntu: apt-get install {PACKAGES}. Without GL choose renderer 'tiny'.",
-            ErrorCode.RENDERER_UNAVAILABLE,
-        ) from error
+    software: moderngl.Context | None = None
+    problem: Exception | None = None
+    for index in range(1 if "GLCONTEXT_DEVICE_INDEX" in os.environ else MAX_DEVICES):
+        # libEGL dispatches core GL too, so libGL and the X11 libraries it needs are not needed.
+        options: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
+        try:
+            context = moderngl.create_context(require=330, standalone=True, device_index=index, **options)
+        except Exception as error:  # moderngl and its loader raise plain Exception, also where devices end
+            problem = problem or error
+            continue
+        if not any(word in str(context.info["GL_RENDERER"]).lower() for word in SOFTWARE):
+            if software is not None:
+                software.release()
+            return context
+        if software is None:
+            software = context
+        else:
+            context.release()
+    if software is not None:
+        return software
+    raise SimError(
+        f"renderer 'raster' needs OpenGL 3.3 through EGL, and this machine gives none ({problem}). On Debian or "
+        f"Ubuntu: apt-get install {PACKAGES}. Without GL choose renderer 'tiny'.",
+        ErrorCode.RENDERER_UNAVAILABLE,
+    ) from problem
 
 
 class Shader:
