@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -520,19 +521,22 @@ def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s:
     trajectory.header.frame_id = f"{robot.description.id}_base"
     trajectory.joint_names = list(robot.description.joint_names)
     trajectory.points = [
-        JointTrajectoryPoint(positions=q, velocities=v, accelerations=a, time_from_start=_duration(t))
+        JointTrajectoryPoint(
+            positions=_numbers(q), velocities=_numbers(v), accelerations=_numbers(a), time_from_start=_duration(t)
+        )
         for t, q, v, a in zip(
-            samples.times.tolist(),
-            samples.positions.tolist(),
-            samples.velocities.tolist(),
-            samples.accelerations.tolist(),
-            strict=True,
+            samples.times.tolist(), samples.positions, samples.velocities, samples.accelerations, strict=True
         )
     ]
     if tcp_poses:
         poses = robot.tcp_poses(samples.positions)
         msg.tcp_poses = [fill_pose(PoseMsg(), scene.robot_pose @ pose) for pose in poses]
     return msg
+
+
+def _numbers(row: Array) -> array[float]:
+    """Return what a message takes without looking at every number."""
+    return array("d", row.tobytes())
 
 
 def _duration(seconds: float) -> Duration:
