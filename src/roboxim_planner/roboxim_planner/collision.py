@@ -89,7 +89,7 @@ class CollisionWorld:
             for k in range(own):
                 if checks(item_names[k], item_names[i]):
                     item_pairs += (k, i)
-        obstacle_pairs = []
+        obstacle_pairs: list[int] = []
         for i, name in enumerate(item_names):
             for k, body in zip(roots, obstacle_names, strict=True) if moving[i] else ():
                 if checks(name, body):

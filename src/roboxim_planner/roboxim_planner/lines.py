@@ -58,8 +58,8 @@ def plan_line(
     if plain.part == 1.0 or not wide:
         return plain
     world = None if sweep is None else sweep.exact
-    wide = _line(robot, sweep, follow_line_widely(robot, start, target, world, watch), limits)
-    return wide if wide.part > plain.part + 1e-9 else plain
+    wider = _line(robot, sweep, follow_line_widely(robot, start, target, world, watch), limits)
+    return wider if wider.part > plain.part + 1e-9 else plain
 
 
 def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: MotionLimits) -> Line:

@@ -17,10 +17,11 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, on
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.constraint import Upright
 from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.lines import plan_line
 from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
-from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory, Upright
+from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import Sweep
