@@ -199,7 +199,7 @@ def _light(look: LookSpec) -> dict[str, object]:
         "lightDistance": max(distance, 0.1),
         "lightColor": list(main.color),
         "shadow": int(main.shadow),
-        "lightAmbientCoeff": float(np.clip(1.2 * np.mean(look.ambient), 0.0, 1.0)),
-        "lightDiffuseCoeff": float(np.clip(0.22 * main.intensity, 0.0, 1.0)),
+        "lightAmbientCoeff": float(np.clip(0.85 * np.mean(look.ambient), 0.0, 1.0)),
+        "lightDiffuseCoeff": float(np.clip(0.2 * main.intensity, 0.0, 1.0)),
         "lightSpecularCoeff": 0.1,
     }
