@@ -264,6 +264,8 @@ class Rerendered:
     """Bags rendered now."""
     there: int
     """Bags that were there from before."""
+    changed: tuple[str, ...]
+    """Models that have changed since an episode was recorded; they are drawn as they are now."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -317,7 +319,9 @@ def rerender(
             else:
                 ticks += 1
                 progress(ticks, total)
-    return Rerendered(made=len(missing), there=len(done))
+    library = ModelLibrary()
+    changed = {model for reader in episodes.values() for model in library.changed(reader.info.versions)}
+    return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
 
 
 def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:

@@ -18,26 +18,24 @@ from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, RestoreSnapshot, TakeSnapshot, Tick
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import Image, JointState
 from tf2_msgs.msg import TFMessage
 
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
-from roboxim_core.rendering import CameraImages, Renderer
+from roboxim_core.rendering import Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros import qos
-from roboxim_ros.conversions import fill_image, fill_stamp, from_msg, to_msg
+from roboxim_ros.conversions import fill_stamp, from_msg, to_msg
 from roboxim_ros.node import RoboximNode
-from roboxim_sim.conversions import camera_info_msg, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig, draw_frames
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.world import Snapshot, World
-
-ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,13 +180,10 @@ class SimNode(RoboximNode):
         )
         published: dict[str, int] = {}
         for camera in scene.cameras:
-            for kind, msg in _image_msgs(record.stamp_ns, camera.name, images[camera.name]).items():
+            for kind, msg in camera_msgs(record.stamp_ns, camera, images[camera.name]).items():
                 topic = f"camera/{camera.name}/{kind}"
-                self._camera_publisher(topic, Image).publish(msg)
-                published[topic] = zlib.crc32(msg.data)
-            topic = f"camera/{camera.name}/camera_info"
-            self._camera_publisher(topic, CameraInfo).publish(camera_info_msg(record.stamp_ns, camera))
-            published[topic] = 0
+                self._camera_publisher(topic, type(msg)).publish(msg)
+                published[topic] = zlib.crc32(msg.data) if isinstance(msg, Image) else 0
         return published
 
     def _camera_publisher(self, topic: str, kind: Any) -> Publisher:
@@ -238,8 +233,9 @@ class SimNode(RoboximNode):
         images = draw_frames(renderer, state.seq, poses.body_poses(state), views)
         answers = {"image": response.images, "depth": response.depth, "segmentation": response.segmentation}
         for camera in scene.cameras:
-            for kind, msg in _image_msgs(state.stamp_ns, camera.name, images[camera.name]).items():
-                answers[kind].append(CameraImage(camera=camera.name, image=msg))
+            for kind, msg in camera_msgs(state.stamp_ns, camera, images[camera.name]).items():
+                if kind in answers:
+                    answers[kind].append(CameraImage(camera=camera.name, image=msg))
         response.renderer = f"{renderer.name} ({renderer.device})"
 
     def _refuse_foreign(self, episode_id: str, holder: str = "") -> None:
@@ -258,15 +254,3 @@ class SimNode(RoboximNode):
     def _renderer_text(self) -> str:
         info = self.renderer_info
         return f"{info['renderer']} ({info['device']})"
-
-
-def _image_msgs(stamp_ns: int, camera: str, images: CameraImages) -> dict[str, Image]:
-    found = {"image": images.rgb, "depth": images.depth, "segmentation": images.segmentation}
-    messages = {}
-    for kind, array in found.items():
-        if array is not None:
-            msg = fill_image(Image(), array, ENCODINGS[kind])
-            fill_stamp(msg.header.stamp, stamp_ns)
-            msg.header.frame_id = optical_frame(camera)
-            messages[kind] = msg
-    return messages

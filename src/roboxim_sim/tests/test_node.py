@@ -155,7 +155,7 @@ def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
     frames = {t.child_frame_id for t in tf.transforms}
     assert frames >= {"panda_base", "tcp", "panda_hand", "red_cube", "wrist_optical"}
     info = listener.wait("camera/wrist/camera_info", lambda m: True)
-    assert info.k[0] == pytest.approx(24 / np.tan(1.2217 / 2))
+    assert info.k[0] == pytest.approx(24 / np.tan(1.3090 / 2))
 
 
 def test_rendering_a_record_again_gives_the_same_pixels(clients: Clients) -> None:
@@ -166,8 +166,12 @@ def test_rendering_a_record_again_gives_the_same_pixels(clients: Clients) -> Non
     live = listener.wait("camera/wrist/image", lambda m: stamp_to_ns(m.header.stamp) == record.stamp_ns)
     load(clients, without_cameras(), "else")  # what is simulated now does not matter
     request = RenderState.Request(scene=to_msg(SMALL, SceneSpecMsg), state=to_msg(record, StateRecordMsg))
-    images = {i.camera: i.image for i in clients.call(RenderState, "sim/render_state", request).images}
+    answer = clients.call(RenderState, "sim/render_state", request)
+    images = {i.camera: i.image for i in answer.images}
     assert np.array_equal(image_from_msg(images["wrist"]), image_from_msg(live))
+    assert {i.camera for i in answer.depth} == {camera.name for camera in SMALL.cameras}
+    assert all(i.image.encoding == "32FC1" for i in answer.depth)
+    assert not answer.segmentation
 
 
 def test_snapshot_travels_and_restores(clients: Clients) -> None:

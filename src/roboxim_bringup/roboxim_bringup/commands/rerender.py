@@ -92,6 +92,8 @@ def command(
         )  # fmt: skip
     there = f" ({report.there} were there)" if report.there else ""
     click.echo(f"{report.made} episodes rendered with '{renderer}' into {out / 'episodes'}{there}")
+    if report.changed:
+        click.echo(f"note: changed since the recording, and drawn as they are now: {', '.join(report.changed)}")
     first = next(iter(sorted((out / "episodes").iterdir())), None)
     if first is not None:
         picture = out / "first_episode.png"
