@@ -1,8 +1,8 @@
 """The `raster` renderer: physically based rasterisation with OpenGL, on a GPU or, as fast as it goes, without one.
 
 Metallic-roughness shading (GGX) under one shadowed main light, further lights without shadows and an analytic studio
-as image-based light; soft shadow edges; darkened contacts; sRGB; FXAA. Colour, depth and segmentation leave one pass,
-and all cameras of a tick share the shadow map.
+as image-based light; soft shadow edges; what a body hides of its surroundings (`occlusion`) and what stands on the table
+darkens them; sRGB; FXAA. Colour, depth and segmentation leave one pass, and all cameras of a tick share the shadow map.
 
 Non-obvious behaviours:
 - A lamp's intensity is what arrives at the world's origin; nearer to the lamp it is brighter (inverse square).
@@ -11,7 +11,10 @@ Non-obvious behaviours:
 - A camera's images depend on the world, the poses and that camera alone, bit for bit: not on other cameras, earlier
   worlds and frames, the process or the number of threads. (So each has a framebuffer of its own: where a viewport
   lies in a shared one changes the rounding.)
-- Entities ``floor`` and ``wall`` receive shadows and cast none.
+- Entities ``floor`` and ``wall`` receive shadows and cast none; the table's own shadow is that of a rectangle.
+- A robot's links, and bodies of many faces, are drawn with coarser shapes where they are small in an image (a few
+  millimetres off at most); their shadows are always those of the coarse shapes.
+- A shadow's edge is as wide as the light's size makes it for a caster 10 cm away, near and far.
 """
 
 from __future__ import annotations
