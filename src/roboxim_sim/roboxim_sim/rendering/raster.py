@@ -1,8 +1,9 @@
 """The `raster` renderer: physically based rasterisation with OpenGL, on a GPU or, as fast as it goes, without one.
 
 Metallic-roughness shading (GGX) under one shadowed main light, further lights without shadows and an analytic studio
-as image-based light; soft shadow edges; what a body hides of its surroundings (`occlusion`) and what stands on the table
-darkens them; sRGB; FXAA. Colour, depth and segmentation leave one pass, and all cameras of a tick share the shadow map.
+as image-based light; soft shadow edges; darkness where a body hides its own surroundings (`occlusion`) and where things
+stand on the table; sRGB; FXAA. Colour, depth and segmentation leave one pass, and all cameras of a tick share the
+shadow map.
 
 Non-obvious behaviours:
 - A lamp's intensity is what arrives at the world's origin; nearer to the lamp it is brighter (inverse square).
