@@ -166,6 +166,7 @@ class SimNode(RoboximNode):
         """Return a renderer; one for the live world, one for states that are rendered again."""
         if (name, use) not in self._renderers:
             self._renderers[name, use] = make_renderer(name)
+            self.get_logger().info(f"renderer for {use} images: {name} ({self._renderers[name, use].device})")
         return self._renderers[name, use]
 
     def _publish_cameras(self, record: StateRecord) -> dict[str, int]:
