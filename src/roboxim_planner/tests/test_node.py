@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from rclpy.action import ActionClient
 from roboxim_interfaces.action import PlanMotion
 from roboxim_interfaces.action import PlanSequence as PlanSequenceAction
-from roboxim_interfaces.msg import AllowedContact, AttachedObject, CollisionObject, MotionStage
+from roboxim_interfaces.msg import AllowedContact, AttachedObject, CollisionObject, MotionStage, NamedValue
 from roboxim_interfaces.msg import PlanningScene as SceneMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -450,6 +450,19 @@ def test_objects_by_model_cone_and_mesh(graph: Graph) -> None:
     assert "did you mean 'cube'" in str(graph.refused(CheckState, "check_state", request))
     model.model, model.modifiers[0].value = "cube", "red"
     assert "must be JSON" in str(graph.refused(CheckState, "check_state", request))
+
+
+def test_an_open_drawer_is_in_the_way(graph: Graph) -> None:
+    request = CheckState.Request(state=JointState(position=HOME))
+    cabinet = CollisionObject(name="cabinet", model="cabinet")
+    fill_pose(cabinet.pose, Pose(position=(0.27, 0.0, 0.29)))
+    request.scene.objects = [cabinet]
+    assert graph.call(CheckState, "check_state", request).valid
+    cabinet.joint_positions = [NamedValue(name="top", value=0.15)]
+    contacts = graph.call(CheckState, "check_state", request).contacts
+    assert {"cabinet", "panda_hand"} in [{c.body_a, c.body_b} for c in contacts]
+    cabinet.joint_positions[0].name = "tpo"
+    assert "did you mean 'top'" in str(graph.refused(CheckState, "check_state", request))
 
 
 def _requests() -> dict[str, tuple[Any, Any]]:
