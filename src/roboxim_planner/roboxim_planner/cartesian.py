@@ -209,9 +209,11 @@ class LineMotion:
             length_m: Distance that the tcp covers along ``joints`` [m].
             angle_rad: Angle that it turns by [rad].
         """
+        if len(joints) < 4:  # the same parabola or line by four places: its third derivative is asked for
+            few = make_interp_spline(np.linspace(0.0, 1.0, len(joints)), joints, k=len(joints) - 1)
+            joints = few(np.linspace(0.0, 1.0, 4))
         knots = np.linspace(0.0, 1.0, len(joints))
-        degree = min(5, len(joints) - 1)
-        path = make_interp_spline(knots, joints, k=degree)
+        path = make_interp_spline(knots, joints, k=min(5, len(joints) - 1))
         self._path = [path, *(path.derivative(k) for k in (1, 2, 3))]
         slope = np.maximum(np.abs(self._path[1](np.linspace(0.0, 1.0, 4 * len(joints)))).max(axis=0), 1e-9)
         speed = min(
