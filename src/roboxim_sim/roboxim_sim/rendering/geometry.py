@@ -41,7 +41,6 @@ COARSE_FACES = 500
 """Faces that a robot's links, and bodies of many faces, are simplified to for shadows and where they look small."""
 MANY_FACES = 3000
 """More faces than other bodies need."""
-WHITE_LAYER = 0
 
 Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[npt.NDArray[np.uint8]]]
 """From a body's meshes, and meshes whose vertices are asked about, to 0..255 for each vertex of the latter."""
@@ -83,8 +82,6 @@ class PackedWorld:
     """Triangles of all bodies."""
     bodies: tuple[PackedBody, ...]
     """The bodies with something to draw; a vertex names its body by its place here."""
-    textures: tuple[str, ...]
-    """Names by layer; layer `WHITE_LAYER` is plain white."""
     keys: tuple[str, ...]
     """Keys of all bodies."""
 
@@ -122,27 +119,38 @@ class PackedWorld:
         return max(tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
 
 
-def pack(world: RenderWorld, openness: Openness) -> PackedWorld:
-    """Pack a world.
+def texture_names(world: RenderWorld) -> list[str]:
+    """Return the names of the textures that a world needs."""
+    return list(dict.fromkeys(["", *(part.material.texture for body in world.bodies for part in body.parts)]))
 
-    Args:
-        world: The world.
-        openness: Tells how open the vertices of a body's meshes are (see `occlusion`).
+
+def check_world(world: RenderWorld) -> None:
+    """Check a world.
 
     Raises:
         InvalidRequestError: On a malformed mesh, a duplicate key, or too many bodies, entities or textures.
     """
-    textures = tuple(dict.fromkeys(["", *(part.material.texture for body in world.bodies for part in body.parts)]))
-    keys = [body.key for body in world.bodies]
+    names, keys = texture_names(world), [body.key for body in world.bodies]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise InvalidRequestError(f"body keys must be unique, got {twice} more than once")
-    if len(textures) > 255 or len(keys) > 65535:
-        raise InvalidRequestError(f"at most 254 textures and 65535 bodies, got {len(textures) - 1} and {len(keys)}")
-    entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
-    arrays, bodies = _Arrays(), list[PackedBody]()
+    if len(names) > 255 or len(keys) > 65535:
+        raise InvalidRequestError(f"at most 254 textures and 65535 bodies, got {len(names) - 1} and {len(keys)}")
     for body in world.bodies:
         for part in body.parts:
             check_mesh(part.mesh, body.key)
+
+
+def pack(world: RenderWorld, textures: Sequence[str], openness: Openness) -> PackedWorld:
+    """Pack a world that `check_world` finds good.
+
+    Args:
+        world: The world.
+        textures: Names of textures by layer, among them all that the world needs.
+        openness: Tells how open the vertices of a body's meshes are (see `occlusion`).
+    """
+    entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
+    arrays, bodies = _Arrays(), list[PackedBody]()
+    for body in world.bodies:
         alone = body.entity in SURROUNDINGS
         for parts in [(part,) for part in body.parts] if alone else [body.parts] if body.parts else []:
             ids = (len(bodies), entities[body.entity])
@@ -151,8 +159,7 @@ def pack(world: RenderWorld, openness: Openness) -> PackedWorld:
         vertices=np.concatenate(arrays.vertices),
         indices=np.concatenate(arrays.indices),
         bodies=tuple(bodies),
-        textures=textures,
-        keys=tuple(keys),
+        keys=tuple(body.key for body in world.bodies),
     )
 
 

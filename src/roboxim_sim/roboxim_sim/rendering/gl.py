@@ -23,6 +23,8 @@ SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")
 """Words in the names of GL renderers that do not run on a GPU."""
 MAX_DEVICES = 16
 """EGL devices that are tried."""
+KEPT_TEXTURES = 24
+"""Textures that are kept, 1.3 MiB each, unless a world needs more."""
 
 
 def create_context() -> moderngl.Context:
@@ -154,7 +156,6 @@ class GpuWorld:
         self._vertices = context.buffer(packed.vertices.tobytes() or bytes(VERTEX.itemsize))
         self._indices = context.buffer(packed.indices.tobytes() or bytes(12))
         self._chosen = context.buffer(reserve=max(packed.indices.nbytes, 12), dynamic=True)
-        self.textures = _upload([textures.pixels(name) for name in packed.textures], context)
         self._bound: dict[int, _Bound] = {}
 
     def draw(self, shader: Shader, ranges: Sequence[range]) -> None:
@@ -172,7 +173,6 @@ class GpuWorld:
 
     def release(self) -> None:
         """Free it."""
-        self.textures.release()
         for bound in self._bound.values():
             bound.whole.release()
             bound.chosen.release()
@@ -193,13 +193,49 @@ class GpuWorld:
         return self._bound[glo]
 
 
-def _upload(images: Sequence[npt.NDArray[np.uint8]], context: moderngl.Context) -> moderngl.TextureArray:
-    """Make an array of textures with mipmaps; four channels, because three are slower to read."""
-    size = textures.SIZE
-    array = context.texture_array((size, size, len(images)), 4)
-    for layer, image in enumerate(images):
-        padded = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
-        array.write(padded, viewport=(0, 0, layer, size, size, 1))
-    array.build_mipmaps()
-    array.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
-    return array
+class TextureStore:
+    """The textures of worlds, in one array. Those of earlier worlds stay, because episodes often share them."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        """Make an empty one."""
+        self._context = context
+        self._array: moderngl.TextureArray | None = None
+        self.names: tuple[str, ...] = ()
+        """Names by layer."""
+
+    def hold(self, names: Iterable[str]) -> None:
+        """See to it that the textures are there.
+
+        Raises:
+            ConfigError: When there is no such texture.
+        """
+        wanted = tuple(dict.fromkeys(names))
+        if not set(wanted) - set(self.names):
+            return
+        together = tuple(dict.fromkeys([*self.names, *wanted]))
+        self._upload(together if len(together) <= KEPT_TEXTURES else wanted)
+
+    def use(self, unit: int) -> None:
+        """Bind the array to a texture unit."""
+        if self._array is not None:
+            self._array.use(unit)
+
+    def release(self) -> None:
+        """Free it."""
+        if self._array is not None:
+            self._array.release()
+        self._array, self.names = None, ()
+
+    def _upload(self, names: tuple[str, ...]) -> None:
+        """Make the array anew, with mipmaps; four channels, because three are slower to read."""
+        images = [textures.pixels(name) for name in names]
+        self.release()
+        size = textures.SIZE
+        self._array = self._context.texture_array((size, size, len(names)), 4)
+        padded = np.full((size, size, 4), 255, np.uint8)
+        for layer, image in enumerate(images):
+            padded[..., :3] = image
+            self._array.write(padded, viewport=(0, 0, layer, size, size, 1))
+        self._array.build_mipmaps()
+        self._array.filter = moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR
+        self.names = names

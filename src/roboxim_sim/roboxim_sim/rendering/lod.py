@@ -22,8 +22,9 @@ NEIGHBOURS = 8
 SEAM = 0.3
 """Texture coordinates further apart than this, within a triangle, lie on two sides of a seam."""
 
-_COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[int, ...], tuple[TriangleMesh, ...]]] = WeakKeyDictionary()
-"""By a body's first mesh: ids of all its meshes, and their coarse ones. Meshes come from caches and outlive a scene."""
+_COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[TriangleMesh, ...], tuple[TriangleMesh, ...]]]
+_COARSE = WeakKeyDictionary()
+"""By a body's first mesh: its other meshes, and all its coarse ones. Meshes come from caches and outlive a scene."""
 
 
 def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleMesh, ...]:
@@ -36,16 +37,21 @@ def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleM
     Returns:
         A coarse mesh for each, with texture coordinates where the fine one has some. A mesh may lose all its faces.
     """
-    key = tuple(id(mesh) for mesh in meshes)
-    known = _COARSE.get(meshes[0])
-    if known is None or known[0] != key:
-        _COARSE[meshes[0]] = known = key, _simplified(meshes, faces)
+    if sum(len(mesh.faces) for mesh in meshes) <= faces:
+        return tuple(meshes)
+    first, *others = meshes
+    known = _COARSE.get(first)
+    if known is None or not same(known[0], others):
+        _COARSE[first] = known = tuple(others), _simplified(meshes, faces)
     return known[1]
 
 
+def same(some: Sequence[TriangleMesh], others: Sequence[TriangleMesh]) -> bool:
+    """Tell whether these are the very same meshes."""
+    return len(some) == len(others) and all(a is b for a, b in zip(some, others, strict=True))
+
+
 def _simplified(meshes: Sequence[TriangleMesh], target: int) -> tuple[TriangleMesh, ...]:
-    if sum(len(mesh.faces) for mesh in meshes) <= target:
-        return tuple(meshes)
     # Welded first: vertices that are split for their normals would come apart.
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
     points, index = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)

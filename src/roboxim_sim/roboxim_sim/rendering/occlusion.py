@@ -16,6 +16,7 @@ import numpy.typing as npt
 from roboxim_core.rendering import TriangleMesh
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.gl import Buffer, Shader
+from roboxim_sim.rendering.lod import same
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +41,7 @@ class OcclusionBaker:
         self._axes = _sides(COLUMNS * ROWS)
         self._target: Buffer | None = None
         self._shader: Shader | None = None
-        self._known: WeakKeyDictionary[TriangleMesh, tuple[tuple[int, ...], list[npt.NDArray[np.uint8]]]]
+        self._known: WeakKeyDictionary[TriangleMesh, tuple[list[TriangleMesh], list[npt.NDArray[np.uint8]]]]
         self._known = WeakKeyDictionary()
 
     def openness(self, meshes: Sequence[TriangleMesh], seen: Sequence[TriangleMesh]) -> list[npt.NDArray[np.uint8]]:
@@ -50,10 +51,11 @@ class OcclusionBaker:
             meshes: A body's meshes; at least one.
             seen: Meshes of the same body whose vertices are asked about.
         """
-        key = tuple(id(mesh) for mesh in (*meshes, *seen))
+        # Not the first mesh, which would then never be forgotten.
+        others = [mesh for mesh in (*meshes, *seen) if mesh is not meshes[0]]
         known = self._known.get(meshes[0])
-        if known is None or known[0] != key:
-            self._known[meshes[0]] = known = key, self._bake(meshes, seen)
+        if known is None or not same(known[0], others):
+            self._known[meshes[0]] = known = others, self._bake(meshes, seen)
         return known[1]
 
     def release(self) -> None:

@@ -31,8 +31,8 @@ from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.frame import MAX_LIGHTS, Frame
-from roboxim_sim.rendering.geometry import check_request, pack
-from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, create_context
+from roboxim_sim.rendering.geometry import check_request, check_world, pack, texture_names
+from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context
 from roboxim_sim.rendering.occlusion import OcclusionBaker
 from roboxim_sim.rendering.owner import Owner
 
@@ -72,7 +72,7 @@ class RasterRenderer:
         self._shadow: Buffer | None = None
         self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], depth="buffer")
         self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")])
-        self._occlusion = OcclusionBaker(ctx)
+        self._occlusion, self._textures = OcclusionBaker(ctx), TextureStore(ctx)
         self._world: tuple[GpuWorld, LookSpec] | None = None
         self._targets: list[_Target] = []
 
@@ -85,8 +85,10 @@ class RasterRenderer:
             SimError: When called from another thread or process, or after `close`.
         """
         self._owner.check()
+        check_world(world)
         with self._context:
-            packed = pack(world, self._occlusion.openness)
+            self._textures.hold(texture_names(world))
+            packed = pack(world, self._textures.names, self._occlusion.openness)
         if len(packed.bodies) > self._max_bodies or len(world.look.lights) > MAX_LIGHTS:
             raise InvalidRequestError(
                 f"renderer 'raster' draws at most {self._max_bodies} bodies and {MAX_LIGHTS} lights, got "
@@ -117,7 +119,7 @@ class RasterRenderer:
             ctx.front_face, ctx.depth_func = "cw", "<="
             self._cast_shadows(world, frame)
             self._find_contacts(world, frame)
-            world.textures.use(SAMPLERS["textures"])
+            self._textures.use(SAMPLERS["textures"])
             targets = self._targets_of(cameras)
             for i, ((camera, pose), target) in enumerate(zip(cameras, targets, strict=True)):
                 self._views.bind_to_uniform_block(SAMPLERS["View"], offset=i * VIEW_BYTES, size=VIEW_BYTES)
@@ -144,6 +146,7 @@ class RasterRenderer:
             for shader in self._shaders.values():
                 shader.program.release()
             self._occlusion.release()
+            self._textures.release()
             self._poses.release()
             self._views.release()
             self._corners.release()
