@@ -2,7 +2,7 @@
 
 Random scenes: a cube among 4 to 8 boxes on a table, to be carried to another place. "One after the other" asks for each
 motion as soon as the one before is planned, and cannot go back to another goal configuration. Every motion found is
-checked again as sampled at 5 ms, with what the gripper holds. Scenes that neither solves may have no solution.
+checked again as sampled at 1 ms, with what the gripper holds. Scenes that neither solves may have no solution.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def wrong(planner: Planner, scene: PlanningScene, stages: tuple[Stage, ...], pla
     """Return how many of the plans a second look refuses."""
     count = 0
     for stage, plan in zip(stages, plans, strict=True):
-        samples = plan.sample(0.005)
+        samples = plan.sample(0.001)
         here, scene = stage.enter(scene, planner.robot.fk(samples.positions[0]))
         count += not planner.check_trajectory(here, samples.positions, samples.times, samples.velocities).valid
     return count

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roboxim_core.poses import Pose
-from roboxim_planner.cartesian import follow_line, line_poses, time_line
+from roboxim_planner.cartesian import LineMotion, follow_line, line_poses, time_line
 from roboxim_planner.pipeline import MotionOptions, Planner
 from roboxim_planner.timing import MotionSequence, still, time_path
 from roboxim_planner.verify import verify_motion
@@ -76,3 +76,15 @@ def test_sequence_runs_its_parts_in_turn(planner: Planner) -> None:
     assert q[0] == pytest.approx(a)
     assert q[-1] == pytest.approx(a + 0.2)
     assert (np.diff(q[:, 0]) >= -1e-12).all()
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_line_that_ends_after_a_few_steps_has_a_motion(planner: Planner, count: int) -> None:
+    """A line that something stops at once is cut to as few configurations."""
+    limits = planner.limits(MotionOptions())
+    joints = planner.named_state("home") + np.linspace(0.0, 0.03, count)[:, None] ** 1.5
+    motion = LineMotion(joints, limits, 0.01, 0.0)
+    q, v, a, j = motion.evaluate(np.linspace(0.0, motion.duration, 200))
+    assert np.abs(q[[0, -1]] - joints[[0, -1]]).max() < 1e-12
+    for values, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk)):
+        assert (np.abs(values) <= 1.001 * limit).all()
