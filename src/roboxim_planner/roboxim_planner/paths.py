@@ -12,6 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -168,10 +169,15 @@ def _solve(
     info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
     info.setup()
     problem = ob.ProblemDefinition(info)
-    problem.addStartState(_state(space, start))
     targets = ob.GoalStates(info)
-    for goal in goals:
-        targets.addState(_state(space, goal))
+    _, state = _scratch(robot.dof)  # OMPL copies it
+    for i, joints in enumerate((start, *goals)):
+        for j, value in enumerate(joints):
+            state[j] = float(value)
+        if i == 0:
+            problem.addStartState(state)
+        else:
+            targets.addState(state)
     problem.setGoal(targets)
     if name in IMPROVERS:
         problem.setOptimizationObjective(ob.PathLengthOptimizationObjective(info))
@@ -190,11 +196,11 @@ def _solve(
     return np.array([state[0 : robot.dof] for state in states])
 
 
-def _state(space: ob.RealVectorStateSpace, joints: Array) -> ob.State:
-    state = space.allocState()
-    for i, value in enumerate(joints):
-        state[i] = float(value)
-    return state
+@lru_cache(maxsize=8)
+def _scratch(dof: int) -> tuple[ob.RealVectorStateSpace, ob.State]:
+    """Return a state to hand values over in, and its space. The bindings never free a state, so there is only one."""
+    space = ob.RealVectorStateSpace(dof)
+    return space, space.allocState()
 
 
 def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConfig, watch: Watch) -> Array:
