@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,7 @@ from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, searc
 from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
-from roboxim_planner.sweep import Sweep
+from roboxim_planner.sweep import PaddedSweep, Sweep
 from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
 from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
@@ -70,7 +69,7 @@ class Planner:
         self.robot = PlannerRobot(robot)
         self.config = config or PlannerConfig()
         self.ik = IkSolver(self.robot, self.config.ik)
-        self._kept: list[_Worlds] = []
+        self._kept: list[PaddedSweep] = []
 
     def plan_to_pose(
         self,
@@ -296,17 +295,17 @@ class Planner:
             tcp_rot_speed=options.max_tcp_rot_speed_rad_s,
         )
 
-    def _worlds(self, scene: PlanningScene, options: MotionOptions) -> _Worlds:
+    def _worlds(self, scene: PlanningScene, options: MotionOptions) -> PaddedSweep:
         """Return the geometry of a scene; the last ones are kept, since requests come in runs on one scene."""
         padding = self.config.padding_m if options.padding_m is None else options.padding_m
         for kept in self._kept:
             if (kept.search_padding, kept.upright) == (padding, options.upright) and kept.scene == scene:
                 return kept
-        worlds = _Worlds(self.robot, scene, padding, options.upright)
+        worlds = PaddedSweep(self.robot, scene, padding, options.upright)
         self._kept = [worlds, *self._kept[:3]]
         return worlds
 
-    def _check_start(self, worlds: _Worlds, start: npt.ArrayLike, *, collisions: bool = True) -> Array:
+    def _check_start(self, worlds: PaddedSweep, start: npt.ArrayLike, *, collisions: bool = True) -> Array:
         begin = self.robot.check_joints(start, what="start")
         broken = self.robot.limit_violations(begin, tolerance=1e-3)
         if broken:
@@ -322,7 +321,7 @@ class Planner:
         return begin
 
     def _goal_configurations(
-        self, worlds: _Worlds, begin: Array, goals: list[Pose], seed: int, watch: Watch, *, thorough: bool = False
+        self, worlds: PaddedSweep, begin: Array, goals: list[Pose], seed: int, watch: Watch, *, thorough: bool = False
     ) -> Goals:
         all_found: list[Array] = []
         owners: list[int] = []
@@ -357,7 +356,7 @@ class Planner:
         )
 
     def _try_direct(
-        self, worlds: _Worlds, begin: Array, goal: Array, options: MotionOptions, owner: int, watch: Watch
+        self, worlds: PaddedSweep, begin: Array, goal: Array, options: MotionOptions, owner: int, watch: Watch
     ) -> Plan | None:
         """Return the plan of the straight joint line, or none when it is not valid."""
         if float(np.abs(goal - begin).max()) < 1e-9:
@@ -374,7 +373,7 @@ class Planner:
 
     def _plan(
         self,
-        worlds: _Worlds,
+        worlds: PaddedSweep,
         begin: Array,
         found: Goals,
         options: MotionOptions,
@@ -476,40 +475,6 @@ class Planner:
         if name not in states:
             raise InvalidRequestError(f"robot '{self.robot.description.id}': unknown state; {one_of(states, name)}")
         return np.array(states[name])
-
-
-class _Worlds(Sweep):
-    """The scene exactly and with the padding that searches keep."""
-
-    def __init__(
-        self, robot: PlannerRobot, scene: PlanningScene, search_padding: float, upright: Upright | None
-    ) -> None:
-        super().__init__(robot, scene, upright=upright)
-        self.search_padding = search_padding
-
-    @cached_property
-    def padded(self) -> CollisionWorld:
-        return self.exact.padded(self.search_padding)
-
-    def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
-        """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""
-        if self.padded.is_free(begin) and self.padded.is_free(goal):
-            return self.padded
-        return self.exact if self.exact.is_free(goal) else None
-
-    def for_goals(self, begin: Array, goals: Array, *, padded: bool) -> CollisionWorld:
-        """Return the padded world where the start and any goal keep the distance and it is asked for."""
-        if padded and self.padded.is_free(begin) and any(self.padded.is_free(q) for q in goals):
-            return self.padded
-        return self.exact
-
-    def check_upright(self, begin: Array) -> None:
-        """Check that the tool is upright at the start."""
-        if self.upright is not None and (tilt := self.exact.tilt(begin)) > self.upright.tolerance_rad:
-            raise PlannerError(
-                f"the tool is tilted by {tilt:.3f} rad at the start, {self.upright.tolerance_rad:g} rad allowed",
-                ErrorCode.CONSTRAINT_VIOLATED,
-            )
 
 
 def _in_base(base: Pose, target: Pose) -> Pose:

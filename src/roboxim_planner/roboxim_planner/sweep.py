@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.constraint import Upright
 from roboxim_planner.robot import PlannerRobot
@@ -42,3 +43,50 @@ class Sweep:
     def first_hit(self, samples: Array) -> int:
         """Return the index of the first sample of a sweep of shape (N, dof) at or after a collision, or -1."""
         return self.exact.first_collision(samples)
+
+
+class PaddedSweep(Sweep):
+    """The scene exactly and with the padding that searches keep."""
+
+    def __init__(
+        self, robot: PlannerRobot, scene: PlanningScene, search_padding: float, upright: Upright | None
+    ) -> None:
+        """Prepare; arguments as `Sweep`, which checks without padding.
+
+        Args:
+            robot: The robot.
+            scene: What is around it.
+            search_padding: Distance that searches keep from obstacles where they can [m].
+            upright: What the tool must keep to; none: nothing.
+        """
+        super().__init__(robot, scene, upright=upright)
+        self.search_padding = search_padding
+
+    @cached_property
+    def padded(self) -> CollisionWorld:
+        """The robot in the scene with the padding."""
+        return self.exact.padded(self.search_padding)
+
+    def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
+        """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""
+        if self.padded.is_free(begin) and self.padded.is_free(goal):
+            return self.padded
+        return self.exact if self.exact.is_free(goal) else None
+
+    def for_goals(self, begin: Array, goals: Array, *, padded: bool) -> CollisionWorld:
+        """Return the padded world where the start and any goal keep the distance and it is asked for."""
+        if padded and self.padded.is_free(begin) and any(self.padded.is_free(q) for q in goals):
+            return self.padded
+        return self.exact
+
+    def check_upright(self, begin: Array) -> None:
+        """Check that the tool is upright at the start.
+
+        Raises:
+            PlannerError: ``CONSTRAINT_VIOLATED``.
+        """
+        if self.upright is not None and (tilt := self.exact.tilt(begin)) > self.upright.tolerance_rad:
+            raise PlannerError(
+                f"the tool is tilted by {tilt:.3f} rad at the start, {self.upright.tolerance_rad:g} rad allowed",
+                ErrorCode.CONSTRAINT_VIOLATED,
+            )
