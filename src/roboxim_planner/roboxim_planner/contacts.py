@@ -22,6 +22,7 @@ from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, BodyShap
 
 Array = npt.NDArray[np.float64]
 _WORLD_JOINT = 0
+_TOUCHING_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +40,8 @@ class ContactPair:
 
     def __str__(self) -> str:
         """Say it for an error message."""
+        if self.depth < 5e-5:
+            return f"{self.body_a} and {self.body_b} touch"
         return f"{self.body_a} and {self.body_b} overlap by {1000.0 * self.depth:.1f} mm"
 
 
@@ -157,7 +160,7 @@ class ContactModel:
         own = len(self._robot.geometry.geometryObjects)
         for k, pair in enumerate(self._model.collisionPairs):
             allowed = padding if max(pair.first, pair.second) >= own else 0.0
-            if self._distance(k) > max(allowed, -1e-9):
+            if self._distance(k) > max(allowed, _TOUCHING_M):
                 continue
             result = self._data.distanceResults[k]
             names = self._names[pair.first], self._names[pair.second]

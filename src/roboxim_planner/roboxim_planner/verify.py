@@ -121,6 +121,8 @@ def verify_samples(
     first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
     hit = sweep.exact.first_hit(positions)
     if hit < 0.0:
+        hit = float(_witnessed_hit(sweep, positions))
+    if hit < 0.0:
         return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
     index = int(hit)
     contacts, broken = at_fault(sweep.exact, between(positions, hit))
