@@ -14,7 +14,7 @@ import os
 import queue
 import signal
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,9 @@ from roboxim_recorder.recording import EpisodeRecording
 from roboxim_ros.conversions import fill_stamp, from_msg, stamp_to_ns, to_msg
 from roboxim_sim.conversions import camera_msgs, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.photo import THREADS_VARIABLE
 from roboxim_sim.rendering.rig import CameraRig
+from roboxim_sim.rendering.textures import pixels
 
 SURFACES = ("table", "floor", "wall")
 
@@ -88,14 +90,15 @@ class RerenderConfig:
     """``room`` or ``plain``; empty: as recorded."""
 
     def __post_init__(self) -> None:
-        """Check the surfaces.
+        """Check surfaces and textures.
 
         Raises:
-            ConfigError: On an unknown one.
+            ConfigError: On an unknown surface or texture.
         """
-        for surface in self.textures:
+        for surface, texture in self.textures.items():
             if surface not in SURFACES:
                 raise ConfigError(f"no surface '{surface}'; {one_of(SURFACES, surface)}")
+            pixels(texture)
 
     def scene(self, info: EpisodeInfo) -> SceneSpec:
         """Return an episode's scene with the changes applied.
@@ -268,14 +271,6 @@ class Rerendered:
     """Models that have changed since an episode was recorded; they are drawn as they are now."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Event:
-    """What a worker tells: a tick is done, a bag is finished, or an error ended it."""
-
-    result: EpisodeResult | None = None
-    error: tuple[int, str] | None = None
-
-
 def rerender(
     bags: Sequence[Path],
     out: Path,
@@ -310,15 +305,21 @@ def rerender(
         total = sum(map(len, episodes.values()))
         ticks = total - sum(map(len, missing.values()))
         progress(ticks, total)
-        paths = [reader.path for reader in missing.values()]
-        for event in _events(paths, folder.path, config, min(workers, len(paths))):
-            if event.error is not None:
-                raise_for_code(*event.error)
-            if event.result is not None:
-                folder.append(event.result)
+
+        def tell(result: EpisodeResult | None = None) -> None:
+            """Take in that a tick is done, or a bag."""
+            nonlocal ticks
+            if result is not None:
+                folder.append(result)
             else:
                 ticks += 1
                 progress(ticks, total)
+
+        paths = [reader.path for reader in missing.values()]
+        if min(workers, len(paths)) > 1:
+            _render_on_processes(paths, folder.path, config, min(workers, len(paths)), tell)
+        elif paths:
+            _render(paths, folder.path, config, tell)
     library = ModelLibrary()
     changed = {model for reader in episodes.values() for model in library.changed(reader.info.versions)}
     return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
@@ -338,22 +339,42 @@ def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:
     return episodes
 
 
-def _events(paths: Sequence[Path], out: Path, config: RerenderConfig, workers: int) -> Iterator[_Event]:
-    """Start workers, give each the next bag when it has finished one, and yield what they tell."""
+def _render(
+    paths: Iterable[Path], out: Path, config: RerenderConfig, tell: Callable[[EpisodeResult | None], None]
+) -> None:
+    """Render bags in this process."""
+    renderer = Rerenderer(config)
+    try:
+        for path in paths:
+            tell(renderer.bag(path, out, lambda: tell(None)))
+    finally:
+        renderer.close()
+
+
+def _render_on_processes(
+    paths: Sequence[Path],
+    out: Path,
+    config: RerenderConfig,
+    workers: int,
+    tell: Callable[[EpisodeResult | None], None],
+) -> None:
+    """Start workers, give each the next bag when it has finished one, and pass on what they tell."""
     context = multiprocessing.get_context("spawn")  # a forked renderer hangs
     bags, events = context.Queue(), context.Queue()
     for path in [*map(str, paths), *[""] * workers]:
         bags.put(path)
-    processes = [
-        context.Process(target=_work, args=(bags, events, str(out), to_plain(config), os.getpid()), daemon=True)
-        for _ in range(workers)
-    ]
+    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    arguments = (bags, events, str(out), to_plain(config), threads, os.getpid())
+    processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     try:
         for process in processes:
             process.start()
         while any(process.is_alive() for process in processes) or not events.empty():
             with contextlib.suppress(queue.Empty):
-                yield events.get(timeout=0.2)
+                event = events.get(timeout=0.2)
+                if isinstance(event, tuple):
+                    raise_for_code(*event)
+                tell(event)
         for process in processes:
             if process.exitcode:
                 raise UnavailableError(
@@ -366,17 +387,16 @@ def _events(paths: Sequence[Path], out: Path, config: RerenderConfig, workers: i
             process.join()
 
 
-def _work(bags: Any, events: Any, out: str, config: dict[str, Any], parent: int) -> None:
-    """Render bags until an empty path comes. The parent handles Ctrl-C and ends this process."""
+def _work(bags: Any, events: Any, out: str, config: dict[str, Any], threads: int, parent: int) -> None:
+    """Render bags until an empty path comes; an error is told as its code and text.
+
+    The parent handles Ctrl-C and ends this process.
+    """
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    renderer = None
+    os.environ.setdefault(THREADS_VARIABLE, str(threads))
     try:
-        renderer = Rerenderer(from_plain(config, RerenderConfig))
-        while path := bags.get():
-            events.put(_Event(result=renderer.bag(Path(path), Path(out), lambda: events.put(_Event()))))
+        paths = (Path(path) for path in iter(bags.get, ""))
+        _render(paths, Path(out), from_plain(config, RerenderConfig), events.put)
     except RoboximError as error:
-        events.put(_Event(error=(int(error.code), str(error))))
-    finally:
-        if renderer is not None:
-            renderer.close()
+        events.put((int(error.code), str(error)))

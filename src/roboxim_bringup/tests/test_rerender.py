@@ -123,14 +123,16 @@ def test_what_cannot_be_is_said_before_anything_is_rendered(recorded: Path, tmp_
         rerender(bags, tmp_path / "a", RerenderConfig(cameras={"workspace_lft": ""}))
     with pytest.raises(ConfigError, match="both of episode"):
         rerender([bags[0], bags[0]], tmp_path / "a", RerenderConfig())
+    with pytest.raises(ConfigError, match="marble"):
+        RerenderConfig(textures={"table": "marbel"})
     with pytest.raises(ConfigError, match="no surface 'ceiling'"):
         RerenderConfig(textures={"ceiling": "wood"})
     assert not (tmp_path / "a").exists()
 
 
 def test_a_workers_error_ends_the_run_with_its_message(recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no renderer 'rastr'|rastr"):
-        rerender(list_bags(recorded), tmp_path / "out", RerenderConfig(renderer="rastr"))
+    with pytest.raises(ConfigError, match="raster"):
+        rerender(list_bags(recorded), tmp_path / "out", RerenderConfig(renderer="rastr"), workers=2)
     broken = tmp_path / "bag"
     broken.mkdir()
     with pytest.raises(RecorderError):

@@ -72,13 +72,13 @@ def test_depth_and_ids_are_rasters_to_the_pixel(photo: Renderer) -> None:
 
 
 @pytest.mark.slow
-def test_images_are_the_same_in_any_order_and_process(photo: Renderer) -> None:
+def test_images_are_the_same_in_any_order_process_and_number_of_threads(photo: Renderer) -> None:
     world = render_world(SCENE, ModelLibrary())
     photo.load(world)
     first = photo.render(POSES, [(CAMERA, EYE)])["eye"]
     photo.render({"cube": Pose(position=(0.6, 0.1, 0.1))}, [(replace(CAMERA, width=40, intrinsics=()), EYE)])
     second = photo.render(POSES, [(CAMERA, EYE)])["eye"]
-    other = PhotoRenderer(samples=2)
+    other = PhotoRenderer(samples=2, threads=1)
     other.load(world)
     third = other.render(POSES, [(CAMERA, EYE)])["eye"]
     other.close()

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     "textures",
     multiple=True,
     metavar="SURFACE=NAME",
-    help="Texture of table, floor or wall, e.g. table=marble; may be repeated; without a name: none.",
+    help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated; no name: none.",
 )
 @click.option("--background", type=click.Choice(["room", "plain"]), help="Walls around, or a plain colour.")
 @click.option("--look", default="", metavar="SCENE", help="Take lights and materials of a scene of config/scenes.")
@@ -82,7 +82,10 @@ def command(
         width=width, height=height, depth=depth, segmentation=segmentation,
         look=load_config(named_config("scenes", look), SceneSpec).look if look else None,
         lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
-        textures={surface: name for surface, _, name in (word.partition("=") for word in textures)},
+        textures={
+            surface: str(Path(name).resolve()) if "/" in name else name
+            for surface, _, name in (word.partition("=") for word in textures)
+        },
         background=background or "",
     )  # fmt: skip
     with ProgressLine(f"rendering {len(bags)} episodes", 1) as bar:

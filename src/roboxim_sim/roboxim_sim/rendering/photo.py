@@ -35,6 +35,8 @@ SAMPLES = 6
 """Paths per pixel."""
 PYTHON_VARIABLE = "ROBOXIM_PHOTO_PYTHON"
 """Environment variable that names another Python with bpy."""
+THREADS_VARIABLE = "ROBOXIM_PHOTO_THREADS"
+"""Environment variable with the number of threads; the images do not depend on it."""
 OPTICAL_TO_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
 """Blender's camera looks along -z with y upwards."""
 
@@ -67,13 +69,14 @@ class PhotoRenderer:
 
         Args:
             samples: Paths per pixel.
-            threads: Threads; 0: one per core.
+            threads: Threads; 0: what `THREADS_VARIABLE` says, else one per core.
 
         Raises:
             SimError: RENDERER_UNAVAILABLE when it is not installed or does not start.
         """
         self._owner = Owner()
         python = photo_python()
+        threads = threads or int(os.environ.get(THREADS_VARIABLE) or 0)
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._process = subprocess.Popen(
             [python, photo_worker.__file__, str(samples), str(threads)],
