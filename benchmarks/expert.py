@@ -1,101 +1,166 @@
-"""How often the expert succeeds at its first try, and whether its recorded actions do so again, open loop.
+"""How often the expert succeeds at its first try, for every skill and object, among distractors.
 
-Through the cores, without cameras, with the noise that demonstrations have. A replay rebuilds the episode's scene
-in a fresh world and executes the recorded actions; it counts when all state hashes agree and the judge says success
-again.
+Through the cores, with the noise that demonstrations have, and without cameras but for one look at each reset. Success
+is judged after a second of rest; an episode that needed a second grasp is no success. A replay rebuilds the episode's
+scene in a fresh world and executes its actions open loop; it counts when every state hash agrees and the judge says
+success again. With ``--out`` episodes are kept as they end, and the same command goes on where it was stopped.
 """
 
-import tempfile
-from collections import Counter
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import yaml
+from tqdm import tqdm
 
+from _cells import Cell, cells
+from _expert_run import run_chunk
 from _harness import Bench
-from roboxim_bringup.core_graph import CoreGraph, CoreTasks
-from roboxim_bringup.jobs import task_text
-from roboxim_core.episode import EpisodeRunner, RunConfig
-from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.statistics import success_rate
-from roboxim_recorder.bag import BagReader
-from roboxim_sim.world import World
 
-TASKS = ("pick_cube", "pick_cube_distractors")
-
-
-@dataclass(kw_only=True)
-class Tally:
-    """What happened in one task's episodes."""
-
-    first_try: int = 0
-    """Episodes that succeeded."""
-    replayed: int = 0
-    """Successful episodes whose replay succeeded with the same hashes."""
-    ticks: list[int] = field(default_factory=list)
-    """Actions of each successful episode."""
-    reasons: Counter[str] = field(default_factory=Counter)
-    """Reasons of the others."""
+CHUNK = 10
+QUICK_CELLS = (
+    "pick_up/knife/3", "place_on/apple/3", "place_left_of/cucumber/3", "rotate/cube/3", "push_button/button/3",
+    "open_drawer/middle/3",
+)  # fmt: skip
 
 
 def main() -> None:
     """Measure and print."""
-    bench = Bench("expert", __doc__)
-    resets = 10 if bench.quick else 100
-    total = Tally()
-    for task in TASKS:
-        tally = measure(task, resets)
-        rate = success_rate(tally.first_try, resets)
-        bench.row(
-            task=task, resets=resets, first_try=tally.first_try, low_95=round(rate.low, 3), replayed=tally.replayed,
-            median_ticks=float(np.median(tally.ticks)),
-            failures=", ".join(f"{reason} {count}" for reason, count in tally.reasons.items()) or "-",
-        )  # fmt: skip
-        total.first_try += tally.first_try
-        total.replayed += tally.replayed
-    if total.replayed != total.first_try:
-        raise SystemExit(f"only {total.replayed} of {total.first_try} successful episodes succeeded again")
-    bench.finish("first-try success", total.first_try / (resets * len(TASKS)), "", at_least=0.99)
+    bench = Bench("expert", __doc__, add_options)
+    options = bench.options
+    chosen = [cell for clutter in options.clutter for cell in cells(clutter)]
+    if bench.quick:
+        chosen = [cell for cell in chosen if cell.name in QUICK_CELLS]
+    if options.cells:
+        chosen = [cell for cell in chosen if any(text in cell.name for text in options.cells.split(","))]
+    if not chosen:
+        raise SystemExit(f"no cell's name contains any of '{options.cells}'; see --list")
+    if options.list:
+        raise SystemExit("\n".join(cell.name for cell in chosen))
+    start = time.perf_counter()
+    wanted = {cell.name: options.resets or (2 if bench.quick else 200 if cell.core else 40) for cell in chosen}
+    outcomes = measure({cell.name: cell for cell in chosen}, wanted, options)
+    for cell in chosen:
+        bench.row(**row(cell, outcomes[cell.name]))
+    together = [outcome for cell in chosen for outcome in outcomes[cell.name]]
+    if not together:
+        raise SystemExit("no episode has ended")
+    bench.row(**summary("all", together))
+    sys.stdout.write(f"{len(together)} episodes, {time.perf_counter() - start:.0f} s\n")
+    bench.finish("first-try success", float(np.mean([o["first_try"] for o in together])), "", at_least=0.995)
 
 
-def measure(task: str, resets: int) -> Tally:
-    """Run and replay episodes of a task."""
-    data = yaml.safe_load(task_text(task))
-    data["reset"]["cameras"] = {"names": []}
-    tally = Tally()
-    library = ModelLibrary()
-    with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder)) as cores, World(library) as world:
-        config = RunConfig(
-            purpose="test", output_dir=folder, task_config=yaml.safe_dump(data), noise_translation_m=0.003,
-            noise_rotation_rad=0.01,
-        )  # fmt: skip
-        runner = EpisodeRunner(cores.ports, config)
-        for index in range(resets):
-            result = runner.run_index(index)
-            if result.outcome != "success":
-                tally.reasons[result.reason] += 1
-                continue
-            tally.first_try += 1
-            tally.ticks.append(result.steps)
-            tally.replayed += replay_succeeds(world, CoreTasks(library), BagReader(Path(folder, result.bag)))
-    return tally
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes here and go on from them")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
+    parser.add_argument("--cells", default="", metavar="TEXT[,TEXT]", help="only cells whose name contains a text")
+    parser.add_argument("--resets", type=int, default=0, metavar="N", help="per cell (default: 200; 40 for rarer ones)")
+    parser.add_argument("--clutter", type=int, nargs="+", default=[3], metavar="N", help="distractors (default: 3)")
+    parser.add_argument("--replays", type=float, default=0.1, metavar="SHARE", help="replayed share (default: 0.1)")
+    parser.add_argument("--list", action="store_true", help="print the cells' names and end")
 
 
-def replay_succeeds(world: World, judge: CoreTasks, bag: BagReader) -> bool:
-    """Execute a bag's actions again, open loop."""
-    info = bag.info
-    for tick in bag.ticks(cameras=()):
-        if tick.seq == 0:
-            state = world.load(info.scene, info.episode_id)
-            verdict = judge.start(info.episode_id, info.task, state)
-        else:
-            action = np.array(tick.step.action_executed, np.float32)
-            state = world.tick(tick.seq, action, episode_id=info.episode_id)
-            verdict = judge.judge(state)
-        if state.state_hash != tick.state.state_hash:
-            return False
-    return verdict.success
+def measure(
+    by_name: dict[str, Cell], wanted: dict[str, int], options: argparse.Namespace
+) -> dict[str, list[dict[str, Any]]]:
+    """Run what is not there yet; return every cell's episodes."""
+    outcomes: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    file = options.out / "episodes.jsonl" if options.out else None
+    if file is not None and file.exists():
+        for line in file.read_text().splitlines():
+            outcome = json.loads(line)
+            outcomes[outcome["cell"]].append(outcome)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    total = sum(wanted.values())
+    known = {name: [o for o in outcomes[name] if o["index"] < n] for name, n in wanted.items()}
+    with tqdm(total=total, initial=sum(map(len, known.values())), unit="episode", disable=None) as bar:
+        for done in run(missing(by_name, wanted, known), options):
+            for outcome in done:
+                known[outcome["cell"]].append(outcome)
+            if file is not None:
+                with file.open("a") as stream:
+                    stream.writelines(json.dumps(outcome) + "\n" for outcome in done)
+            bar.update(len(done))
+    return {name: sorted(found, key=lambda o: o["index"]) for name, found in known.items()}
+
+
+def missing(
+    by_name: dict[str, Cell], wanted: dict[str, int], known: dict[str, list[dict[str, Any]]]
+) -> Iterator[tuple[Cell, list[int]]]:
+    """Yield chunks of indices that have not been run, all cells in turns."""
+    chunks = []
+    for name, count in wanted.items():
+        done = {outcome["index"] for outcome in known[name]}
+        rest = [index for index in range(count) if index not in done]
+        chunks += [(start, name, rest[start : start + CHUNK]) for start in range(0, len(rest), CHUNK)]
+    for _, name, indices in sorted(chunks, key=lambda chunk: chunk[0]):
+        yield by_name[name], indices
+
+
+def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -> Iterator[list[dict[str, Any]]]:
+    """Run chunks in worker processes; yield each when it ends."""
+    every = round(1 / options.replays) if options.replays > 0 else 0
+    with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = []
+        for cell, indices in chunks:
+            replayed = [index for index in indices if every and index % every == 0]
+            jobs.append(pool.submit(run_chunk, cell.name, cell.config(), indices, replayed))
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise SystemExit("stopped; the same command with --out goes on") from None
+
+
+def row(cell: Cell, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
+    """Return a cell's row."""
+    return summary(cell.name, outcomes) if outcomes else {"cell": cell.name, "resets": 0}
+
+
+def summary(name: str, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
+    """Return a row of the table."""
+    first = sum(o["first_try"] for o in outcomes)
+    rate = success_rate(first, len(outcomes))
+    reset = [o["reset_ms"] for o in outcomes]
+    ticks = [o["ticks"] for o in outcomes if o["first_try"]]
+    rejections = sum((Counter(o["rejections"]) for o in outcomes), Counter())
+    reasons = Counter(o["reason"].split(":")[0] for o in outcomes if o["reason"])
+    replays = [o["replayed"] for o in outcomes if o["replayed"] is not None]
+    seen = [o["seen_px"] for o in outcomes if o["seen_px"] >= 0]
+    return {
+        "cell": name,
+        "resets": len(outcomes),
+        "first_try": first,
+        "low_95": round(rate.low, 3),
+        "recovered": sum(o["recovered"] for o in outcomes),
+        "ticks": float(np.median(ticks)) if ticks else "-",
+        "reset_ms": round(float(np.median(reset))),
+        "reset_p95": round(float(np.percentile(reset, 95))),
+        "draws": float(np.median([o["draws"] for o in outcomes])),
+        "near": round(float(np.mean([o["near"] for o in outcomes])), 2),
+        "unseen": sum(px == 0 for px in seen),
+        "disturbed": sum(o["disturbed"] > 0 for o in outcomes),
+        "replayed": f"{sum(replays)}/{len(replays)}",
+        "failures": _counted(reasons),
+        "rejections": _counted(Counter(dict(rejections.most_common(3)))),
+    }
+
+
+def _counted(counts: Counter[str]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.most_common()) or "-"
 
 
 if __name__ == "__main__":

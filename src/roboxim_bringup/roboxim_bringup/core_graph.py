@@ -56,12 +56,12 @@ class CoreTasks:
 
     def __init__(self, library: ModelLibrary) -> None:
         """Use a library of models."""
-        self._generator = EpisodeGenerator(library)
+        self.generator = EpisodeGenerator(library)
         self._judge: Judge | None = None
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
         """Draw the episode of a seed path."""
-        return self._generator.draw(seed, parse_task_config(task_config) if task_config else load_task_config())
+        return self.generator.draw(seed, parse_task_config(task_config) if task_config else load_task_config())
 
     def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
         """Start a fold."""

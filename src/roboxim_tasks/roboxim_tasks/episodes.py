@@ -26,6 +26,8 @@ class EpisodeGenerator:
         """Make a generator over a library of models."""
         self._library = library
         self._arms: dict[str, ArmKinematics] = {}
+        self.last_reset: ResetContext | None = None
+        """The newest reset: how often it drew, and what refused its draws."""
 
     def draw(self, seed: SeedPath, config: TaskConfig | TaskMix) -> Draw:
         """Draw the episode of a seed path; of a mix, that of the cell whose turn it is.
@@ -70,6 +72,7 @@ class EpisodeGenerator:
             arm=self._arm(base.robot.model),
             ordinal=ordinal,
         )
+        self.last_reset = context
         constraints = SKILLS[config.skill].constraints(context)
         components = [COMPONENTS[name](section) for name, section in config.reset.items()]
         scene = replace(base, control_rate_hz=config.rate_hz)

@@ -1,0 +1,195 @@
+"""Runs one of the expert's episodes through the cores and notes what a reader of the table wants to know of it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboxim_bringup.core_graph import CoreGraph, CoreTasks
+from roboxim_core.actions import ActionArray
+from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.rendering import Renderer
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.world import World
+from roboxim_tasks.roles import task_distractors
+
+NOISE_M, NOISE_RAD = 0.003, 0.01
+DISTURBED_M = 0.01
+SIGHT_PX = 128
+
+
+@dataclass(kw_only=True)
+class Outcome:
+    """One episode. Written as a line of JSON."""
+
+    cell: str
+    index: int
+    first_try: bool
+    """Success without a second grasp, judged after settling."""
+    recovered: bool
+    reason: str
+    """Why it failed; empty: it did not."""
+    ticks: int
+    reset_ms: float
+    """From the seed to the settled scene [ms]."""
+    draws: int
+    rejections: Mapping[str, int]
+    """Constraint to the placements that it refused."""
+    seen_px: int
+    """Pixels of the target in the workspace camera at tick 0, of 128 x 128; -1: the task has no such camera."""
+    near: bool
+    """Whether a distractor is within 10 cm of the target."""
+    disturbed: int
+    """Distractors that moved by more than 1 cm."""
+    replayed: bool | None
+    """Whether its actions, open loop from the restored scene, gave the same hashes and success; none: not tried."""
+    seconds: float
+
+
+@dataclass
+class _Watch:
+    """Stands between the loop and the ports, and keeps what the outcome needs."""
+
+    ports: Ports
+    library: ModelLibrary
+    eyes: Renderer
+    states: list[StateRecord] = field(default_factory=list)
+    actions: list[ActionArray] = field(default_factory=list)
+    scene: SceneSpec | None = None
+    task: TaskSpec | None = None
+    reset_s: float = 0.0
+    seen_px: int = -1
+
+    # the scenes' port
+    def draw(self, seed: SeedPath, task_config: str) -> Draw:
+        start = time.perf_counter()
+        drawn = self.ports.scenes.draw(seed, task_config)
+        self.reset_s, self.task = time.perf_counter() - start, drawn.task
+        return drawn
+
+    # the sim's port; cameras are looked through once
+    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+        self.scene = replace(scene, cameras=())
+        start = time.perf_counter()
+        state = self.ports.sim.load(episode_id, self.scene)
+        self.reset_s += time.perf_counter() - start
+        self.states, self.actions = [state], []
+        self.seen_px = self._look(scene, state)
+        return state
+
+    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
+        state = self.ports.sim.tick(episode_id, seq, action)
+        self.states.append(state)
+        self.actions.append(np.array(state.action_executed, np.float32))
+        return state
+
+    def _look(self, scene: SceneSpec, state: StateRecord) -> int:
+        target = self.task and self.task.objects.get("target")
+        if not scene.cameras or not target:
+            return -1
+        camera = replace(scene.cameras[0], width=SIGHT_PX, height=SIGHT_PX, depth=False, segmentation=True)
+        return _seen(self.eyes, replace(scene, cameras=(camera,)), camera, state, target.entity, self.library)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.ports.sim, name)
+
+    @property
+    def moved(self) -> int:
+        """Distractors that moved."""
+        assert self.task is not None
+        first, last = ({e.name: e.pose.position for e in self.states[i].entities} for i in (0, -1))
+        names = [thing.entity for thing in task_distractors(self.task)]
+        return sum(float(np.linalg.norm(np.subtract(first[n], last[n]))) > DISTURBED_M for n in names)
+
+    @property
+    def near(self) -> bool:
+        """Whether a distractor starts close to the target."""
+        assert self.task is not None
+        poses = {e.name: np.array(e.pose.position[:2]) for e in self.states[0].entities}
+        target = self.task.objects.get("target")
+        names = [thing.entity for thing in task_distractors(self.task)]
+        return bool(target) and any(np.linalg.norm(poses[n] - poses[target.entity]) < 0.10 for n in names)
+
+
+def _seen(
+    renderer: Renderer, scene: SceneSpec, camera: CameraSpec, state: StateRecord, entity: str, library: ModelLibrary
+) -> int:
+    """Return how many pixels of an entity a camera sees."""
+    renderer.load(render_world(scene, library))
+    poses = ScenePoses(scene, library)
+    pose = poses.camera_poses(state.robot)[camera.name]
+    segmentation = renderer.render(poses.body_poses(state), [(camera, pose)])[camera.name].segmentation
+    assert segmentation is not None
+    number = 1 + [e.name for e in scene.entities].index(entity)
+    return int(np.count_nonzero(segmentation == number))
+
+
+class CellRunner:
+    """Runs episodes of cells; belongs to the thread that made it, and ends with its process."""
+
+    def __init__(self) -> None:
+        """Make the cores."""
+        self._folder = tempfile.TemporaryDirectory()
+        self._library = ModelLibrary()
+        self._cores = CoreGraph(Path(self._folder.name), renderer="tiny")
+        self._renderer = make_renderer("raster")
+        self._world = World(self._library)
+
+    def run(self, cell: str, config: str, index: int, *, replay: bool) -> Outcome:
+        """Run the episode of an index of a cell."""
+        start = time.perf_counter()
+        tasks = CoreTasks(self._library)
+        ports = replace(self._cores.ports, scenes=tasks, judge=tasks)
+        watch = _Watch(ports, self._library, self._renderer)
+        run = RunConfig(
+            purpose="test", output_dir=self._folder.name, task_config=config, keep="none",
+            noise_translation_m=NOISE_M, noise_rotation_rad=NOISE_RAD,
+        )  # fmt: skip
+        result = EpisodeRunner(replace(ports, scenes=watch, sim=watch), run).run_index(index)
+        reset = tasks.generator.last_reset
+        succeeded = result.outcome == "success"
+        return Outcome(
+            cell=cell, index=index, first_try=succeeded and not result.recovered, recovered=result.recovered,
+            reason="" if succeeded else f"{result.reason}: {result.message}".rstrip(": "), ticks=result.steps,
+            reset_ms=1e3 * watch.reset_s, draws=reset.draws if reset else 0,
+            rejections=dict(reset.rejections) if reset else {}, seen_px=watch.seen_px,
+            near=bool(watch.states) and watch.near, disturbed=watch.moved if watch.states else 0,
+            replayed=self._replays(watch) if replay and succeeded else None,
+            seconds=time.perf_counter() - start,
+        )  # fmt: skip
+
+    def _replays(self, watch: _Watch) -> bool:
+        """Execute the recorded actions again in a world built anew."""
+        assert watch.scene is not None
+        assert watch.task is not None
+        judge = CoreTasks(self._library)
+        state = self._world.load(watch.scene, "replay")
+        verdict = judge.start("replay", watch.task, state)
+        for seq, (action, before) in enumerate(zip(watch.actions, watch.states[1:], strict=True), start=1):
+            state = self._world.tick(seq, action, episode_id="replay")
+            verdict = judge.judge(state)
+            if state.state_hash != before.state_hash:
+                return False
+        return verdict.success
+
+
+@cache
+def _runner() -> CellRunner:
+    return CellRunner()
+
+
+def run_chunk(cell: str, config: str, indices: list[int], replayed: list[int]) -> list[dict[str, Any]]:
+    """Run some indices of a cell: what a worker process does."""
+    return [asdict(_runner().run(cell, config, index, replay=index in replayed)) for index in indices]
