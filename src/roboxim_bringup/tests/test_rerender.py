@@ -130,6 +130,7 @@ def test_what_cannot_be_is_said_before_anything_is_rendered(recorded: Path, tmp_
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.slow
 def test_a_workers_error_ends_the_run_with_its_message(recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="raster"):
         rerender(list_bags(recorded), tmp_path / "out", RerenderConfig(renderer="rastr"), workers=2)
