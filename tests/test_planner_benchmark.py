@@ -360,6 +360,14 @@ def test_the_planners_motions_are_clean(ours) -> None:
         assert verdict_on(problem, ours(problem)).clean, problem.name
 
 
+def test_a_graze_between_free_samples_is_not_let_through(ours) -> None:
+    from _problems import tabletop
+    from _problems_hard import hard
+
+    for problem, seed in ((tabletop(598), 598), (hard("table_under_pick", 12, salt=1), 12)):
+        assert verdict_on(problem, ours(problem, seed)).clean, problem.name
+
+
 def test_a_planner_that_overlooks_obstacles_is_caught(ours, monkeypatch: pytest.MonkeyPatch) -> None:
     import run_roboxim
 

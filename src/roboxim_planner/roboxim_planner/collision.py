@@ -25,7 +25,7 @@ __all__ = ["CollisionWorld", "ContactPair"]
 Array = npt.NDArray[np.float64]
 SEARCH_RESOLUTION_M = 0.01
 EXACT_RESOLUTION_M = 2.5e-4
-_LEAF_TRIANGLES = 4
+TOUCH_M = 5e-6  # exact distances of hulls differ by less between the native kernel and coal
 _PLAIN = ("box", "sphere", "cylinder", "capsule")
 
 
@@ -71,7 +71,7 @@ class CollisionWorld:
         item_names = [shape.link for shape in shapes]
         moving = [shape.joint >= 0 for shape in shapes]
         own = len(items)
-        obstacles, obstacle_names, roots = self._obstacles()
+        obstacles, obstacle_names = self._obstacles()
         joint, tcp_pose = robot.tcp_attachment
         for held in scene.attached:
             for part in held.body.shapes:
@@ -91,36 +91,25 @@ class CollisionWorld:
                     item_pairs += (k, i)
         obstacle_pairs: list[int] = []
         for i, name in enumerate(item_names):
-            for k, body in zip(roots, obstacle_names, strict=True) if moving[i] else ():
+            for k, body in enumerate(obstacle_names) if moving[i] else ():
                 if checks(name, body):
                     obstacle_pairs += (i, k)
         return native.World(robot.arm, items, obstacles, item_pairs, obstacle_pairs)
 
-    def _obstacles(self) -> tuple[list[native.Obstacle], list[str], list[int]]:
+    def _obstacles(self) -> tuple[list[native.Obstacle], list[str]]:
+        """Return the scene's shapes in the base's frame, and the body that each belongs to."""
         to_base = np.linalg.inv(pose_matrix(self.scene.robot_pose))
-        made: list[native.Obstacle] = []
-        inner: list[native.Obstacle] = []
-        names, roots = [], []
-        count = sum(len(body.shapes) for body in self.scene.bodies)
+        made, names = [], []
         for body in self.scene.bodies:
             placed = to_base @ pose_matrix(body.pose)
             for part in body.shapes:
                 pose = placed @ pose_matrix(part.pose)
                 names.append(body.name)
-                roots.append(len(made))
                 if isinstance(part, TriangleMesh):
-                    tree = _mesh_tree(part.vertices, part.triangles)
-                    first = count + len(inner) - 1
-                    parts = [
-                        native.Obstacle(kind, size, pose @ local, child + first if children else 0, children)
-                        for kind, size, local, child, children in tree
-                    ]
-                    made.append(parts[0])
-                    inner += parts[1:]
+                    made.append(native.Obstacle(_mesh(part.vertices, part.triangles), pose))
                 else:
-                    kind, size = _solid(part)
-                    made.append(native.Obstacle(kind, size, pose))
-        return made + inner, names, roots
+                    made.append(native.Obstacle(*_solid(part), pose))
+        return made, names
 
     @property
     def coal(self) -> ContactModel:
@@ -156,8 +145,20 @@ class CollisionWorld:
         return self.native.first_hit(np.asarray(path, dtype=float), self.padding, 0.0, resolution)
 
     def first_collision(self, path: npt.ArrayLike) -> int:
-        """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1."""
-        return math.ceil(self.first_hit(path) - 1e-9)
+        """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1.
+
+        Keeping the resolution's distance proves all of a path; where it does not keep that, a graze between two places
+        looked at is shorter than the resolution, so each point is looked at as well, with room for rounding.
+        """
+        points = np.asarray(path, dtype=float)
+        fine = EXACT_RESOLUTION_M
+        if self.native.first_hit(points, self.padding + fine, fine, fine) < 0.0:
+            return -1
+        hit = math.ceil(self.first_hit(points) - 1e-9)
+        if hit >= 0:
+            return hit
+        room = (self.padding + TOUCH_M, TOUCH_M, 1.0)
+        return next((i for i, q in enumerate(points) if not self.native.path_is_free(q, *room)), -1)
 
     def tilt(self, joints: npt.ArrayLike) -> float:
         """Return by how much the tool is tilted at a state [rad]; 0 where it need not be upright."""
@@ -190,35 +191,6 @@ def _held_item(joint: int, pose: Array, part: BodyShape) -> native.Item:
     return native.Item(joint, kind, size, pose, placed)
 
 
-_Node = tuple[str, Array, Array, int, int]
-
-
 @lru_cache(maxsize=64)
-def _mesh_tree(
-    vertices: tuple[tuple[float, float, float], ...], triangles: tuple[tuple[int, int, int], ...]
-) -> list[_Node]:
-    """Return boxes around boxes around triangles: kind, size, pose, and the range of nodes that a box is around."""
-    corners = np.array(vertices)[np.array(triangles)]
-    nodes: list[_Node] = [_box_around(corners)]
-    pending = [(0, np.arange(len(corners)))]
-    while pending:
-        index, members = pending.pop(0)
-        kind, size, pose, _, _ = nodes[index]
-        child = len(nodes)
-        if len(members) <= _LEAF_TRIANGLES:
-            nodes += [("hull", corners[k], np.eye(4), 0, 0) for k in members]
-        else:
-            axis = int(np.argmax(size))
-            order = members[np.argsort(corners[members].mean(axis=1)[:, axis], kind="stable")]
-            for k, half in enumerate((order[: len(order) // 2], order[len(order) // 2 :])):
-                nodes.append(_box_around(corners[half]))
-                pending.append((child + k, half))
-        nodes[index] = (kind, size, pose, child, len(nodes) - child)
-    return nodes
-
-
-def _box_around(corners: Array) -> _Node:
-    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
-    pose = np.eye(4)
-    pose[:3, 3] = 0.5 * (low + high)
-    return "box", high - low, pose, 0, 0
+def _mesh(vertices: tuple[tuple[float, float, float], ...], triangles: tuple[tuple[int, int, int], ...]) -> native.Mesh:
+    return native.Mesh(np.array(vertices)[np.array(triangles)])

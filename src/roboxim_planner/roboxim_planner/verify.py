@@ -76,6 +76,10 @@ def verify_motion(
     if sweep is None or hit < 0:
         return Finding(violations=violations)
     contacts, broken = at_fault(sweep.exact, q[hit])
+    if not contacts and not broken:  # a graze lies before this sample
+        contacts, broken = at_fault(sweep.exact, q[max(0, hit - 1)])
+    if not contacts and not broken:
+        broken = (f"the arm grazes something just before {times[hit]:.3f} s",)
     return Finding(contacts=contacts, violations=violations + broken, time_s=float(times[hit]))
 
 
@@ -126,6 +130,8 @@ def verify_samples(
         return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
     index = int(hit)
     contacts, broken = at_fault(sweep.exact, between(positions, hit))
+    if not contacts and not broken:
+        broken = (f"the arm grazes something near point {index}",)
     return Finding(
         contacts=contacts,
         violations=violations + broken,
