@@ -182,7 +182,7 @@ def _packed(
         shades: Sequence[npt.NDArray[np.uint8]] = [np.full(len(mesh.vertices), 255, np.uint8) for mesh in fine]
     else:
         shades = openness(fine, [*fine, *coarse])
-    ranges = []
+    ranges: list[range] = []
     for meshes in (fine, coarse or fine):
         first = middle = arrays.count
         for part, mesh, shade in zip(parts, meshes, shades[len(ranges) // 2 * len(fine) :], strict=False):

@@ -120,4 +120,4 @@ def _coordinates(corners: npt.NDArray[np.float64], fine: TriangleMesh) -> npt.ND
     distances, near = distances.reshape(*corners.shape[:2], count), near.reshape(*corners.shape[:2], count)
     apart = np.abs(uv[near] - middle[:, None, None]).max(axis=-1) > SEAM
     best = (distances + 10.0 * apart).argmin(axis=-1)
-    return uv[np.take_along_axis(near, best[..., None], axis=-1)[..., 0]]
+    return np.asarray(uv[np.take_along_axis(near, best[..., None], axis=-1)[..., 0]])
