@@ -120,9 +120,9 @@ class ContactModel:
         for pair in list(robot.geometry.collisionPairs) if scene.allowed else ():
             if not rules.checks(self._names[pair.first], self._names[pair.second]):
                 self._model.removeCollisionPair(pair)
-        meshes = [isinstance(item.geometry, coal.BVHModelBase) for item in self._model.geometryObjects]
+        flat = [_is_flat_mesh(item.geometry) for item in self._model.geometryObjects]
         pairs = enumerate(self._model.collisionPairs)
-        self._mesh_pairs = [k for k, pair in pairs if any(meshes) and (meshes[pair.first] or meshes[pair.second])]
+        self._flat_pairs = [k for k, pair in pairs if any(flat) and (flat[pair.first] or flat[pair.second])]
         self._data = self._model.createData()
         self._scratch = robot.model.createData()
         self._q = robot.full(np.zeros(robot.dof), scene.gripper_opening)
@@ -141,7 +141,7 @@ class ContactModel:
         q = self._q
         if pin.computeCollisions(self._robot.model, self._scratch, self._broad, q, True):
             return False
-        return all(self._distance(k) > 0.0 for k in self._mesh_pairs)  # coal's collide() misses flat meshes
+        return all(self._distance(k) > 0.0 for k in self._flat_pairs)  # coal's collide() misses flat meshes
 
     def _distance(self, pair: int) -> float:
         pin.computeDistance(self._model, self._data, pair)
@@ -172,6 +172,11 @@ class ContactModel:
             if names not in deepest or found.depth > deepest[names].depth:
                 deepest[names] = found
         return tuple(sorted(deepest.values(), key=lambda c: (-c.depth, c.body_a, c.body_b)))
+
+
+def _is_flat_mesh(shape: coal.CollisionGeometry) -> bool:
+    box = shape.aabb_local
+    return isinstance(shape, coal.BVHModelBase) and float(min(box.width(), box.height(), box.depth())) < 1e-6
 
 
 def held_shape(shape: BodyShape) -> coal.CollisionGeometry:

@@ -4,6 +4,6 @@
 kinematics from many starts. Thread-safe across objects, not within one `World`.
 """
 
-from roboxim_planner_native._native import API, Arm, Item, Obstacle, World
+from roboxim_planner_native._native import API, Arm, Item, Mesh, Obstacle, World
 
-__all__ = ["API", "Arm", "Item", "Obstacle", "World"]
+__all__ = ["API", "Arm", "Item", "Mesh", "Obstacle", "World"]

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -39,10 +40,14 @@ class Item:
         self, joint: int, kind: str, size: npt.ArrayLike, pose: npt.ArrayLike, spheres: npt.ArrayLike
     ) -> None: ...
 
+class Mesh:
+    def __init__(self, corners: npt.ArrayLike) -> None: ...
+
 class Obstacle:
-    def __init__(
-        self, kind: str, size: npt.ArrayLike, pose: npt.ArrayLike, child: int = ..., children: int = ...
-    ) -> None: ...
+    @overload
+    def __init__(self, kind: str, size: npt.ArrayLike, pose: npt.ArrayLike) -> None: ...
+    @overload
+    def __init__(self, mesh: Mesh, pose: npt.ArrayLike) -> None: ...
 
 class World:
     def __init__(

@@ -7,6 +7,8 @@
 
 #include "world.hpp"
 
+PYBIND11_MAKE_OPAQUE(roboxim::Mesh)
+
 namespace py = pybind11;
 using namespace roboxim;
 
@@ -142,7 +144,7 @@ PYBIND11_MODULE(_native, m) {
     throw py::import_error("roboxim_planner_native is compiled for processors with AVX2 and FMA (x86-64-v3)");
   }
 #endif
-  m.attr("API") = 2;
+  m.attr("API") = 3;
 
   py::class_<Arm, std::shared_ptr<Arm>>(m, "Arm")
       .def(py::init(&make_arm), py::kw_only(), py::arg("parents"), py::arg("placements"), py::arg("axes"),
@@ -161,11 +163,24 @@ PYBIND11_MODULE(_native, m) {
            }),
            py::arg("joint"), py::arg("kind"), py::arg("size"), py::arg("pose"), py::arg("spheres"));
 
+  py::class_<Mesh, std::shared_ptr<Mesh>>(m, "Mesh").def(
+      py::init([](const Array& corners) {
+        if (corners.ndim() != 3 || corners.shape(1) != 3 || corners.shape(2) != 3) {
+          throw std::invalid_argument("a mesh's corners have shape (N, 3, 3)");
+        }
+        return std::const_pointer_cast<Mesh>(make_mesh(corners.data(), static_cast<std::size_t>(corners.shape(0))));
+      }),
+      py::arg("corners"));
+
   py::class_<Obstacle>(m, "Obstacle")
-      .def(py::init([](const std::string& kind, const Array& size, const Array& pose, int child, int children) {
-             return Obstacle{shape_of(kind, size), transform_of(pose), child, children};
+      .def(py::init([](const std::string& kind, const Array& size, const Array& pose) {
+             return Obstacle{{shape_of(kind, size), transform_of(pose)}, nullptr};
            }),
-           py::arg("kind"), py::arg("size"), py::arg("pose"), py::arg("child") = 0, py::arg("children") = 0);
+           py::arg("kind"), py::arg("size"), py::arg("pose"))
+      .def(py::init([](std::shared_ptr<Mesh> mesh, const Array& pose) {
+             return Obstacle{{Shape{}, transform_of(pose)}, std::move(mesh)};
+           }),
+           py::arg("mesh"), py::arg("pose"));
 
   py::class_<World>(m, "World")
       .def(py::init([](std::shared_ptr<Arm> arm, const std::vector<std::shared_ptr<Item>>& items,

@@ -44,12 +44,12 @@ World::World(std::shared_ptr<const Arm> arm, std::vector<std::shared_ptr<const I
   for (std::size_t i = 0; i + 1 < item_pairs.size(); i += 2) {
     const int a = item_pairs[i], b = item_pairs[i + 1];
     if (a < 0 || b < 0 || a >= count || b >= count) throw std::out_of_range("item pair");
-    roots_.push_back({a, b, true});
+    roots_.push_back({a, b, true, 0});
   }
   for (std::size_t i = 0; i + 1 < obstacle_pairs.size(); i += 2) {
     const int a = obstacle_pairs[i], b = obstacle_pairs[i + 1];
     if (a < 0 || b < 0 || a >= count || b >= solids) throw std::out_of_range("obstacle pair");
-    roots_.push_back({a, b, false});
+    roots_.push_back({a, b, false, 0});
   }
   for (std::size_t i = 0; i < items_.size(); ++i) {
     if (items_[i]->joint >= arm_->dof()) throw std::out_of_range("item of an unknown joint");
@@ -144,11 +144,19 @@ double World::mutual_travel(int a, int b) {
   return placed(a).travel[common] + placed(b).travel[common];
 }
 
-double World::bound_obstacle(const Item& item, const Placed& at, const Obstacle& obstacle) const {
-  const Shape& shape = obstacle.shape;
-  const double* r = obstacle.pose.r.m;
+const Solid& World::solid_of(const Pair& pair, Transform& pose) const {
+  const Obstacle& obstacle = obstacles_[pair.other];
+  pose = obstacle.solid.pose;
+  if (!obstacle.mesh) return obstacle.solid;
+  const Solid& part = (*obstacle.mesh)[pair.part];
+  pose = pose * part.pose;
+  return part;
+}
+
+double World::bound_obstacle(const Item& item, const Placed& at, const Shape& shape, const Transform& pose) const {
+  const double* r = pose.r.m;
   const Vec3 middle = 0.5 * (shape.low + shape.high), half = 0.5 * (shape.high - shape.low);
-  const Vec3 shift = -transposed_times(obstacle.pose.r, obstacle.pose.t) - middle;
+  const Vec3 shift = -transposed_times(pose.r, pose.t) - middle;
   const float m[9] = {float(r[0]), float(r[3]), float(r[6]), float(r[1]), float(r[4]),
                       float(r[7]), float(r[2]), float(r[5]), float(r[8])};
   Lanes least = lanes(std::numeric_limits<float>::max());
@@ -213,6 +221,8 @@ bool World::look(const Interval& interval, bool& upright_left) {
     const Placed& at = placed(pair.item);
     const double margin = pair.own ? limits_.self_margin : limits_.margin;
     double travel, bound;
+    Transform pose;
+    const Solid* solid = nullptr;
     if (pair.own) {
       const Item& other = *items_[pair.other];
       const Placed& bt = placed(pair.other);
@@ -222,24 +232,47 @@ bool World::look(const Interval& interval, bool& upright_left) {
       bound = std::max(bound, bound_own(item, at, other, bt));
     } else {
       travel = at.travel[0];
-      bound = bound_obstacle(item, at, obstacles_[pair.other]);
+      solid = &solid_of(pair, pose);
+      bound = bound_obstacle(item, at, solid->shape, pose);
     }
     if (bound > margin + travel) continue;
-    if (!pair.own && obstacles_[pair.other].children) {
-      const Obstacle& whole = obstacles_[pair.other];
-      for (int k = 0; k < whole.children; ++k) work_.push_back({pair.item, whole.child + k, false});
+    if (solid && solid->children) {
+      if (norm(solid->shape.half) > travel) {  // worth splitting: its parts may be proven one by one
+        for (int k = 0; k < solid->children; ++k) work_.push_back({pair.item, pair.other, false, solid->child + k});
+        continue;
+      }
+      if (bound <= margin && touches(pair)) return true;
+      if (travel > limits_.resolution) arena_.push_back(pair);
       continue;
     }
     const bool worth_exact = travel < kWorthExact;
     if (bound <= margin || worth_exact) {
-      const Shape& shape = pair.own ? items_[pair.other]->shape : obstacles_[pair.other].shape;
-      const Transform& pose = pair.own ? placed(pair.other).pose : obstacles_[pair.other].pose;
+      const Shape& shape = solid ? solid->shape : items_[pair.other]->shape;
+      if (!solid) pose = placed(pair.other).pose;
       const double far = worth_exact ? margin + travel : margin;
       const double apart = distance(item.shape, at.pose, shape, pose, margin, far);
       if (apart <= margin) return true;
       if (apart > margin + travel) continue;
     }
     if (travel > limits_.resolution) arena_.push_back(pair);
+  }
+  return false;
+}
+
+// Whether an item touches a part of a mesh where the arm is now.
+bool World::touches(const Pair& pair) {
+  const Item& item = *items_[pair.item];
+  const Placed& at = placed(pair.item);
+  stack_.assign(1, pair);
+  while (!stack_.empty()) {
+    const Pair next = stack_.back();
+    stack_.pop_back();
+    Transform pose;
+    const Solid& solid = solid_of(next, pose);
+    if (bound_obstacle(item, at, solid.shape, pose) > limits_.margin) continue;
+    for (int k = 0; k < solid.children; ++k) stack_.push_back({next.item, next.other, false, solid.child + k});
+    if (solid.children) continue;
+    if (distance(item.shape, at.pose, solid.shape, pose, limits_.margin, limits_.margin) <= limits_.margin) return true;
   }
   return false;
 }
@@ -323,11 +356,12 @@ double World::clearance(const double* q, double cap) {
       least = std::min(least, distance(item.shape, at.pose, items_[pair.other]->shape, bt.pose, 0.0, least));
       continue;
     }
-    const Obstacle& obstacle = obstacles_[pair.other];
-    if (bound_obstacle(item, at, obstacle) >= least) continue;
-    for (int k = 0; k < obstacle.children; ++k) work_.push_back({pair.item, obstacle.child + k, false});
-    if (obstacle.children == 0) {
-      least = std::min(least, distance(item.shape, at.pose, obstacle.shape, obstacle.pose, 0.0, least));
+    Transform pose;
+    const Solid& solid = solid_of(pair, pose);
+    if (bound_obstacle(item, at, solid.shape, pose) >= least) continue;
+    for (int k = 0; k < solid.children; ++k) work_.push_back({pair.item, pair.other, false, solid.child + k});
+    if (solid.children == 0) {
+      least = std::min(least, distance(item.shape, at.pose, solid.shape, pose, 0.0, least));
     }
   }
   return least;

@@ -30,10 +30,20 @@ struct Item {
 std::shared_ptr<const Item> make_item(int joint, Shape shape, const Transform& local, const double* spheres,
                                       std::size_t count);
 
-struct Obstacle {
+struct Solid {
   Shape shape;
-  Transform pose;             // in the base
-  int child = 0, children = 0;  // range of obstacles that this one bounds; none: it is solid itself
+  Transform pose;
+  int child = 0, children = 0;  // of a mesh: range of the parts that this box is around; none: it is solid itself
+};
+
+using Mesh = std::vector<Solid>;  // in the mesh's frame, the box around all first
+
+// Corners: nine numbers per triangle.
+std::shared_ptr<const Mesh> make_mesh(const double* corners, std::size_t count);
+
+struct Obstacle {
+  Solid solid;                       // pose in the base; its shape is not used when there is a mesh
+  std::shared_ptr<const Mesh> mesh;  // or none
 };
 
 struct Limits {
@@ -86,6 +96,7 @@ class World {
     int item;
     int other;  // item or obstacle
     bool own;   // whether `other` is an item
+    int part;   // of the obstacle's mesh
   };
   struct Interval {
     double from, to;
@@ -103,6 +114,7 @@ class World {
   bool search(const double* path, int count, const Limits& limits, double* where);
   bool earliest(const Interval& interval, double& where, int depth);
   bool look(const Interval& interval, bool& upright_left);
+  bool touches(const Pair& pair);
   bool upright_fails(bool& left) const;
   double tilt_now() const;
   bool straighten(double* q);
@@ -110,7 +122,9 @@ class World {
   void place_at(double t);
   double variation(int joint, double t) const;
   Placed& placed(int item);
-  double bound_obstacle(const Item& item, const Placed& at, const Obstacle& obstacle) const;
+  double bound_obstacle(const Item& item, const Placed& at, const Shape& shape, const Transform& pose) const;
+  // The obstacle, or the part of its mesh, that a pair is about, and its pose in the base.
+  const Solid& solid_of(const Pair& pair, Transform& pose) const;
   double bound_own(const Item& a, const Placed& at, const Item& b, const Placed& bt) const;
   double mutual_travel(int a, int b);
   int ancestor(int a, int b) const;
@@ -124,7 +138,7 @@ class World {
   std::vector<Placed> placed_;
   std::vector<Transform> frames_;
   std::vector<double> q_, spread_, path_, variation_;
-  std::vector<Pair> arena_, work_;
+  std::vector<Pair> arena_, work_, stack_;
   std::vector<Interval> queue_;
   int points_ = 0;
   long long epoch_ = 0;
