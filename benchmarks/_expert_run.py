@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from _cells import Cell
 from roboxim_bringup.core_graph import CoreGraph, CoreTasks
 from roboxim_core.actions import ActionArray
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
@@ -190,6 +191,7 @@ def _runner() -> CellRunner:
     return CellRunner()
 
 
-def run_chunk(cell: str, config: str, indices: list[int], replayed: list[int]) -> list[dict[str, Any]]:
+def run_chunk(cell: Cell, indices: list[int], replayed: list[int]) -> list[dict[str, Any]]:
     """Run some indices of a cell: what a worker process does."""
-    return [asdict(_runner().run(cell, config, index, replay=index in replayed)) for index in indices]
+    config = cell.config()
+    return [asdict(_runner().run(cell.name, config, index, replay=index in replayed)) for index in indices]

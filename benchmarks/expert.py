@@ -43,6 +43,7 @@ def main() -> None:
         chosen = [cell for cell in chosen if cell.name in QUICK_CELLS]
     if options.cells:
         chosen = [cell for cell in chosen if any(text in cell.name for text in options.cells.split(","))]
+    chosen = [cell for cell in chosen if cell.core or not options.core]
     if not chosen:
         raise SystemExit(f"no cell's name contains any of '{options.cells}'; see --list")
     if options.list:
@@ -66,6 +67,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--cells", default="", metavar="TEXT[,TEXT]", help="only cells whose name contains a text")
     parser.add_argument("--resets", type=int, default=0, metavar="N", help="per cell (default: 200; 40 for rarer ones)")
+    parser.add_argument("--core", action="store_true", help="only the cells that are measured most")
     parser.add_argument("--clutter", type=int, nargs="+", default=[3], metavar="N", help="distractors (default: 3)")
     parser.add_argument("--replays", type=float, default=0.1, metavar="SHARE", help="replayed share (default: 0.1)")
     parser.add_argument("--list", action="store_true", help="print the cells' names and end")
@@ -116,7 +118,7 @@ def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -
         jobs = []
         for cell, indices in chunks:
             replayed = [index for index in indices if every and index % every == 0]
-            jobs.append(pool.submit(run_chunk, cell.name, cell.config(), indices, replayed))
+            jobs.append(pool.submit(run_chunk, cell, indices, replayed))
         try:
             for job in as_completed(jobs):
                 yield job.result()
