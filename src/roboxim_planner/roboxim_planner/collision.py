@@ -108,7 +108,8 @@ class CollisionWorld:
                 if isinstance(part, TriangleMesh):
                     made.append(native.Obstacle(_mesh(part.vertices, part.triangles), pose))
                 else:
-                    made.append(native.Obstacle(*_solid(part), pose))
+                    kind, size = _solid(part)
+                    made.append(native.Obstacle(kind, size, pose))
         return made, names
 
     @property

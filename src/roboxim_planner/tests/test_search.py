@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, reject, settings
+from hypothesis import strategies as st
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError
 from roboxim_core.models.library import ModelLibrary
@@ -99,6 +101,31 @@ def test_a_deadline_ends_the_search_under_a_constraint(
     options = MotionOptions(upright=Upright(tolerance_rad=0.1))
     with pytest.raises(RequestTimeoutError):
         planner.plan_to_pose(walled, left, [tcp_down(0.5, -0.3, 0.2)], options, watch)
+
+
+@given(seed=st.integers(0, 10**6), velocity=st.floats(0.05, 1.0), acceleration=st.floats(0.05, 1.0))
+@settings(max_examples=25, deadline=None)
+def test_every_plan_keeps_its_promises(planner: Planner, seed: int, velocity: float, acceleration: float) -> None:
+    """Random scenes and ends: start and goal, limits by differences at a kilohertz, nothing touched (coal)."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform([0.25, -0.6, 0.1], [0.8, 0.6, 0.6], (5, 3)).tolist()
+    bodies = [box(f"b{i}", (0.08, 0.08, 0.2), Pose(position=tuple(place))) for i, place in enumerate(places)]
+    scene, robot = PlanningScene(bodies=tuple(bodies)), planner.robot
+    world = CollisionWorld(robot, scene)
+    ends = world.free_states(rng.uniform(robot.lower, robot.upper, (60, robot.dof)))
+    assume(len(ends) >= 2)
+    options = MotionOptions(velocity_scaling=velocity, acceleration_scaling=acceleration, seed=seed)
+    try:
+        plan = planner.plan_to_joints(scene, ends[0], ends[1], options)
+    except PlannerError:
+        reject()  # shut in by the boxes; were that common, hypothesis would object
+    path = plan.motion.evaluate(np.arange(0.0, plan.duration, 1e-3))[0]
+    assert path[0] == pytest.approx(ends[0], abs=1e-9)
+    assert plan.end == pytest.approx(ends[1], abs=1e-9)
+    limits = planner.limits(options)
+    for order, limit in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk)):
+        assert (np.abs(np.diff(path, order, axis=0)) <= limit * 1e-3**order * 1.001 + 1e-12).all()
+    assert all(world.coal.is_free(q) for q in path[::10])
 
 
 PLANS = """
