@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel
-from roboxim_core.poses import Array, Pose
+from roboxim_core.poses import Array, Pose, distance
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.motion import grasp_poses, retreated, shifted
@@ -22,6 +22,7 @@ HAND_CLEARANCE_M = 0.03
 HAND = ((0.0, 0.0, 0.0), (0.0, 0.1, -0.05), (0.0, -0.1, -0.05), (0.0, 0.1, -0.1), (0.0, -0.1, -0.1), (0.0, 0.0, -0.15))
 """The tool centre point and points around the hand, in the tool's frame [m]."""
 LIMIT_MARGIN_RAD = 0.03
+LINE_STEP_M, LINE_STEP_RAD = 0.08, 0.5
 BESIDE_M = 0.03
 YAWS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)
 
@@ -64,6 +65,21 @@ def follows(arm: ArmKinematics, *poses: Pose) -> bool:
             return False
         joints = found.joints
     return True
+
+
+def reaches_in_lines(context: ResetContext, *poses: Pose) -> bool:
+    """Tell whether the arm follows straight lines through poses from its home, as the delta controller will."""
+    here, way = context.arm.fk(context.arm.model.home), []
+    for pose in poses:
+        shift_m, angle_rad = distance(here, pose)
+        count = max(1, math.ceil(max(shift_m / LINE_STEP_M, angle_rad / LINE_STEP_RAD)))
+        turn = (pose.rotation * here.rotation.inv()).as_rotvec()
+        for share in (step / count for step in range(1, count)):
+            position = (1.0 - share) * np.array(here.position) + share * np.array(pose.position)
+            way.append(Pose.from_arrays(position, Rotation.from_rotvec(share * turn) * here.rotation))
+        way.append(pose)
+        here = pose
+    return follows(context.arm, *way)
 
 
 def _apart(context: ResetContext, tcp: Pose, entity: EntitySpec) -> bool:

@@ -21,7 +21,7 @@ from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import retreated
 from roboxim_tasks.placement import footprint, overlap
 from roboxim_tasks.predicates import Condition, Measure, joint_position, released
-from roboxim_tasks.reach import reaches
+from roboxim_tasks.reach import reaches_in_lines
 
 APPROACH_M = 0.08
 OVERSHOOT_M = 0.02
@@ -141,7 +141,9 @@ def handle_reachable(context: ResetContext, role: str, position_m: float, before
         axis = opening_axis(model, handle, base)
         way = axis * (position_m - spec.joint_positions.get(joint, 0.0))
         grasps = (moved_by(g, axis * before_m) for g in handle_grasps(model, handle, base, spec.joint_positions))
-        return any(reaches(context, retreated(grasp, APPROACH_M), grasp, moved_by(grasp, way)) for grasp in grasps)
+        return any(
+            reaches_in_lines(context, retreated(grasp, APPROACH_M), grasp, moved_by(grasp, way)) for grasp in grasps
+        )
 
     return Constraint(name=f"{role}_reachable", holds=holds)
 

@@ -26,7 +26,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, joint_highest_ever
-from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 
@@ -80,7 +80,7 @@ class PushButton(Skill):
             spec: EntitySpec = scene.entity(entity)
             face = _face(context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose)
             pressed = (_pressed(face, yaw) for yaw in YAWS)
-            return any(reaches(context, retreated(pose, APPROACH_M), pose) for pose in pressed)
+            return any(reaches_in_lines(context, retreated(pose, APPROACH_M), pose) for pose in pressed)
 
         return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
 

@@ -31,7 +31,7 @@ from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.placement import refusal
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
-from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still
@@ -129,7 +129,7 @@ class PushObject(Skill):
             toward = base.rotation.apply(direction)
             pushes = pushing_poses(context.library.entity_model(spec), base @ spec.pose, toward)
             return any(
-                reaches(context, shifted(begin, APPROACH_M), begin, _along(begin, toward, WAY_M + STANDOFF_M))
+                reaches_in_lines(context, shifted(begin, APPROACH_M), begin, _along(begin, toward, WAY_M + STANDOFF_M))
                 for begin, _ in pushes
             )
 

@@ -26,7 +26,7 @@ from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
 from roboxim_tasks.placement import refusal
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, shift, table_force, turned
-from roboxim_tasks.reach import reaches, start_clear
+from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still
@@ -104,7 +104,7 @@ class Rotate(Skill):
             for grasp in grasp_poses(context.library.entity_model(spec), pose, home):
                 way = [_turned(pose, angle) @ pose.inverse() @ grasp for angle in _steps(parameters.angle_rad)]
                 lifted = [shifted(turn, LIFTS_M[0]) for turn in way]
-                if reaches(context, retreated(grasp, APPROACH_M), grasp, *lifted, way[-1]):
+                if reaches_in_lines(context, retreated(grasp, APPROACH_M), grasp, *lifted, way[-1]):
                     return True
             return False
 
