@@ -24,6 +24,8 @@ from roboxim_planner.scene import AllowedContact, PlanningScene
 
 Array = npt.NDArray[np.float64]
 KINDS = ("pose", "joints", "cartesian")
+_OF_THE_START = (ErrorCode.START_IN_COLLISION, ErrorCode.START_OUTSIDE_LIMITS)
+"""Errors that no other goal configuration mends."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +109,7 @@ class Stage:
 class SequenceConfig:
     """Budget of the search over candidates."""
 
-    configurations: int = 48
+    configurations: int = 400
     """Goal configurations of a pose stage that are looked at, nearest first."""
     wide_configurations: int = 2
     """Of those, from so many the lines are looked for widely when from none they succeed plainly; see `plan_line`."""
@@ -185,6 +187,7 @@ class _Search:
         self._watch, self._entered, self._config = watch, entered, config
         self._worst: tuple[int, PlannerError] | None = None
         self._tried: dict[int, int] = {}
+        self._last = ErrorCode.OK
 
     def solve(self, k: int, at: Array, scene: PlanningScene) -> list[_Step] | None:
         """Return the steps from stage k on, or none."""
@@ -226,6 +229,8 @@ class _Search:
                 found = self._go_on(k, [_Step(plan=motion, scene=left, goal_index=index), *following])
                 if found is not None:
                     return found
+            elif self._last in _OF_THE_START:
+                break
             if motions >= self._config.motions:
                 break
         return None
@@ -287,6 +292,7 @@ class _Search:
         try:
             yield
         except PlannerError as error:
+            self._last = error.code
             if self._worst is None or k > self._worst[0]:
                 self._worst = (k, error)
 

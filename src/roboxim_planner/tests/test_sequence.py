@@ -73,6 +73,11 @@ def test_failure_names_the_stage_and_a_deadline_ends_it(planner: Planner, table:
         plan_sequence(planner, table, start, stages, config=FEW)
     assert caught.value.code == ErrorCode.PATH_INCOMPLETE
 
+    blocked = table.with_bodies([box("block", (0.2, 0.2, 0.2), Pose(position=planner.robot.fk(start).position))])
+    with pytest.raises(PlannerError, match=r"stage 'over' \(1 of 2\): start in collision") as caught:
+        plan_sequence(planner, blocked, start, (stages[0], shift(-0.05, "dig")))
+    assert caught.value.code == ErrorCode.START_IN_COLLISION
+
     def late(stage: str, iterations: int) -> None:
         raise RequestTimeoutError("late")
 
