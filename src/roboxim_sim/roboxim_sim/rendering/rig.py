@@ -6,7 +6,7 @@ the lens sees, bends it, adds the sensor's noise, and holds the frames of a came
 Non-obvious behaviours:
 - An observation belongs to a tick, so every camera gives an image at every tick. A slower camera takes its frames at
   the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, until the next: what a control loop that reads the
-  newest frame sees.
+  newest frame sees. (Where the world is loaded between two frames, by restoring a snapshot, it starts with a new one.)
 - Depth and segmentation are bent with the nearest pixel, never blended; noise is added to colour and depth only.
 - A frame's noise follows from the camera's noise seed, its name and the tick alone, so a frame can be made again.
 """
