@@ -43,7 +43,7 @@ DIRECTIONS = {
     "back": (-1.0, 0.0),
 }
 """Words of the instruction to the direction in the robot's base."""
-WAY_M = 0.12
+WAY_M = 0.11
 STANDOFF_M = 0.02
 BACK_OFF_M = 0.03
 FINGER_M = 0.014
@@ -118,19 +118,21 @@ class PushObject(Skill):
 
         def way_free(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
+            farthest = way_m(context.library.entity_model(spec), spec.pose, direction)
             others = replace(scene, entities=tuple(e for e in scene.entities if e.name != entity))
             places = (Pose.from_arrays(spec.pose.position + direction * way, spec.pose.rotation)
-                      for way in np.linspace(0.0, WAY_M, 5))  # fmt: skip
+                      for way in np.linspace(0.0, farthest, 5))  # fmt: skip
             return not any(refusal(others, replace(spec, pose=place), 0.01, context.library) for place in places)
 
         def reachable(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
             base = scene.robot.pose.inverse()
             toward = base.rotation.apply(direction)
-            pushes = pushing_poses(context.library.entity_model(spec), base @ spec.pose, toward)
+            model, pose = context.library.entity_model(spec), base @ spec.pose
+            way = way_m(model, pose, toward) + STANDOFF_M
             return any(
-                reaches_in_lines(context, shifted(begin, APPROACH_M), begin, _along(begin, toward, WAY_M + STANDOFF_M))
-                for begin, _ in pushes
+                reaches_in_lines(context, shifted(begin, APPROACH_M), begin, _along(begin, toward, way))
+                for begin, _ in pushing_poses(model, pose, toward)
             )
 
         return (
@@ -146,14 +148,15 @@ class PushObject(Skill):
         in_world = np.array([parameters.direction_x, parameters.direction_y, 0.0])
         toward = scene.scene.robot.pose.rotation.inv().apply(in_world)
         pose = scene.pose_of(entity)
+        way = way_m(scene.model_of(entity), pose, toward)
         touching = fingers_touch(scene, entity)
         for begin, opening in pushing_poses(scene.model_of(entity), pose, toward):
             script = Script(scene)
             script.opening = opening
             script.move(shifted(begin, APPROACH_M), name="approach", free=True)
             script.move(begin, name="descend", speed=SLOW)
-            script.set_entity(entity, pose=_along(pose, toward, WAY_M))
-            script.move(_along(begin, toward, WAY_M + STANDOFF_M), name="push", speed=SLOW, touching=touching)
+            script.set_entity(entity, pose=_along(pose, toward, way))
+            script.move(_along(begin, toward, way + STANDOFF_M), name="push", speed=SLOW, touching=touching)
             script.wait(DWELL_S, name="dwell")
             script.move(_along(script.pose, toward, -BACK_OFF_M), name="back_off", touching=touching)
             script.move(shifted(script.pose, APPROACH_M), name="rise", touching=touching)
@@ -193,6 +196,17 @@ class PushObject(Skill):
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
         )  # fmt: skip
         return Conditions(lies_still(entity, initial, pushed), hold_s=parameters.hold_s)
+
+
+def way_m(model: ObjectModel, pose: Pose, direction: Array) -> float:
+    """Return how far to push [m]: farther if the object will turn its flat side to the fingers.
+
+    Args:
+        model: The object.
+        pose: Its pose.
+        direction: Horizontal unit vector in the frame of the pose, shape (3,).
+    """
+    return WAY_M + max(0.0, extent(model, pose, -direction) - min(model.size[:2]) / 2)
 
 
 def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[tuple[Pose, float]]:
@@ -244,5 +258,5 @@ def extent(model: ObjectModel, pose: Pose, direction: Array) -> float:
     return farthest
 
 
-def _along(pose: Pose, direction: Array, way_m: float) -> Pose:
-    return Pose.from_arrays(pose.position + np.asarray(direction) * way_m, pose.rotation)
+def _along(pose: Pose, direction: Array, length_m: float) -> Pose:
+    return Pose.from_arrays(pose.position + np.asarray(direction) * length_m, pose.rotation)
