@@ -11,7 +11,7 @@ A skill's executor yields scripts, best first::
 The expert rolls each out through the delta controller and takes the first whose joint path the planner finds free.
 
 Non-obvious: a script starts from the scene as it is. When the gripper holds the object already (the expert plans again
-after a grasp that turned out a little different), `pick` adds nothing; after a try that went wrong the script begins
+after a grasp that turned out a little different), `pick` only lifts; after a try that went wrong the script begins
 with letting go and withdrawing. So one executor serves the first try, the correction and the recovery.
 """
 
@@ -22,7 +22,18 @@ from dataclasses import replace
 import numpy as np
 
 from roboxim_core.poses import Pose, Vec3
-from roboxim_tasks.motion import ANYTHING, GRIPPER, TABLE, ExpertScene, Grasp, Stage, retreated, shifted
+from roboxim_tasks.motion import (
+    ANYTHING,
+    GRIPPER,
+    RELEASE_CLEARANCE_M,
+    TABLE,
+    ExpertScene,
+    Grasp,
+    Stage,
+    fingers_touch,
+    retreated,
+    shifted,
+)
 
 APPROACH_M = 0.10
 LIFT_M = 0.10
@@ -54,6 +65,8 @@ class Script:
             self.opening = scene.state.robot.gripper_command
             measured = scene.in_base(scene.state.robot.pose_tcp_measured)
             self.held_in_tcp = measured.inverse() @ scene.pose_of(self.held)
+            clearance = RELEASE_CLEARANCE_M / scene.robot.gripper.max_opening_m
+            self.release_opening = min(1.0, scene.state.robot.gripper_opening + clearance)
         elif scene.recovering:
             self.grip(1.0, name="let_go")
             self.move(shifted(self.pose, WITHDRAW_M), name="withdraw", touching=((GRIPPER, ANYTHING),))
@@ -107,23 +120,22 @@ class Script:
         """Stay."""
         self._add(Stage(name=name, duration_s=duration_s))
 
-    def pick(self, entity: str, grasp: Grasp, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
-        """Approach, descend, close, lift. Adds nothing if the gripper holds the entity already.
+    def pick(self, entity: str, grasp: Grasp | None, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
+        """Approach, descend, close, lift. If the gripper holds the entity already only the lift is left.
 
         Args:
             entity: What to grasp.
-            grasp: How.
+            grasp: How; none when it is held.
             lift_m: How high; 0: stay.
             on: What it lies on, which it may touch while it is lifted.
         """
-        if self.held == entity:
-            return
-        self.opening, self.release_opening = grasp.opening, grasp.release_opening
-        self.move(retreated(grasp.pose, APPROACH_M), name="approach", free=True)
-        self.move(grasp.pose, name="descend", speed=SLOW, touching=((GRIPPER, entity),))
-        self.grip(0.0, name="close")
-        held_in_tcp = grasp.pose.inverse() @ self.pose_of(entity)
-        self.held, self.held_in_tcp = entity, held_in_tcp
+        if grasp is not None and self.held != entity:
+            self.opening, self.release_opening = grasp.opening, grasp.release_opening
+            self.move(retreated(grasp.pose, APPROACH_M), name="approach", free=True)
+            self.move(grasp.pose, name="descend", speed=SLOW, touching=fingers_touch(self.scene, entity))
+            self.grip(0.0, name="close")
+            self.held_in_tcp = grasp.pose.inverse() @ self.pose_of(entity)
+            self.held = entity
         if lift_m:
             self.shift((0.0, 0.0, lift_m), name="lift", speed=SLOW, touching=((entity, on),))
 
@@ -156,7 +168,7 @@ class Script:
         entity, self.held, self.held_in_tcp = self.held, "", Pose()
         self.set_entity(entity, pose=pose_object)
         self.grip(self.release_opening, name="release")
-        self.move(retreated(self.pose, retreat_m), name="retreat", touching=((GRIPPER, entity),))
+        self.move(retreated(self.pose, retreat_m), name="retreat", touching=fingers_touch(self.scene, entity))
 
     def _height_over(self, goal: Pose) -> float:
         """Return how high the tool must be so that what it holds passes over everything between here and a goal."""

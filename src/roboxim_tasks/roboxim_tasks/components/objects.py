@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import PlacementConfig, place
 from roboxim_tasks.roles import task_objects
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectsResetConfig(PlacementConfig):
+    """Where the objects of the task lie."""
+
+    roles: dict[str, PlacementConfig] = field(default_factory=dict)
+    """Role to where its object lies, if not where the others do."""
 
 
 @register
@@ -13,7 +23,7 @@ class ObjectsReset(ResetComponent):
     """Places the objects that the instruction speaks of, in the order of their roles."""
 
     name = "objects"
-    Config = PlacementConfig
+    Config = ObjectsResetConfig
     places = True
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
@@ -23,5 +33,5 @@ class ObjectsReset(ResetComponent):
             RejectedError: When one finds no room.
         """
         for thing in task_objects(context.task):
-            scene = place(scene, thing, self.config, context, self.name)
+            scene = place(scene, thing, self.config.roles.get(thing.entity, self.config), context, self.name)
         return scene

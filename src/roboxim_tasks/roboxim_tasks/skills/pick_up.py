@@ -75,7 +75,7 @@ class PickUp(Skill):
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Go above the object, down, close, up; one candidate per grasp, least rotation first."""
         entity = scene.task.objects["target"].entity
-        for grasp in grasps_of(scene, entity):
+        for grasp in [None] if scene.held == entity else grasps_of(scene, entity):
             script = Script(scene)
             script.pick(entity, grasp, lift_m=LIFT_M)
             script.wait(1.0)

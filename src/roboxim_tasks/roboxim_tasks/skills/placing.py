@@ -73,8 +73,7 @@ def put(
         for goal in wanted:
             for drop_m in drops_m:
                 script = Script(scene)
-                if grasp is not None:
-                    script.pick(target, grasp)
+                script.pick(target, grasp)
                 script.place(goal, onto=onto, drop_m=drop_m)
                 yield script.stages
 

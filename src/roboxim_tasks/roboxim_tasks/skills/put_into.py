@@ -1,28 +1,34 @@
-"""Put an object into a container: a bowl, a tray, a mug.
+"""Put an object into a container: a bowl, a tray, a mug, an open drawer.
 
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
 Success: the object's origin is inside the container's interior, it does not touch the table, the robot does not touch
 it, and it lies still for ``hold_s``.
 
-Non-obvious: the interior's size follows from the container; the generator puts it into the task's arguments. What does
-not fit into the container's interior at every yaw is never drawn.
+Non-obvious: where the interior is, and how it moves with a drawer, follows from the container; the generator puts it
+into the task's arguments. What does not fit into the interior at every yaw is never drawn. A drawer must be open at the
+start: the reset component ``joints`` does that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError
-from roboxim_core.poses import Pose
-from roboxim_core.specs import Scalar, TaskSpec
+from roboxim_core.models.articulation import joint_motion, object_link_poses
+from roboxim_core.models.description import ObjectModel
+from roboxim_core.poses import Array
+from roboxim_core.specs import Scalar, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.predicates import Condition, Conditions, Measure, table_force
-from roboxim_tasks.reach import above_reachable, graspable, start_clear
+from roboxim_tasks.reach import downward_reachable, graspable, start_clear
+from roboxim_tasks.roles import description
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 
@@ -31,18 +37,32 @@ DROPS_M = (0.01, 0.03, 0.05)
 
 @dataclass(frozen=True, kw_only=True)
 class PutIntoParameters:
-    """Thresholds of success."""
+    """Thresholds of success, and where the container's interior is."""
 
     hold_s: float = 0.3
     """How long it must lie still [s]."""
-    floor_m: float = 0.0
-    """Height of the interior's floor above the container's origin [m]; set by the generator."""
+    drawer: str = ""
+    """Which interior, where the container has several, e.g. ``top``."""
+    floor_x_m: float = 0.0
+    """Middle of the interior's floor in the container's base, with all joints at 0 [m]; set by the generator."""
+    floor_y_m: float = 0.0
+    """As ``floor_x_m``."""
+    floor_z_m: float = 0.0
+    """As ``floor_x_m``."""
     depth_m: float = 0.0
     """Height of its rim above its floor [m]; set by the generator."""
     half_x_m: float = 0.0
     """Half of its extent along the container's x [m]; set by the generator."""
     half_y_m: float = 0.0
     """Half of its extent along the container's y [m]; set by the generator."""
+    joint: str = ""
+    """Joint that the interior moves with; empty: none; set by the generator."""
+    axis_x: float = 0.0
+    """How the interior moves in the container's base when the joint does; set by the generator."""
+    axis_y: float = 0.0
+    """As ``axis_x``."""
+    axis_z: float = 0.0
+    """As ``axis_x``."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -65,30 +85,50 @@ class PutInto(Skill):
         "Place the {target} in the {container}",
         "Drop the {target} into the {container}",
     )
+    components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     max_steps = 200
     Parameters = PutIntoParameters
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a target that fits into the container, and note the interior's size."""
-        task = generate_task(
-            context,
-            suits=lambda models: fits(models["target"], region_of(models["container"], "interior")),
-        )
+        """Draw a target that fits into the container, and note where the interior is."""
+        drawer = context.parameters.drawer
+
+        def suits(models: Mapping[str, ObjectModel]) -> bool:
+            return fits(models["target"], region_of(models["container"], "interior", drawer))
+
+        task = generate_task(context, suits=suits)
         container = task.objects["container"]
-        interior = region_of(context.library.object(container.model, container.modifiers), "interior")
-        x, y, depth = interior.size
-        floor_m = interior.pose.position[2]
-        size: dict[str, Scalar] = {"floor_m": floor_m, "depth_m": depth, "half_x_m": x / 2, "half_y_m": y / 2}
-        return replace(task, arguments=task.arguments | size)
+        interior = interior_arguments(context.library.object(container.model, container.modifiers), drawer)
+        instruction = task.instruction
+        if interior["joint"]:
+            whole = description(container)
+            instruction = instruction.replace(
+                f"the {whole}", f"the {drawer or interior['joint']} drawer of the {whole}"
+            )
+        return replace(task, arguments=task.arguments | interior, instruction=instruction)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the target, and above the container."""
-        return (graspable(context, "target"), above_reachable(context, "container"), start_clear(context))
+        """The arm reaches the target, and into the container."""
+        parameters: PutIntoParameters = parameters_of(context.task, PutIntoParameters)
+        container = context.task.objects["container"].entity
+
+        def reachable(scene: SceneSpec) -> bool:
+            spec = scene.entity(container)
+            floor = floor_of(parameters, spec.joint_positions.get(parameters.joint, 0.0))
+            inside = (scene.robot.pose.inverse() @ spec.pose).apply(floor) + (0.0, 0.0, parameters.depth_m)
+            return downward_reachable(context, inside.tolist())
+
+        return (
+            graspable(context, "target"),
+            Constraint(name="container_reachable", holds=reachable),
+            start_clear(context),
+        )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Pick it up, lower it into the middle, let go as low as the hand fits."""
         target, container = (scene.task.objects[role].entity for role in ("target", "container"))
-        floor = region_pose(scene, container, region_of(scene.model_of(container), "interior"))
+        parameters: PutIntoParameters = parameters_of(scene.task, PutIntoParameters)
+        floor = region_pose(scene, container, region_of(scene.model_of(container), "interior", parameters.drawer))
         position = raised(floor, floor.position[2] + scene.model_of(target).rest_height).position
         goals = [upright(scene.pose_of(target), position, yaw) for yaw in GOAL_YAWS]
         return put(scene, target, goals, onto=container, drops_m=DROPS_M)
@@ -98,17 +138,48 @@ class PutInto(Skill):
         parameters: PutIntoParameters = parameters_of(task, PutIntoParameters)
         target, container = (task.objects[role].entity for role in ("target", "container"))
 
-        def inside(state: StateRecord) -> Pose:
-            return state.entity(container).pose.inverse() @ state.entity(target).pose
+        def inside(state: StateRecord) -> Array:
+            holder = state.entity(container)
+            joints = dict(zip(holder.joint_names, holder.joint_positions, strict=True))
+            position = holder.pose.inverse().apply(state.entity(target).pose.position)
+            return position - floor_of(parameters, joints.get(parameters.joint, 0.0))
 
         def sideways(state: StateRecord) -> float:
-            x, y, _ = inside(state).position
-            return max(abs(x) / parameters.half_x_m, abs(y) / parameters.half_y_m)
+            x, y, _ = inside(state)
+            return float(max(abs(x) / parameters.half_x_m, abs(y) / parameters.half_y_m))
 
-        depth = Measure(name="above_floor_m", of=lambda state: inside(state).position[2] - parameters.floor_m)
+        depth = Measure(name="above_floor_m", of=lambda state: float(inside(state)[2]))
         placed = (
             Condition(name="inside", measure=Measure(name="sideways_share", of=sideways), most=1.0),
             Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + 0.01, reason="not_inside"),
             Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
         )
         return Conditions(lies_still(target, initial, placed, container), hold_s=parameters.hold_s)
+
+
+def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:
+    """Return where a container's interior is, as scalars: its floor, size, and the sliding joint that it moves with."""
+    interior = region_of(model, "interior", name)
+    link = interior.link or model.links[0].name
+    here = object_link_poses(model, {})[link] @ interior.pose
+    joint = next((j for j in model.joints if j.child == link), None)
+    axis = np.zeros(3)
+    if joint is not None:
+        if joint.kind != "prismatic":
+            raise ConfigError(
+                f"object '{model.id}': the interior '{name}' turns with a joint; put_into needs a sliding one"
+            )
+        frame = object_link_poses(model, {})[joint.parent] @ joint.pose
+        axis = frame.rotation.apply(joint_motion(joint, 1.0).position)
+    x, y, depth_m = interior.size
+    return {
+        "floor_x_m": here.position[0], "floor_y_m": here.position[1], "floor_z_m": here.position[2],
+        "depth_m": depth_m, "half_x_m": x / 2, "half_y_m": y / 2, "joint": joint.name if joint else "",
+        "axis_x": float(axis[0]), "axis_y": float(axis[1]), "axis_z": float(axis[2]),
+    }  # fmt: skip
+
+
+def floor_of(parameters: PutIntoParameters, joint_m: float) -> Array:
+    """Return the middle of the interior's floor in the container's base, at a position of its joint [m]."""
+    floor = np.array([parameters.floor_x_m, parameters.floor_y_m, parameters.floor_z_m])
+    return floor + joint_m * np.array([parameters.axis_x, parameters.axis_y, parameters.axis_z])
