@@ -1,0 +1,76 @@
+"""What the command line says of a task, and ``roboxim tasks``."""
+
+import json
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from roboxim_bringup.cli import group
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.config import from_json
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import TaskSpec
+from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.skills import SKILLS
+
+
+def roboxim(*arguments):
+    return CliRunner().invoke(group, ["tasks", *arguments], catch_exceptions=False).output
+
+
+def test_a_skill_with_objects_of_one_s_own():
+    text = task_text(skill="place_on", objects=("apple,knife", "support=tray"), distractors="2")
+    config = parse_task_config(text)
+    assert config.objects["target"].models.values == ("apple", "knife")
+    assert config.objects["support"].models.values == ("tray",)
+    assert (config.distractors.minimum, config.distractors.maximum) == (2, 2)
+
+
+def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_job_s():
+    data = yaml.safe_load(task_text(objects=("cucumber",)))
+    assert data["objects"]["target"]["modifiers"] == {}
+    assert parse_task_config(task_text()).skill == "pick_up"
+    assert parse_task_config(task_text("skill_object_baseline", distractors="3")).cells[0].distractors.minimum == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"skill": "place_onn"}, ["place_onn", "place_on"]),
+        ({"skill": "place_on", "task": "pick_cube"}, ["either", "--task", "--skill"]),
+        ({"objects": ("aple",)}, ["aple", "apple"]),
+        ({"objects": ("support=plate",)}, ["support", "target"]),
+        ({"objects": ("plate",)}, ["plate", "graspable"]),
+        ({"task": "skill_object_baseline", "objects": ("cube",)}, ["mix", "--object"]),
+        ({"distractors": "many"}, ["--distractors", "1-3"]),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_what_would(given, said):
+    with pytest.raises(ConfigError) as error:
+        task_text(**given)
+    for part in said:
+        assert part in str(error.value)
+
+
+def test_list_names_every_skill_and_what_suits_it():
+    listed = json.loads(roboxim("list", "--json"))
+    assert set(listed["skills"]) == set(SKILLS)
+    assert "plate" in listed["skills"]["place_on"]["roles"]["support"]
+    assert "plate" not in listed["skills"]["pick_up"]["roles"]["target"]
+    assert listed["tasks"]["skill_object_leave_out"]["episodes"] == 324
+    text = roboxim("list")
+    assert all(name in text for name in SKILLS)
+
+
+def test_a_sample_is_what_would_be_generated():
+    lines = roboxim("sample", "--skill", "stack", "--seed", "7", "--count", "3", "--first", "2", "--json").splitlines()
+    generator = EpisodeGenerator(ModelLibrary())
+    config = parse_task_config(task_text(skill="stack"))
+    for index, line in zip((2, 3, 4), lines, strict=True):
+        seed = SeedPath(run_seed=7, purpose="demo", index=index)
+        assert from_json(line, TaskSpec) == generator.task(seed, config)
+    assert "Stack the" in roboxim("sample", "--skill", "stack", "--count", "1")
