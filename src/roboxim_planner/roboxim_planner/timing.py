@@ -20,6 +20,9 @@ from roboxim_core.errors import PlannerError
 
 Array = npt.NDArray[np.float64]
 _SAME = 1e-9
+_PARTS = 12
+_PART_RAD = 0.15
+"""Parts of a line under a limit of the tcp's speed, and the least length of one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,10 +207,13 @@ def time_path(
         limits: Limits.
         jacobian: The tcp's Jacobian at an arm configuration, for tcp speed limits.
     """
+    rates = TcpRates(jacobian, limits)
+    passed = np.zeros(len(corners), dtype=bool)
+    if limits.limits_tcp:
+        path, corners, passed = _split_lines(path, corners)
     deltas = np.diff(path, axis=0)
     lengths = np.linalg.norm(deltas, axis=1)
     directions = deltas / lengths[:, None]
-    rates = TcpRates(jacobian, limits)
     ends = np.concatenate([[0.0], corners, [0.0]])
     rest = np.maximum(lengths - ends[:-1] - ends[1:], 0.0)
     caps = [_line_limits(path[i], path[i + 1], directions[i], limits, rates) for i in range(len(lengths))]
@@ -216,6 +222,8 @@ def time_path(
         if distance > _SAME:
             turn = _corner_speed(path[i - 1 : i + 2], distance, directions[i - 1], directions[i], limits, rates)
             speeds[i] = min(turn, caps[i - 1][0], caps[i][0])
+        elif passed[i - 1]:
+            speeds[i] = min(caps[i - 1][0], caps[i][0])
     _make_reachable(speeds, rest, caps)
     durations, pieces = [], []
     for i in range(len(lengths)):
@@ -233,6 +241,30 @@ def time_path(
             pieces.append(piece)
     breaks = np.concatenate([[0.0], np.cumsum(np.concatenate(durations))])
     return PolynomialMotion(breaks, np.concatenate(pieces, axis=1))
+
+
+def _split_lines(path: Array, corners: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Put points on the lines between blends, so that each part of a line can have its own speed.
+
+    Returns:
+        The path, the blends of its inner points, and which of these are passed straight, without a blend or a stop.
+    """
+    ends = np.concatenate([[0.0], corners, [0.0]])
+    points, blends, passed = [path[0]], [], []
+    for i in range(len(path) - 1):
+        delta = path[i + 1] - path[i]
+        length = float(np.linalg.norm(delta))
+        rest = length - ends[i] - ends[i + 1]
+        count = max(1, min(_PARTS, int(rest / _PART_RAD)))
+        for k in range(1, count):
+            points.append(path[i] + (ends[i] + rest * k / count) / length * delta)
+            blends.append(0.0)
+            passed.append(True)
+        points.append(path[i + 1])
+        if i < len(corners):
+            blends.append(corners[i])
+            passed.append(False)
+    return np.array(points), np.array(blends), np.array(passed, dtype=bool)
 
 
 def _direction(start: Array, end: Array) -> Array:

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from roboxim_core.poses import Pose
 from roboxim_planner.cartesian import LineMotion, follow_line, line_poses, time_line
 from roboxim_planner.pipeline import MotionOptions, Planner
+from roboxim_planner.scene import PlanningScene
 from roboxim_planner.timing import MotionSequence, still, time_path
 from roboxim_planner.verify import verify_motion
 
@@ -88,3 +89,14 @@ def test_line_that_ends_after_a_few_steps_has_a_motion(planner: Planner, count: 
     assert np.abs(q[[0, -1]] - joints[[0, -1]]).max() < 1e-12
     for values, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk)):
         assert (np.abs(values) <= 1.001 * limit).all()
+
+
+def test_a_limit_of_the_tcp_binds_nearly_everywhere(planner: Planner) -> None:
+    """A line along which the tcp's speed per joint speed varies: no single joint speed for all of it would do."""
+    start = np.array([0.0, 1.2, 0.0, -1.0, 0.0, 2.2, 0.8])
+    goal = np.array([0.0, -0.6, 0.0, -2.8, 0.0, 2.2, 0.8])
+    options = MotionOptions(max_tcp_speed_m_s=0.25)
+    samples = planner.plan_to_joints(PlanningScene(), start, goal, options).sample(1e-3)
+    speeds = planner.robot.arm.tcp_speeds(samples.positions, samples.velocities)[:, 0]
+    assert speeds.max() <= 0.25
+    assert speeds.mean() > 0.85 * 0.25
