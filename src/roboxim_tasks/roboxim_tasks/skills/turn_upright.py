@@ -100,6 +100,7 @@ class TurnUpright(Skill):
         if scene.held == entity:
             for goal in standing(model, pose, Script(scene).held_in_tcp.inverse()):
                 script = Script(scene)
+                script.pick(entity, None)
                 script.place(goal)
                 yield script.stages
             return
