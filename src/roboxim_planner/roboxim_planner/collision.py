@@ -148,18 +148,15 @@ class CollisionWorld:
     def first_collision(self, path: npt.ArrayLike) -> int:
         """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1.
 
-        Keeping the resolution's distance proves all of a path; where it does not keep that, a graze between two places
-        looked at is shorter than the resolution, so each point is looked at as well, with room for rounding.
+        Keeping the resolution's distance proves a path, also between the places looked at. Where a path does not keep
+        it, it is looked at again, as finely as distances are exact.
         """
         points = np.asarray(path, dtype=float)
-        fine = EXACT_RESOLUTION_M
-        if self.native.first_hit(points, self.padding + fine, fine, fine) < 0.0:
-            return -1
-        hit = math.ceil(self.first_hit(points) - 1e-9)
-        if hit >= 0:
-            return hit
-        room = (self.padding + TOUCH_M, TOUCH_M, 1.0)
-        return next((i for i, q in enumerate(points) if not self.native.path_is_free(q, *room)), -1)
+        for margin in (EXACT_RESOLUTION_M, TOUCH_M):
+            hit = self.native.first_hit(points, self.padding + margin, margin, margin)
+            if hit < 0.0:
+                return -1
+        return math.ceil(hit - 1e-9)
 
     def tilt(self, joints: npt.ArrayLike) -> float:
         """Return by how much the tool is tilted at a state [rad]; 0 where it need not be upright."""
