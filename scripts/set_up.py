@@ -105,7 +105,7 @@ def require_build_tools() -> None:
         what = " and ".join(name for name, _ in missing)
         packages = " ".join(package for _, package in missing)
         raise SetupError(
-            f"{what} needed to compile the interfaces and the planner's kernel.\nOn Debian or Ubuntu: apt install {packages}"
+            f"{what} needed to compile interfaces and kernel.\nOn Debian or Ubuntu: apt install {packages}"
         )
 
 
