@@ -15,7 +15,7 @@ Non-obvious behaviours:
 - Entities ``floor`` and ``wall`` receive shadows and cast none; the table's own shadow is that of a rectangle.
 - A robot's links, and bodies of many faces, are drawn with coarser shapes where they are small in an image (a few
   millimetres off at most); their shadows are always those of the coarse shapes.
-- A shadow's edge is as wide as the light's size makes it for a caster 10 cm away, near and far.
+- A shadow's edge is as wide as the light's size makes it for a caster 10 cm away, near and far, 4 to 10 mm.
 """
 
 from __future__ import annotations

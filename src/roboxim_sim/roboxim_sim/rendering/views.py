@@ -21,8 +21,8 @@ CASTER_HEIGHT_M = 0.1
 """Typical distance between what casts a shadow and where it falls [m]."""
 NOMINAL_EXTENT_M = 1.4
 """Typical extent of all that casts shadows [m]."""
-SHADOW_MAP_SIZES = (256, 1024)
-"""Least and greatest size of a shadow map [texel]."""
+SHADOW_MAP_SIZES = (448, 1024)
+"""Least and greatest size of a shadow map [texel]; a coarser one would miss thin things."""
 EXTENT_STEP_M = 0.1
 """The shadow map's extent grows in such steps, so that shadows' edges do not crawl while the robot moves."""
 
