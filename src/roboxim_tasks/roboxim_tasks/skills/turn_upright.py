@@ -41,9 +41,10 @@ YAWS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90))
 LEANS = tuple(math.radians(angle) for angle in (45, 37, 53, 30, 60))
 """Angles between the tool and the axis of the standing object, best first [rad]; the lying one has the rest of 90."""
 LEVEL = 0.2
-PALM_M = 0.034
+PALM_M = 0.0355
 """Room between the tool centre point and the palm, along the tool [m]."""
-PAD_M = 0.012
+PAD_M = 0.014
+EVEN_M = 0.002
 STEP_M = 0.015
 OPENING_M = 0.08
 
@@ -177,14 +178,14 @@ def _leaning(model: ObjectModel, down: Vec3) -> tuple[Grasp, ...]:
             if abs(closing[2]) > LEVEL or abs(float(closing @ np.array(down))) > LEVEL:
                 continue
             side = math.copysign(1.0, _angle(np.array(down), closing))
-            for lean in LEANS:
-                turn = Rotation.from_euler("y", side * lean - _angle(approach, closing))
-                leaning = grasp @ Pose.from_arrays((0.0, 0.0, 0.0), turn)
-                for place in _places(model, leaning):
-                    key = tuple(round(value, 3) + 0.0 for value in (*place.position, *place.rotation.as_rotvec()))
-                    if key not in found and _beyond_palm(model, place) <= 0.0:
-                        way = Grasp(pose=place, release_opening=opening, name=annotation.name)
-                        found[key] = (abs(lean - LEANS[0]), way)
+            for place, even in _places(model, grasp):
+                for lean in LEANS:
+                    turn = Rotation.from_euler("y", side * lean - _angle(approach, closing))
+                    leaning = place @ Pose.from_arrays((0.0, 0.0, 0.0), turn)
+                    key = tuple(round(value, 3) + 0.0 for value in (*leaning.position, *leaning.rotation.as_rotvec()))
+                    if key not in found and _beyond_palm(model, leaning) <= 0.0:
+                        way = Grasp(pose=leaning, release_opening=opening, name=annotation.name)
+                        found[key] = (abs(lean - LEANS[0]) + (0.0 if even else math.pi), way)
     ordered = sorted(found.values(), key=lambda pair: (round(pair[0], 3), -pair[1].pose.position[2]))
     return tuple(grasp for _, grasp in ordered)
 
@@ -204,14 +205,30 @@ def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
     return [Pose.from_arrays(position, Rotation.from_euler("z", outwards + yaw)) for yaw in YAWS]
 
 
-def _places(model: ObjectModel, grasp: Pose) -> Iterator[Pose]:
-    """Yield a grasp along the object's axis if it is across that, from the top; else the grasp alone."""
+def _places(model: ObjectModel, grasp: Pose) -> Iterator[tuple[Pose, bool]]:
+    """Yield a grasp at places along the object's axis, from the top, if it is on that; else the grasp alone.
+
+    With each goes whether the fingers find even sides: over an edge one may be caught when it lets go.
+    """
     x, y, _ = grasp.position
     if math.hypot(x, y) > 1e-3:
-        yield grasp
+        yield grasp, True
         return
+    closing = grasp.rotation.apply([0.0, 1.0, 0.0])
     for z in np.arange(model.size[2] - model.rest_height - PAD_M, PAD_M - model.rest_height, -STEP_M).tolist():
-        yield replace(grasp, position=(x, y, z))
+        widths = [_width(model, closing, z + offset) for offset in (-PAD_M, 0.0, PAD_M)]
+        yield replace(grasp, position=(x, y, z)), max(widths) - min(widths) < EVEN_M
+
+
+def _width(model: ObjectModel, closing: Array, z: float) -> float:
+    """Return how far an upright object reaches along the closing axis at a height in its frame [m]."""
+    up = np.array([0.0, 0.0, 1.0])
+    reach = 0.0
+    for shape in model.links[0].collision:
+        one = replace(model, links=(replace(model.links[0], collision=(shape,)),))
+        if -extent(one, Pose(), -up) - 1e-6 <= z <= extent(one, Pose(), up) + 1e-6:
+            reach = max(reach, extent(one, Pose(), closing))
+    return reach
 
 
 def _angle(vector: Array, axis: Array) -> float:
