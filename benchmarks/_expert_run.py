@@ -151,15 +151,14 @@ class CellRunner:
     def run(self, cell: str, config: str, index: int, *, replay: bool) -> Outcome:
         """Run the episode of an index of a cell."""
         start = time.perf_counter()
-        tasks = CoreTasks(self._library)
-        ports = replace(self._cores.ports, scenes=tasks, judge=tasks)
+        ports = self._cores.ports
         watch = _Watch(ports, self._library, self._renderer)
         run = RunConfig(
             purpose="test", output_dir=self._folder.name, task_config=config, keep="none",
             noise_translation_m=NOISE_M, noise_rotation_rad=NOISE_RAD,
         )  # fmt: skip
         result = EpisodeRunner(replace(ports, scenes=watch, sim=watch), run).run_index(index)
-        reset = tasks.generator.last_reset
+        reset = self._cores.tasks.generator.last_reset
         succeeded = result.outcome == "success"
         return Outcome(
             cell=cell, index=index, first_try=succeeded and not result.recovered, recovered=result.recovered,

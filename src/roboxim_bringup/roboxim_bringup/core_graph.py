@@ -49,14 +49,15 @@ from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge
+from roboxim_tasks.solvable import Solvability
 
 
 class CoreTasks:
     """Draws and judges."""
 
-    def __init__(self, library: ModelLibrary) -> None:
-        """Use a library of models."""
-        self.generator = EpisodeGenerator(library)
+    def __init__(self, library: ModelLibrary, planner: CorePlanner | None = None) -> None:
+        """Draw scenes that a planner can solve; without one, only judge."""
+        self.generator = EpisodeGenerator(library, Solvability(library, planner) if planner else None)
         self._judge: Judge | None = None
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
@@ -239,15 +240,16 @@ class CoreGraph:
         """
         library = ModelLibrary()
         self.sim = CoreSim(library, renderer)
-        self._tasks = CoreTasks(library)
-        self._actor: ActorPort = CoreActor(policy or Expert(library, CorePlanner(library)))
+        planner = CorePlanner(library)
+        self.tasks = CoreTasks(library, planner)
+        self._actor: ActorPort = CoreActor(policy or Expert(library, planner))
         self._recorder = CoreRecorder(self.sim, output_dir)
 
     @property
     def ports(self) -> Ports:
         """The ports."""
         return Ports(
-            scenes=self._tasks, sim=self.sim, actor=self._actor, judge=self._tasks, recorder=self._recorder,
+            scenes=self.tasks, sim=self.sim, actor=self._actor, judge=self.tasks, recorder=self._recorder,
             clock=time.monotonic,
         )  # fmt: skip
 

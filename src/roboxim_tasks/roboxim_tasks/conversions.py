@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
-import trimesh
-from geometry_msgs.msg import Point, PoseStamped
-from geometry_msgs.msg import Pose as PoseMsg
+from diagnostic_msgs.msg import KeyValue
+from geometry_msgs.msg import PoseStamped
 from roboxim_interfaces.msg import (
     AllowedContact,
     AttachedObject,
     CollisionObject,
     MotionRequest,
+    NamedValue,
     PlanningScene,
 )
 from roboxim_interfaces.srv import Act
 from sensor_msgs.msg import JointState
-from shape_msgs.msg import Mesh, SolidPrimitive
+from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.models.description import ObjectModel, Shape
-from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.visuals import object_link_poses
 from roboxim_core.policies import ActionChunk, Observation, ObservationWindow
 from roboxim_core.poses import Array, Pose
-from roboxim_core.state import StateRecord
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_core.state import EntityState, StateRecord
 from roboxim_ros.conversions import fill_pose, from_msg
+from roboxim_tasks.motion import TABLE
 from roboxim_tasks.planning import Surroundings
 
 
@@ -65,66 +65,54 @@ def fill_chunk(response: Act.Response, chunk: ActionChunk) -> None:
     response.phases = list(chunk.phases)
 
 
-def motion_request(robot: str, joints: Array, around: Surroundings, library: ModelLibrary, seed: int) -> MotionRequest:
+def motion_request(robot: str, joints: Array, around: Surroundings, seed: int) -> MotionRequest:
     """Return what a planning request has in common."""
     msg = MotionRequest(robot=robot, seed=seed, start_state=JointState(position=joints.tolist()))
-    msg.scene = planning_scene(around, library)
+    msg.scene = planning_scene(around)
     return msg
 
 
-def planning_scene(around: Surroundings, library: ModelLibrary) -> PlanningScene:
-    """Return a scene by the name of its revision, with what the gripper holds taken out of it and attached."""
-    msg = PlanningScene(
-        episode_id=around.state.episode_id, seq=around.state.seq, gripper_opening=[float(around.opening)]
-    )
+def planning_scene(around: Surroundings) -> PlanningScene:
+    """Return a scene by the name of its revision, or body by body when its state is none of the simulator's.
+
+    What the gripper holds, and what is elsewhere by then, is taken out of it and attached or put there.
+    """
+    there = {entity.name: entity for entity in around.state_then.entities}
+    given = {entity.name for entity in around.moved}
+    msg = PlanningScene(gripper_opening=[float(around.opening)])
+    if around.state.episode_id:
+        msg.episode_id, msg.seq = around.state.episode_id, around.state.seq
+        msg.ignored_objects = sorted(given | ({around.held} if around.held else set()))
+    else:
+        given = set(there)
+        fill_pose(msg.robot_pose_in_world, around.scene.robot.pose)
+        msg.objects.append(_table(around.scene))
     msg.allowed_contacts = [AllowedContact(body_a=a, body_b=b) for a, b in around.touching]
-    for entity in around.moved:
-        if entity.name != around.held:
-            model = library.entity_model(around.scene.entity(entity.name))
-            there = collision_object(entity.name, model, around.state_then)
-            fill_pose(there.pose, entity.pose)
-            msg.objects.append(there)
-            msg.ignored_objects.append(entity.name)
+    for entity in around.scene.entities:
+        if entity.name in given and entity.name != around.held:
+            msg.objects.append(_collision_object(entity, there[entity.name], there[entity.name].pose))
     if around.held:
-        model = library.entity_model(around.scene.entity(around.held))
-        held = collision_object(around.held, model, around.state_then)
-        fill_pose(held.pose, around.held_in_tcp)
-        msg.ignored_objects.append(around.held)
+        entity = around.scene.entity(around.held)
+        held = _collision_object(entity, there[around.held], around.held_in_tcp)
         msg.attached = [AttachedObject(object=held)]
     return msg
 
 
-def collision_object(name: str, model: ObjectModel, state: StateRecord) -> CollisionObject:
-    """Return an object's collision geometry in its base frame, at its present joint positions."""
-    entity = state.entity(name)
-    links = object_link_poses(model, dict(zip(entity.joint_names, entity.joint_positions, strict=True)))
-    msg = CollisionObject(name=name)
-    for link in model.links:
-        for shape in link.collision:
-            pose = fill_pose(PoseMsg(), links[link.name] @ shape.pose)
-            if shape.kind in ("box", "sphere", "cylinder"):
-                msg.primitives.append(_primitive(shape))
-                msg.primitive_poses.append(pose)
-            else:
-                msg.hulls.append(Mesh(vertices=[Point(x=x, y=y, z=z) for x, y, z in _hull_points(shape).tolist()]))
-                msg.hull_poses.append(pose)
+def _collision_object(entity: EntitySpec, state: EntityState, pose: Pose) -> CollisionObject:
+    """Return an entity as the model that it is, at its joint positions."""
+    msg = CollisionObject(name=entity.name, model=entity.model)
+    fill_pose(msg.pose, pose)
+    msg.modifiers = [KeyValue(key=key, value=json.dumps(value)) for key, value in entity.modifiers.items()]
+    joints = zip(state.joint_names, state.joint_positions, strict=True)
+    msg.joint_positions = [NamedValue(name=name, value=position) for name, position in joints]
     return msg
 
 
-def _primitive(shape: Shape) -> SolidPrimitive:
-    if shape.kind == "box":
-        return SolidPrimitive(type=SolidPrimitive.BOX, dimensions=list(shape.size))
-    if shape.kind == "sphere":
-        return SolidPrimitive(type=SolidPrimitive.SPHERE, dimensions=list(shape.size))
-    radius, length = shape.size
-    return SolidPrimitive(type=SolidPrimitive.CYLINDER, dimensions=[length, radius])
-
-
-def _hull_points(shape: Shape) -> Array:
-    if shape.kind == "capsule":
-        radius, length = shape.size
-        return np.asarray(trimesh.creation.capsule(length, radius, count=[8, 8]).vertices)
-    return np.asarray(trimesh.load_mesh(shape.mesh).convex_hull.vertices)
+def _table(scene: SceneSpec) -> CollisionObject:
+    (x, y, z), size = scene.table.center, scene.table.size
+    msg = CollisionObject(name=TABLE, primitives=[SolidPrimitive(type=SolidPrimitive.BOX, dimensions=list(size))])
+    fill_pose(msg.pose, Pose(position=(x, y, z - size[2] / 2)))
+    return msg
 
 
 def pose_stamped(pose_in_world: Pose) -> PoseStamped:

@@ -17,14 +17,22 @@ from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.roles import description, fits_description, task_objects
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.solvable import CONSTRAINT, Solvability
 
 
 class EpisodeGenerator:
     """Draws tasks and scenes; same seed path and configuration, same episode. Not thread-safe (kinematics)."""
 
-    def __init__(self, library: ModelLibrary) -> None:
-        """Make a generator over a library of models."""
+    def __init__(self, library: ModelLibrary, solvability: Solvability | None = None) -> None:
+        """Make a generator.
+
+        Args:
+            library: Robots and objects.
+            solvability: Refuses scenes that cannot be solved; none: every scene that meets its skill's constraints
+                is taken, which gives other scenes for the same seed.
+        """
         self._library = library
+        self._solvability = solvability
         self._arms: dict[str, ArmKinematics] = {}
         self.last_reset: ResetContext | None = None
         """The newest reset: how often it drew, and what refused its draws."""
@@ -87,6 +95,10 @@ class EpisodeGenerator:
                 for constraint in constraints:
                     if not constraint.holds(drawn):
                         raise RejectedError(constraint.name)
+                if self._solvability and not self._solvability.holds(
+                    task, drawn, context.arm, seed.derived_seed("policy")
+                ):
+                    raise RejectedError(CONSTRAINT)
                 return drawn
             except RejectedError as error:
                 context.rejections[error.constraint] += 1

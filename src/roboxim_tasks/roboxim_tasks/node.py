@@ -29,6 +29,7 @@ from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge as TaskJudge
 from roboxim_tasks.ports import PlannerClient
 from roboxim_tasks.reference import SpeedConfig
+from roboxim_tasks.solvable import Solvability
 
 MAX_JUDGES = 16
 """Episodes judged at a time; the one that was asked for longest ago is forgotten first."""
@@ -54,6 +55,8 @@ class TaskNodeConfig:
     """Angular speed of the expert."""
     smoothing_s: float = _parameter(SpeedConfig.smoothing_s, "time in which the expert reaches its speed [s]", 0.0, 2.0)
     """Smoothing of the expert."""
+    solvable: bool = _parameter(True, "whether scenes are refused that the planner cannot solve; needs the planner")
+    """Whether every scene is planned before it is given out."""
     planner_timeout_s: float = _parameter(30.0, "longest wait for the planner [s]", 0.1, 600.0)
     """Wait for the planner."""
 
@@ -72,14 +75,15 @@ class TaskNode(RoboximNode):
         self._default_task = load_task_config(self.config.task)
         self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._library = ModelLibrary()
-        self._generator = EpisodeGenerator(self._library)
         self._judges: OrderedDict[str, TaskJudge] = OrderedDict()
         speeds = SpeedConfig(
             max_tcp_speed_m_s=self.config.max_tcp_speed_m_s,
             max_tcp_rot_speed_rad_s=self.config.max_tcp_rot_speed_rad_s,
             smoothing_s=self.config.smoothing_s,
         )
-        planner = PlannerClient(self.clients_of_node, self._library, self.config.planner_timeout_s)
+        planner = PlannerClient(self.clients_of_node, self.config.planner_timeout_s)
+        solvability = Solvability(self._library, planner, speeds) if self.config.solvable else None
+        self._generator = EpisodeGenerator(self._library, solvability)
         self._expert = Expert(self._library, planner, speeds, self.config.rate_hz)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from roboxim_interfaces.srv import CheckTrajectory, PlanToPose
 
-from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
 from roboxim_ros.clients import Clients
 from roboxim_tasks.conversions import motion_request, pose_stamped, trajectory
@@ -17,16 +16,14 @@ SAMPLE_PERIOD_S = 0.02
 class PlannerClient:
     """Asks ``planner/*``; see `roboxim_tasks.planning.PlannerPort`."""
 
-    def __init__(self, clients: Clients, library: ModelLibrary, timeout_s: float) -> None:
+    def __init__(self, clients: Clients, timeout_s: float) -> None:
         """Use a set of clients.
 
         Args:
             clients: The node's clients.
-            library: Geometry of what the gripper holds.
             timeout_s: Longest wait for an answer [s].
         """
         self._clients = clients
-        self._library = library
         self._timeout_s = timeout_s
 
     def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
@@ -38,7 +35,7 @@ class PlannerClient:
             RequestTimeoutError: When it answers late.
         """
         request = PlanToPose.Request(target=pose_stamped(pose_tcp_in_world))
-        request.request = motion_request(around.scene.robot.model, joints, around, self._library, seed)
+        request.request = motion_request(around.scene.robot.model, joints, around, seed)
         request.request.sample_period = SAMPLE_PERIOD_S
         answer = self._clients.call(PlanToPose, "planner/plan_to_pose", request, timeout_s=self._timeout_s)
         return np.array([list(point.positions) for point in answer.plan.trajectory.points])
@@ -52,7 +49,7 @@ class PlannerClient:
             RequestTimeoutError: When it answers late.
         """
         request = CheckTrajectory.Request(trajectory=trajectory(path, period_s))
-        request.request = motion_request(around.scene.robot.model, path[0], around, self._library, 0)
+        request.request = motion_request(around.scene.robot.model, path[0], around, 0)
         answer = self._clients.call(CheckTrajectory, "planner/check_trajectory", request, timeout_s=self._timeout_s)
         if answer.valid:
             return ""

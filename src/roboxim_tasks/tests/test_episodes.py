@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from roboxim_core.config import digest, to_json
-from roboxim_core.errors import ConfigError, ErrorCode, TaskError
+from roboxim_core.errors import ConfigError, ErrorCode, PlannerError, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
@@ -20,6 +20,7 @@ from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.placement import footprint
 from roboxim_tasks.roles import description
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.solvable import Solvability
 
 
 def test_an_episode_depends_on_its_seed_path_alone(draw):
@@ -216,3 +217,30 @@ def test_a_component_of_one_s_own_is_one_class_and_one_key(draw):
             parse_task_config("reset: {table_friction: {frictions: 1}}")
     finally:
         COMPONENTS._items.pop("table_friction")
+
+
+class Refusing:
+    """A planner that finds something wrong with every path, or with those of the first so many draws."""
+
+    def __init__(self, draws):
+        self.draws, self.asked = draws, set()
+
+    def check_path(self, path, period_s, around):
+        self.asked.add(repr(around.scene.entities))
+        return "blocked" if len(self.asked) <= self.draws else ""
+
+    def plan_to_pose(self, joints, pose_tcp_in_world, around, seed):
+        raise PlannerError("no way", ErrorCode.PLANNING_FAILED)
+
+
+def test_a_scene_that_cannot_be_planned_is_drawn_again(library, seed_path):
+    config = load_task_config("pick_cube")
+    plain = EpisodeGenerator(library).draw(seed_path(1), config)
+    generator = EpisodeGenerator(library, Solvability(library, Refusing(2)))
+    drawn = generator.draw(seed_path(1), config)
+    assert generator.last_reset.rejections["solvable"] == 2
+    assert drawn.scene.entities != plain.scene.entities
+    assert EpisodeGenerator(library, Solvability(library, Refusing(0))).draw(seed_path(1), config) == plain
+    with pytest.raises(TaskError, match="constraint solvable refused most") as error:
+        EpisodeGenerator(library, Solvability(library, Refusing(1000))).draw(seed_path(1), config)
+    assert error.value.code == ErrorCode.RESET_INFEASIBLE

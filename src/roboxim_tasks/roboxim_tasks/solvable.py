@@ -1,0 +1,79 @@
+"""Whether a drawn scene can be solved: shown by planning every stage, before anything is simulated."""
+
+from __future__ import annotations
+
+from roboxim_core.errors import PolicyError
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import EntityState, RobotState, StateRecord
+from roboxim_tasks.motion import ExpertScene
+from roboxim_tasks.planning import PlannerPort
+from roboxim_tasks.reference import SpeedConfig
+from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.solver import Solver
+
+CONSTRAINT = "solvable"
+"""Name of the constraint for messages and statistics."""
+
+
+class Solvability:
+    """Plans a scene's task as the expert will. Not thread-safe (kinematics)."""
+
+    def __init__(self, library: ModelLibrary, planner: PlannerPort, speeds: SpeedConfig | None = None) -> None:
+        """Make a check.
+
+        Args:
+            library: Robots and objects.
+            planner: Verifies and finds motions.
+            speeds: The expert's speeds; none: the default.
+        """
+        self._library = library
+        self._solver = Solver(library, planner, speeds)
+
+    def holds(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics, seed: int) -> bool:
+        """Tell whether a collision-free plan exists for every stage of one of the skill's candidates.
+
+        Args:
+            task: The task.
+            scene: Its scene, with objects where they come to rest.
+            arm: Kinematics of the scene's robot.
+            seed: Seed of the planner's detours.
+
+        Raises:
+            RoboximError: When the planner cannot be asked.
+        """
+        view = ExpertScene(task=task, scene=scene, state=state_at_rest(scene, arm), library=self._library)
+        try:
+            self._solver.solve(view, SKILLS[task.skill].stages(view), seed)
+        except PolicyError:
+            return False
+        return True
+
+
+def state_at_rest(scene: SceneSpec, arm: ArmKinematics) -> StateRecord:
+    """Return the state that a scene has once it is built, if nothing moves while it settles.
+
+    Its episode id is empty: it is no revision of a simulated scene.
+    """
+    pose_tcp = scene.robot.pose @ arm.fk(scene.robot.joint_positions)
+    robot = RobotState(
+        joint_names=tuple(arm.model.joint_names),
+        joint_positions=scene.robot.joint_positions,
+        joint_velocities=(0.0,) * len(scene.robot.joint_positions),
+        joint_commands=scene.robot.joint_positions,
+        pose_tcp_measured=pose_tcp,
+        pose_tcp_commanded=pose_tcp,
+        gripper_opening=scene.robot.gripper_opening,
+        gripper_command=scene.robot.gripper_opening,
+    )
+    entities = tuple(
+        EntityState(
+            name=entity.name,
+            pose=entity.pose,
+            joint_names=tuple(entity.joint_positions),
+            joint_positions=tuple(entity.joint_positions.values()),
+        )
+        for entity in scene.entities
+    )
+    return StateRecord(episode_id="", seq=0, stamp_ns=0, robot=robot, entities=entities)
