@@ -103,7 +103,7 @@ def footprint(entity: EntitySpec, library: ModelLibrary, grow_m: float = 0.0) ->
     along = next(axis[:2] / np.linalg.norm(axis[:2]) for axis in axes if abs(axis[2]) < 0.8)
     frame = np.array([along, [-along[1], along[0]]])
     (a, b), (c, d) = (corners @ frame.T).min(axis=0) - grow_m, (corners @ frame.T).max(axis=0) + grow_m
-    return np.array([(c, d), (a, d), (a, b), (c, b)]) @ frame
+    return np.asarray(np.array([(c, d), (a, d), (a, b), (c, b)]) @ frame, dtype=float)
 
 
 def overlap(first: Array, second: Array) -> bool:

@@ -173,7 +173,7 @@ class PushObject(Skill):
         highest = [0.0]
 
         def moved(state: StateRecord) -> Array:
-            return np.array(state.entity(entity).pose.position[:2]) - start
+            return np.asarray(np.subtract(state.entity(entity).pose.position[:2], start), dtype=float)
 
         def sideways(state: StateRecord) -> float:
             along = float(moved(state) @ direction)
