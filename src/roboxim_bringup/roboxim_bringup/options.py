@@ -39,7 +39,8 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         ),
         click.option("--size", default="as-configured", show_default=True, help="Image size: SIZE or WIDTHxHEIGHT."),
         click.option(
-            "--renderer", default="raster", show_default=True, help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow)."
+            "--renderer", default="raster", show_default=True,
+            help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
         ),
         click.option("--depth", is_flag=True, help="Also record depth."),
         click.option("--segmentation", is_flag=True, help="Also record segmentation."),

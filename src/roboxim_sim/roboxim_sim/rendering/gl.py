@@ -39,9 +39,9 @@ def create_context() -> moderngl.Context:
     problem: Exception | None = None
     for index in range(1 if "GLCONTEXT_DEVICE_INDEX" in os.environ else MAX_DEVICES):
         # libEGL dispatches core GL too, so libGL and the X11 libraries it needs are not needed.
-        options: dict[str, Any] = {"libgl": "libEGL.so.1", "libegl": "libEGL.so.1", "device_index": index}
+        options: Any = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1", "device_index": index}
         try:
-            context = moderngl.create_context(require=330, standalone=True, backend="egl", **options)
+            context = moderngl.create_context(require=330, standalone=True, **options)
         except Exception as error:  # moderngl and its loader raise plain Exception, also where devices end
             problem = problem or error
             continue
