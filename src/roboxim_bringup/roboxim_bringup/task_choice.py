@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from roboxim_core.config import config_dir, named_config
+from roboxim_core.config import config_dirs, named_config
 from roboxim_core.errors import ConfigError, one_of
 
 DEFAULT_TASK = "pick_cube"
@@ -66,8 +66,8 @@ def _base(task: str, skill: str) -> str:
         return named_config("tasks", task or DEFAULT_TASK).read_text()
     if skill not in SKILLS:
         raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
-    file = config_dir() / "tasks" / f"{skill}.yaml"
-    return file.read_text() if file.is_file() else f"skill: {skill}\n"
+    files = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
+    return next((file.read_text() for file in files if file.is_file()), f"skill: {skill}\n")
 
 
 def _set_models(data: dict[str, Any], item: str) -> None:

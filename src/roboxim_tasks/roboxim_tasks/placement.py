@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +14,10 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
-from roboxim_tasks.components.base import RejectedError, ResetContext
+from roboxim_tasks.rejection import RejectedError
+
+if TYPE_CHECKING:
+    from roboxim_tasks.components.base import ResetContext
 
 TRIES_PER_OBJECT = 50
 

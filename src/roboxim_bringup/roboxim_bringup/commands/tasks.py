@@ -15,8 +15,8 @@ def command() -> None:
 @command.command("list")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def list_tasks(as_json: bool) -> None:
-    """List the skills with the objects that suit them, and the tasks of config/tasks."""
-    from roboxim_core.config import config_dir
+    """List the skills with the objects that suit them, and the tasks of config/tasks and of your own folders."""
+    from roboxim_core.config import config_dirs, named_config
     from roboxim_core.models.library import ModelLibrary
     from roboxim_tasks.config import TaskMix, load_task_config
     from roboxim_tasks.skills import SKILLS
@@ -34,13 +34,14 @@ def list_tasks(as_json: bool) -> None:
         for name in SKILLS
     }
     tasks = {}
-    for path in sorted((config_dir() / "tasks").glob("*.yaml")):
-        config = load_task_config(path.stem)
+    names = {path.stem for folder in config_dirs() for path in (folder / "tasks").glob("*.yaml")}
+    for name in sorted(names):
+        config = load_task_config(name)
         if isinstance(config, TaskMix):
             about = {"skills": sorted({c.skill for c in config.cells}), "episodes": sum(config.counts)}
         else:
             about = {"skills": [config.skill], "episodes": None}
-        tasks[path.stem] = {"about": _first_comment(path.read_text()), **about}
+        tasks[name] = {"about": _first_comment(named_config("tasks", name).read_text()), **about}
     if as_json:
         click.echo(json.dumps({"skills": skills, "tasks": tasks}, indent=2))
         return

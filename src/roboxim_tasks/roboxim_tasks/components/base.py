@@ -19,18 +19,10 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_tasks.rejection import RejectedError
 
 if TYPE_CHECKING:
     from roboxim_tasks.config import TaskConfig
-
-
-class RejectedError(Exception):
-    """A drawn scene breaks a constraint; the resetter draws the placement again."""
-
-    def __init__(self, constraint: str) -> None:
-        """Remember the constraint's name."""
-        super().__init__(constraint)
-        self.constraint = constraint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,3 +103,14 @@ COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")
 def register(cls: type[ResetComponent]) -> type[ResetComponent]:
     """Register a component under its ``name``."""
     return COMPONENTS.register(cls.name)(cls)
+
+
+__all__ = [
+    "COMPONENTS",
+    "Constraint",
+    "NoConfig",
+    "RejectedError",
+    "ResetComponent",
+    "ResetContext",
+    "register",
+]

@@ -1,0 +1,87 @@
+"""The worked example of docs/tasks.md, run from the very text of the document."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from roboxim_bringup.asset_check import check
+from roboxim_bringup.core_graph import CoreActor, CoreGraph
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.models.library import ModelLibrary
+from roboxim_policies.builtin import ZeroPolicy
+from roboxim_recorder.bag import BagReader
+from roboxim_tasks.components import COMPONENTS
+from roboxim_tasks.skills import SKILLS
+
+DOCUMENT = Path(__file__).parents[1] / "docs" / "tasks.md"
+FILES = dict(re.findall(r"^```\w+\n# (kitchen/\S+)\n(.*?)^```$", DOCUMENT.read_text(), re.DOTALL | re.MULTILINE))
+
+
+@pytest.fixture
+def kitchen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Write the example's files and install it as an editable install does: on the path, with its entry points."""
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    folder = tmp_path / "kitchen"
+    project = tomllib.loads(FILES["kitchen/pyproject.toml"])["project"]
+    installed = folder / "kitchen-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(
+        "\n".join(
+            f"[{group}]\n" + "\n".join(f"{name} = {value}" for name, value in entries.items())
+            for group, entries in project["entry-points"].items()
+        )
+    )
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(folder / "config"))
+    for registry in (SKILLS, COMPONENTS):
+        monkeypatch.setattr(registry, "_items", dict(registry._items))
+        monkeypatch.setattr(registry, "_entry_points_loaded", False)
+    yield folder
+    sys.modules.pop("kitchen", None)
+
+
+def test_the_example_is_short() -> None:
+    assert len(FILES) == 4
+    assert sum(len(text.splitlines()) + 1 for text in FILES.values()) < 100
+
+
+def test_the_expert_solves_the_new_skill_and_doing_nothing_does_not(kitchen: Path, tmp_path: Path) -> None:
+    assert check("pepper_mill", ModelLibrary()) == []
+    data = yaml.safe_load(task_text(skill="shake"))
+    data["reset"]["cameras"] = {"names": []}
+    config = RunConfig(output_dir=str(tmp_path), purpose="test", run_seed=0, task_config=yaml.safe_dump(data))
+    with CoreGraph(tmp_path, renderer="tiny") as cores:
+        solved = EpisodeRunner(cores.ports, config).run_index(0)
+        idle = replace(cores.ports, actor=CoreActor(ZeroPolicy()))
+        nothing = EpisodeRunner(idle, replace(config, max_steps=10, settle_ticks=5)).run_index(1)
+    assert (solved.outcome, solved.recovered, solved.reason) == ("success", False, ""), solved
+    assert not nothing.success_ever
+    assert nothing.reason == "not_grasped"
+    infos = [BagReader(tmp_path / result.bag).info for result in (solved, nothing)]
+    assert [info.task.instruction for info in infos] == ["Shake the pepper mill"] * 2
+    assert all(info.scene.entity("target").model == "pepper_mill" for info in infos)
+    frictions = [info.scene.table.friction for info in infos]
+    assert all(0.3 <= friction <= 0.6 for friction in frictions)
+    assert frictions[0] != frictions[1]
+
+
+def test_it_leaves_nothing_behind() -> None:
+    assert "shake" not in SKILLS
+    assert "table_friction" not in COMPONENTS
+
+
+def test_a_plug_in_may_import_the_placement_first() -> None:
+    subprocess.run([sys.executable, "-c", "import roboxim_tasks.placement"], check=True)
