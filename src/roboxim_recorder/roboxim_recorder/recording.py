@@ -186,12 +186,15 @@ class EpisodeRecording:
         for topic in sorted(map(topics.absolute, notice.topics)):
             self._writer.write(topic, self._arrived[topic, stamp], stamp)
         self._writer.write(topics.STEP, self._steps.pop(seq), stamp)
-        for topic, cdr in self._extras:
-            self._writer.write(topic, cdr, stamp)
-        self._extras.clear()
+        self._write_extras()
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
         if seq % FLUSH_TICKS == 0:
             self._writer.flush()
+
+    def _write_extras(self) -> None:
+        for topic, cdr in self._extras:
+            self._writer.write(topic, cdr, self._last_stamp_ns)
+        self._extras.clear()
 
     def close(self, result: EpisodeResult, result_cdr: bytes, keep: str) -> str:
         """Write the result and finish the bag; a bag with a gap is removed.
@@ -212,6 +215,7 @@ class EpisodeRecording:
             self.drop()
             raise RecorderError(gap, ErrorCode.EPISODE_GAP)
         try:
+            self._write_extras()
             self._writer.write(topics.RESULT, self._decode(topics.RESULT, result_cdr)[1], self._last_stamp_ns)
         except RecorderError:
             self.drop()
