@@ -57,7 +57,8 @@ def command(
     Every policy meets the same scenes. Evaluation scenes are never those of demonstrations, whatever the seed. Ctrl-C
     stops; the same command goes on.
     """
-    from roboxim_bringup.jobs import Job, failures, parse_size, registered_run, run_job, task_text
+    from roboxim_bringup.jobs import Job, failures, parse_size, registered_run, run_job
+    from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
     from roboxim_core.episode import RunConfig
     from roboxim_eval.statistics import rate_of
 
@@ -85,7 +86,7 @@ def command(
             click.echo(f"{name}: {rate_of(results)}")
             for line in failures(results):
                 click.echo(line)
-    _report(runs, out, task=task, seed=seed)
+    _report(runs, out, task=Path(task).stem or skill or DEFAULT_TASK, seed=seed)
 
 
 def _name(spec: str) -> str:
@@ -138,7 +139,7 @@ def _report(runs: Sequence[PolicyRun], out: Path, *, task: str, seed: int) -> No
         facts |= {f"camera {c.name}": f"{c.width} x {c.height}" for c in info.scene.cameras}
         versions |= info.versions
     report = Report(
-        title=f"Evaluation of {' and '.join(run.policy for run in runs)} on {Path(task).stem}",
+        title=f"Evaluation of {' and '.join(run.policy for run in runs)} on {task}",
         runs=runs, facts=facts, versions=versions, command=shlex.join(["roboxim", *sys.argv[1:]]),
     )  # fmt: skip
     page = write_report(report, out)

@@ -1,0 +1,48 @@
+"""Films the README's demonstration: one episode of the expert, seen by the workspace and the wrist camera.
+
+Usage: ``python scripts/film_demonstration.py``; writes ``docs/images/demonstration.webp``.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_recorder.bag import BagReader
+
+FILE = Path(__file__).parents[1] / "docs" / "images" / "demonstration.webp"
+SIZE = 320
+SEED = 4
+EVERY = 2
+"""Ticks per picture."""
+
+
+def main() -> None:
+    """Record the episode and write the film."""
+    with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder)) as cores:
+        task = task_text(skill="place_on", objects=("apple,cucumber,onion", "support=plate"), distractors="3")
+        config = RunConfig(
+            run_seed=SEED, purpose="test", task_config=task, output_dir=folder, image_width=SIZE, image_height=SIZE
+        )
+        result = EpisodeRunner(cores.ports, config).run_index(0)
+        frames = [
+            Image.fromarray(np.concatenate([tick.images["workspace"], tick.images["wrist"]], axis=1))
+            for tick in BagReader(Path(folder, result.bag)).ticks()
+            if tick.seq % EVERY == 0
+        ]
+    pause = [frames[-1]] * 8
+    frames[0].save(
+        FILE, save_all=True, append_images=[*frames[1:], *pause], duration=100 * EVERY, loop=0, quality=55, method=6
+    )
+    sys.stdout.write(f"{result.instruction}: {result.outcome}, {len(frames)} pictures, {FILE.stat().st_size} bytes\n")
+
+
+if __name__ == "__main__":
+    main()
