@@ -1,4 +1,4 @@
-"""Recorded parameters (thesis 4.2.4): a registry of what is saved of a scene besides the ticks.
+"""Recorded parameters: a registry of what is saved of a scene besides the ticks.
 
 A user's own is one class with a ``record`` method, registered under a name; its value lands in every bag's episode
 info as JSON.

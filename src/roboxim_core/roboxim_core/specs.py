@@ -22,7 +22,7 @@ BACKGROUNDS = ("room", "plain")
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicalObject:
-    """An object that a task speaks of (thesis 4.2.1): which model, what it is called, how it is modified."""
+    """An object that a task speaks of: which model, what it is called, how it is modified."""
 
     entity: str
     """Name of the entity in the scene, unique there, e.g. ``target`` or ``distractor_1``."""

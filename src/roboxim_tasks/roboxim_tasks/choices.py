@@ -1,4 +1,4 @@
-"""What may vary, as configuration: a list in order or at random, or a range (thesis 4.2.2).
+"""What may vary, as configuration: a list in order or at random, or a range.
 
 An ordered list is a function of the episode's index, so that any worker draws the same and a retried index stays in its
 cell. A range or a random list draws from the component's own generator.

@@ -1,4 +1,4 @@
-"""Draws episodes: a task from the generators, a scene from the reset components (thesis 4.2.1, 4.2.2)."""
+"""Draws episodes: a task from the generators, a scene from the reset components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The expert: a skill's executor behind the policy interface (thesis 4.2.3).
+"""The expert: a skill's executor behind the policy interface.
 
 It plans once, at its first request, and then answers each request with the delta from the *commanded* pose to the
 reference's next pose, so injected noise is corrected and never accumulates.

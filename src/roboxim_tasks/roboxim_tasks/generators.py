@@ -1,4 +1,4 @@
-"""Task generators (thesis 4.2.1): one per property, composed by a skill into a task.
+"""Task generators: one per property, composed by a skill into a task.
 
 Every property draws from a stream of its own, so two datasets that differ in one property stay paired in the rest.
 """

@@ -1,4 +1,4 @@
-"""What a reset component is (thesis 4.2.2), and what it works with.
+"""What a reset component is, and what it works with.
 
 A component is a function of a scene, its configuration and its own random stream; the skill's resetter chains
 components. Adding one touches one new file here and one entry in a task's YAML.

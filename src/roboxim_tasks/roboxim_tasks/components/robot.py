@@ -1,4 +1,4 @@
-"""Reset component ``robot``: joint positions, or the end effector in a volume (thesis 4.2.2, figure 5.2)."""
+"""Reset component ``robot``: joint positions, or the end effector in a volume."""
 
 from __future__ import annotations
 
