@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
 import sys
 import time
 from collections import Counter, defaultdict
@@ -25,6 +26,7 @@ from tqdm import tqdm
 from _cells import Cell, cells
 from _expert_run import run_chunk
 from _harness import Bench
+from roboxim_bringup.process import die_with_parent
 from roboxim_eval.statistics import success_rate
 
 CHUNK = 10
@@ -114,7 +116,8 @@ def missing(
 def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -> Iterator[list[dict[str, Any]]]:
     """Run chunks in worker processes; yield each when it ends."""
     every = round(1 / options.replays) if options.replays > 0 else 0
-    with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.workers, spawn, die_with_parent, (os.getpid(),)) as pool:
         jobs = []
         for cell, indices in chunks:
             replayed = [index for index in indices if every and index % every == 0]
