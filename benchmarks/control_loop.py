@@ -51,9 +51,9 @@ def main() -> None:
                         image_height=256,
                         depth=True,
                         segmentation=True,
-                        max_steps=ticks,
+                        max_steps=ticks - 1,
                         stop_on_success=False,
-                        settle_ticks=0,
+                        settle_ticks=1,
                         output_dir=str(Path(folder, str(ticks))),
                     )
                     Path(config.output_dir).mkdir(exist_ok=True)

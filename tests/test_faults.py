@@ -37,7 +37,7 @@ from roboxim_ros.runs import activate_transport, free_domain
 
 pytestmark = pytest.mark.ros
 STILL = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
-SMALL = {"purpose": "test", "actor": "policy", "image_width": 32, "image_height": 32, "max_steps": 3, "settle_ticks": 0}
+SMALL = {"purpose": "test", "actor": "policy", "image_width": 32, "image_height": 32, "max_steps": 3, "settle_ticks": 1}
 
 
 class Scripted(BasePolicy):

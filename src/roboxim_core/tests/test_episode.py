@@ -117,6 +117,13 @@ def test_success_is_judged_after_settling_and_every_tick_is_recorded():
     assert result.bag == "keep/eval-0-00000-0"
 
 
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0])
+def test_settling_takes_a_second_at_any_rate(rate_hz):
+    world = World(goal=1.0)
+    run(world, Actor(semantics=ActionSemantics(rate_hz=rate_hz)), rate_hz=rate_hz, settle_ticks=0).run_index(0)
+    assert [step.phase for step in world.steps].count("settle") == rate_hz
+
+
 def test_what_slides_away_while_settling_is_a_failure():
     result = run(World(slides_back=True), Actor(), keep="successful").run_index(0)
     assert (result.outcome, result.reason, result.success_ever) == ("failure", "not_there", True)

@@ -44,8 +44,8 @@ class RunConfig:
     """Actions after which an episode has failed; 0: as the skill is configured."""
     stop_on_success: bool = True
     """Whether to stop at the first success."""
-    settle_ticks: int = 10
-    """Hold actions after the end, before the final verdict; recorded, not exported."""
+    settle_ticks: int = 0
+    """Hold actions after the end, before the final verdict; recorded, not exported; 0: those of one second."""
     keep: str = "all"
     """``successful``: others are set apart with their reason; ``all``; ``none``: record nothing."""
     max_attempts: int = 1

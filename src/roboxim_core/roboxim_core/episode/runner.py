@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,9 @@ from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, Obs
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec
+
+SETTLE_S = 1.0
+"""How long an episode holds still after its end, before the final verdict, if a run does not say."""
 
 
 def episode_id(seed: SeedPath) -> str:
@@ -285,7 +289,7 @@ class _Episode:
 
     def _settle(self) -> None:
         """Hold still, so that success is judged of a world at rest."""
-        for _ in range(self.config.settle_ticks):
+        for _ in range(self.config.settle_ticks or math.ceil(SETTLE_S * self.info.scene.control_rate_hz)):
             hold = hold_action(self.state.robot.gripper_command)
             self._advance(hold)
             self.last_inference_s = 0.0
