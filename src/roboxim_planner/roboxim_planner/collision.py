@@ -6,8 +6,9 @@ The kernel's answers are those of coal (a test compares them); coal itself, slow
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -74,8 +75,11 @@ class CollisionWorld:
         obstacles, obstacle_names = self._obstacles()
         joint, tcp_pose = robot.tcp_attachment
         for held in scene.attached:
-            for part in held.body.shapes:
-                items.append(_held_item(joint, tcp_pose @ pose_matrix(held.body.pose) @ pose_matrix(part.pose), part))
+            placed = tcp_pose @ pose_matrix(held.body.pose)
+            for part, pose in zip(_held_parts(held.body.shapes), placed @ _part_poses(held.body.shapes), strict=True):
+                spheres = part.spheres.copy()
+                spheres[:, :3] = spheres[:, :3] @ pose[:3, :3].T + pose[:3, 3]
+                items.append(native.Item(joint, part.kind, part.size, pose, spheres))
                 item_names.append(held.body.name)
                 moving.append(True)
         checks = self._rules.checks
@@ -85,31 +89,33 @@ class CollisionWorld:
             if not scene.allowed or checks(item_names[pair.first], item_names[pair.second])
             for index in (pair.first, pair.second)
         ]
-        for i in range(own, len(items)):
-            for k in range(own):
-                if checks(item_names[k], item_names[i]):
-                    item_pairs += (k, i)
-        obstacle_pairs: list[int] = []
-        for i, name in enumerate(item_names):
-            for k, body in enumerate(obstacle_names) if moving[i] else ():
-                if checks(name, body):
-                    obstacle_pairs += (i, k)
+        for i, links in self._partners(item_names[own:], item_names[:own]):
+            item_pairs += [index for k in links for index in (k, own + i)]
+        obstacle_pairs = [
+            index
+            for i, others in self._partners(item_names, obstacle_names)
+            if moving[i]
+            for k in others
+            for index in (i, k)
+        ]
         return native.World(robot.arm, items, obstacles, item_pairs, obstacle_pairs)
+
+    def _partners(self, names: list[str], others: list[str]) -> Iterator[tuple[int, list[int]]]:
+        """Yield the index of each name with the indices of the others that it may not touch."""
+        found: dict[str, list[int]] = {}
+        for i, name in enumerate(names):
+            if name not in found:
+                found[name] = [k for k, other in enumerate(others) if self._rules.checks(name, other)]
+            yield i, found[name]
 
     def _obstacles(self) -> tuple[list[native.Obstacle], list[str]]:
         """Return the scene's shapes in the base's frame, and the body that each belongs to."""
         to_base = np.linalg.inv(pose_matrix(self.scene.robot_pose))
         made, names = [], []
         for body in self.scene.bodies:
-            placed = to_base @ pose_matrix(body.pose)
-            for part in body.shapes:
-                pose = placed @ pose_matrix(part.pose)
-                names.append(body.name)
-                if isinstance(part, TriangleMesh):
-                    made.append(native.Obstacle(_mesh(part.vertices, part.triangles), pose))
-                else:
-                    kind, size = _solid(part)
-                    made.append(native.Obstacle(kind, size, pose))
+            poses = to_base @ pose_matrix(body.pose) @ _part_poses(body.shapes)
+            made += [native.Obstacle(*part, pose) for part, pose in zip(_parts(body.shapes), poses, strict=True)]
+            names += [body.name] * len(body.shapes)
         return made, names
 
     @property
@@ -183,12 +189,30 @@ def _solid(part: BodyShape) -> tuple[str, Array]:
     return "hull", np.array(made.points())
 
 
-def _held_item(joint: int, pose: Array, part: BodyShape) -> native.Item:
-    kind, size, spheres = native_shape(held_shape(part))
-    placed = np.column_stack([spheres[:, :3] @ pose[:3, :3].T + pose[:3, 3], spheres[:, 3]])
-    return native.Item(joint, kind, size, pose, placed)
+@lru_cache(maxsize=256)
+def _part_poses(shapes: tuple[BodyShape, ...]) -> Array:
+    """Return where a body's parts are in the body, shape (N, 4, 4)."""
+    return np.array([pose_matrix(part.pose) for part in shapes])
 
 
-@lru_cache(maxsize=64)
-def _mesh(vertices: tuple[tuple[float, float, float], ...], triangles: tuple[tuple[int, int, int], ...]) -> native.Mesh:
-    return native.Mesh(np.array(vertices)[np.array(triangles)])
+@lru_cache(maxsize=256)
+def _parts(shapes: tuple[BodyShape, ...]) -> tuple[tuple[native.Mesh] | tuple[str, Array], ...]:
+    """Return a body's parts as the kernel takes obstacles."""
+    return tuple(
+        (native.Mesh(np.array(part.vertices)[np.array(part.triangles)]),)
+        if isinstance(part, TriangleMesh)
+        else _solid(part)
+        for part in shapes
+    )
+
+
+class _HeldPart(NamedTuple):
+    kind: str
+    size: Array
+    spheres: Array
+
+
+@lru_cache(maxsize=256)
+def _held_parts(shapes: tuple[BodyShape, ...]) -> tuple[_HeldPart, ...]:
+    """Return a body's parts as the kernel takes what the robot carries."""
+    return tuple(_HeldPart(*native_shape(held_shape(part))) for part in shapes)
