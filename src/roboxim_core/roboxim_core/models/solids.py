@@ -12,7 +12,10 @@ from roboxim_core.rendering import TriangleMesh
 
 @visual_generators.register("rounded_box")
 def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a box with round edges: extents x, y, z, radius [m]. ``uv`` runs from 0 to 1 over each face.
+    """Return a box with round edges: extents x, y, z, radius [m].
+
+    On each face u runs along its longer side and v along the other, 1 for the box's longest side: a texture is nowhere
+    stretched, and wood has its grain along.
 
     Raises:
         ValueError: When the radius does not fit.
@@ -44,7 +47,8 @@ def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
             faces.append(block if side > 0 else block[:, ::-1])
             vertices.append((inside + radius * normal).reshape(-1, 3))
             normals.append(normal.reshape(-1, 3))
-            uv.append(np.stack([a / half[first], b / half[second]], axis=-1).reshape(-1, 2) / 2 + 0.5)
+            along = np.stack([a, b] if half[first] >= half[second] else [b, a], axis=-1)
+            uv.append(along.reshape(-1, 2) / (2 * half.max()) + 0.5)
     return triangles(*(np.concatenate(part) for part in (vertices, normals, faces, uv)))
 
 

@@ -55,9 +55,9 @@ def wood_fibre() -> Field:
 def apple_skin() -> Field:
     """Streaks from pole to pole, pale dots, darker towards the stem's hollow."""
     _, v = grid()
-    streaks = 0.12 * noise(111, 40.0, 3.0) + 0.07 * noise(112, 110.0, 5.0)
-    blush = 0.14 * noise(113, 2.0, 1.0)
-    light = 0.72 + streaks + blush + 0.35 * _spots(114, 60.0, 0.015)
+    streaks = 0.07 * noise(111, 40.0, 3.0) + 0.05 * noise(112, 110.0, 5.0)
+    blush = 0.12 * noise(113, 2.0, 1.0)
+    light = 0.74 + streaks + blush + 0.3 * _spots(114, 60.0, 0.012)
     hollow = np.clip((v - 0.86) / 0.1, 0.0, 1.0)
     return _mixed(np.repeat(np.clip(light, 0.2, 1.0)[..., None], 3, axis=2), [0.42, 0.5, 0.25], 0.75 * hollow)
 
@@ -118,12 +118,21 @@ def carrot_skin() -> Field:
     return np.clip(light, 0.1, 1.0)
 
 
+@TEXTURES.register("plate_rings")
+def plate_rings() -> Field:
+    """A broad blue line under the rim and a thin one around the middle, on white glaze."""
+    _, v = grid()
+    lines = sum(np.clip((half - np.abs(v - at)) * SIZE + 0.5, 0, 1) for at, half in ((0.535, 0.0088), (0.693, 0.006)))
+    return _mixed([1.0, 1.0, 1.0], [0.022, 0.065, 0.34], np.asarray(lines))
+
+
 @TEXTURES.register("sponge_pores")
 def sponge_pores() -> Field:
-    """Dark holes of two sizes."""
-    light = 0.95 + 0.03 * noise(171, 40.0, 40.0)
-    holes = np.maximum(_spots(172, 18.0, 0.10), 0.8 * _spots(173, 45.0, 0.10))
-    return np.clip(light * (1.0 - 0.55 * holes), 0.0, 1.0)
+    """Round holes of two sizes, in the foam's own shade, paler foam around them."""
+    light = 0.93 + 0.04 * noise(171, 60.0, 60.0)
+    large, small = _spots(172, 22.0, 0.07), _spots(173, 48.0, 0.10)
+    foam = np.clip(light, 0.0, 1.0)[..., None] * np.array([1.0, 1.0, 1.0])
+    return _mixed(_mixed(foam, [0.72, 0.62, 0.42], 0.8 * small), [0.46, 0.36, 0.2], 0.85 * large)
 
 
 @TEXTURES.register("scouring_pad")

@@ -105,6 +105,12 @@ def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
     return RenderWorld(bodies=tuple(bodies), look=scene.look)
 
 
+def drawn_entities(scene: SceneSpec) -> tuple[str, ...]:
+    """Return the entities of `render_world`, in the order of their segmentation ids: that of the first is 1."""
+    wall = ["wall"] if scene.look.background == "room" else []
+    return ("table", "floor", *wall, "robot", *(entity.name for entity in scene.entities))
+
+
 def body_key(entity: str, link: str) -> str:
     """Return the key of a body: ``<entity>`` for an unnamed link, else ``<entity>/<link>``."""
     return f"{entity}/{link}" if link else entity
@@ -300,6 +306,7 @@ __all__ = [
     "ScenePoses",
     "body_key",
     "box_mesh",
+    "drawn_entities",
     "joint_motion",
     "object_link_poses",
     "render_world",

@@ -60,6 +60,7 @@ class Frame:
             self.casters[packed.slab] = False
         top = self._slab[1][2] if self._slab else -np.inf
         self.touching = (packed.layers == OBJECTS_LAYER) & (self.centers[:, 2] - self.radii < top + CONTACT_REACH_M)
+        self.touching[packed.tables] = False
         """Bodies that may darken the table below them."""
         main = next((light for light in look.lights if light.shadow), None)
         self.lights: tuple[LightSpec, ...] = look.lights
@@ -75,12 +76,12 @@ class Frame:
 
     @cached_property
     def contact_box(self) -> tuple[float, float, float, float]:
-        """Square around what touches, seen from above: lower corner x, y [m], one over its extent [1/m], 0."""
+        """Square around what touches: lower corner x, y [m], 1 over its extent [1/m], height of the table's top [m]."""
         centers, radii = self.centers[self.touching, :2], self.radii[self.touching, None]
         low, high = (centers - radii).min(axis=0), (centers + radii).max(axis=0)
-        extent = float(np.ceil((high - low).max() / 0.2 + 0.5) * 0.2)
+        extent = float(np.ceil((high - low).max() / 0.2 + 0.7) * 0.2)
         x, y = (np.round((low + high) / 2 / 0.01) * 0.01 - extent / 2).tolist()
-        return x, y, 1 / extent, 0.0
+        return x, y, 1 / extent, float(self._slab[1][2]) if self._slab else 0.0
 
     def shadow_ranges(self) -> tuple[range, ...]:
         """Return the indices of all that casts shadows."""
@@ -156,11 +157,12 @@ class Frame:
 
     def _overhang(self) -> tuple[Array, Array]:
         """Return the table's shadow: (centre x, y, top z, 1), (half extent x, y, width of the edge over height, 0)."""
-        if self._slab is None or not self.shadowed:
+        if self._slab is None:
             return np.zeros(4), np.ones(4)
         low, high = self._slab
         middle, half = (low + high) / 2, (high - low) / 2
-        return np.array([*middle[:2], high[2], 1.0]), np.array([*half[:2], self.light.softness, 0.0])
+        softness = self.light.softness if self.shadowed else 0.0
+        return np.array([*middle[:2], high[2], 1.0]), np.array([*half[:2], softness, 0.0])
 
     @cached_property
     def _reached(self) -> npt.NDArray[np.bool_]:

@@ -104,8 +104,11 @@ class PackedWorld:
     @cached_property
     def layers(self) -> npt.NDArray[np.int64]:
         """When the bodies are drawn, shape (N,): objects first, then the table, then the surroundings."""
-        layers = {"table": TABLE_LAYER, **dict.fromkeys(SURROUNDINGS, SURROUNDINGS_LAYER)}
-        return np.array([layers.get(body.entity, OBJECTS_LAYER) for body in self.bodies], dtype=np.int64)
+        layers = dict.fromkeys(SURROUNDINGS, SURROUNDINGS_LAYER)
+        numbers = np.array([layers.get(body.entity, OBJECTS_LAYER) for body in self.bodies], dtype=np.int64)
+        if self.slab is not None:
+            numbers[self.slab] = TABLE_LAYER
+        return numbers
 
     @cached_property
     def faces(self) -> npt.NDArray[np.int64]:
@@ -115,8 +118,12 @@ class PackedWorld:
     @cached_property
     def slab(self) -> int | None:
         """The table's top: the widest body of the table; none: there is no table."""
-        tables = np.flatnonzero(self.layers == TABLE_LAYER).tolist()
-        return max(tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
+        return max(self.tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
+
+    @cached_property
+    def tables(self) -> list[int]:
+        """The bodies of the table: its top with its legs, and what the robot stands on."""
+        return [i for i, body in enumerate(self.bodies) if body.entity == "table"]
 
 
 def texture_names(world: RenderWorld) -> list[str]:

@@ -30,7 +30,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
-from roboxim_sim.rendering.frame import MAX_LIGHTS, Frame
+from roboxim_sim.rendering.frame import CONTACT_REACH_M, MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import check_request, check_world, pack, texture_names
 from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context
 from roboxim_sim.rendering.occlusion import OcclusionBaker
@@ -38,9 +38,6 @@ from roboxim_sim.rendering.owner import Owner
 
 CONTACT_SIZE = 96
 """Width and height of the map of what stands where [texel]."""
-CONTACT_HEIGHTS_M = (-0.5, 2.0)
-"""Heights that the map covers."""
-
 VIEW_BYTES = 512
 """Space for a camera's uniform block: its size, rounded up to what every driver aligns to."""
 SAMPLERS = {"shadow_map": 0, "contact_map": 1, "textures": 2, "image": 3, "Poses": 0, "View": 1}
@@ -64,14 +61,19 @@ class RasterRenderer:
         self._context = ctx = create_context()
         self.device = str(ctx.info["GL_RENDERER"])
         self._max_bodies = min(1024, ctx.info["GL_MAX_UNIFORM_BLOCK_SIZE"] // 48)
+        self._defines = {
+            "MAX_BODIES": str(self._max_bodies),
+            "MAX_LIGHTS": str(MAX_LIGHTS),
+            "CONTACT_REACH": str(CONTACT_REACH_M),
+        }
         self._shaders: dict[tuple[str, ...], Shader] = {}
         self._screens: dict[tuple[str, ...], moderngl.VertexArray] = {}
         self._poses = ctx.buffer(reserve=48 * self._max_bodies, dynamic=True)
         self._corners = ctx.buffer(np.array([[-1, -1], [-1, 3], [3, -1]], dtype=np.float32).tobytes())
         self._views = ctx.buffer(reserve=4 * VIEW_BYTES, dynamic=True)
         self._shadow: Buffer | None = None
-        self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], depth="buffer")
-        self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")])
+        self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], smooth=False)
+        self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(1, "f1")])
         self._occlusion, self._textures = OcclusionBaker(ctx), TextureStore(ctx)
         self._world: tuple[GpuWorld, LookSpec] | None = None
         self._targets: list[_Target] = []
@@ -185,20 +187,21 @@ class RasterRenderer:
             self._shadow.depth.use(SAMPLERS["shadow_map"])
 
     def _find_contacts(self, world: GpuWorld, frame: Frame) -> None:
-        """Draw the map of what stands or hangs where, and blur it."""
+        """Draw what stands or hangs where, and from it how much of the surroundings points of the table see."""
         if not frame.touching.any():
             return
-        low, high = CONTACT_HEIGHTS_M
+        ctx, box = self._context, frame.contact_box
         shader = self._shader("CONTACT_VERTEX", "CONTACT_FRAGMENT")
-        shader.set(contact_box=frame.contact_box, heights=(low, 1 / (high - low)))
-        self._context.enable_only(moderngl.DEPTH_TEST)
+        shader.set(contact_box=box)
+        ctx.enable_only(moderngl.BLEND)
+        ctx.blend_func, ctx.blend_equation = moderngl.ADDITIVE_BLENDING, moderngl.MAX
         self._cover.fbo.use()
         self._cover.fbo.clear()
         world.draw(shader, frame.contact_ranges())
-        self._context.enable_only(moderngl.NOTHING)
+        ctx.enable_only(moderngl.NOTHING)
         self._contact.fbo.use()
         self._cover.colors[0].use(SAMPLERS["image"])
-        self._fill("CONTACT_BLUR_FRAGMENT", texel=1 / CONTACT_SIZE)
+        self._fill("CONTACT_SHADE_FRAGMENT", texels=CONTACT_SIZE * box[2])
         self._contact.colors[0].use(SAMPLERS["contact_map"])
 
     def _shade(self, world: GpuWorld, frame: Frame, target: _Target, camera: CameraSpec, pose: Pose) -> None:
@@ -234,7 +237,7 @@ class RasterRenderer:
         """Return a shader by its sources' names in `shaders`, compiled when it is first used."""
         key = (vertex, fragment, *flags)
         if key not in self._shaders:
-            defines = {"MAX_BODIES": str(self._max_bodies), "MAX_LIGHTS": str(MAX_LIGHTS), **dict.fromkeys(flags, "1")}
+            defines = {**self._defines, **dict.fromkeys(flags, "1")}
             self._shaders[key] = Shader(self._context, getattr(shaders, vertex), getattr(shaders, fragment), defines)
             self._shaders[key].set(**SAMPLERS)
         return self._shaders[key]

@@ -17,7 +17,7 @@ _VIEW = """
 layout(std140) uniform View {
     mat4 clip_from_world;
     mat4 light_from_world;               // to the shadow map's coordinates
-    vec4 eye;                            // w: offset along the normal when the shadow map is read
+    vec4 eye;                            // w: offset along the normal of what casts shadows when the shadow map is read
     vec4 sky;                            // w: number of further lights
     vec4 ground;                         // w: texels of the shadow map
     vec4 main_vector;                    // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
@@ -80,7 +80,9 @@ void main() {
     uv = in_uv;
 #endif
     color = in_color;
-    openness = in_surface.z;
+    // What faces a table close by sees it in its own shade.
+    float near = clamp(1.0 - 12.0 * abs(position.z - slab.z), 0.0, 1.0);
+    openness = in_surface.z * (1.0 - 0.55 * slab.w * near * clamp(-normal.z, 0.0, 1.0));
     surface = vec3(in_surface.x, floor(in_surface.y * 255.0 + 0.5), float(in_ids.y));
     gl_Position = clip_from_world * vec4(position, 1.0);
 }
@@ -91,7 +93,7 @@ SCENE_FRAGMENT = (
     _VIEW
     + """
 uniform sampler2DShadow shadow_map;
-uniform sampler2D contact_map;            // share of the sky covered just above, height of the cover
+uniform sampler2D contact_map;            // share of the surroundings that what stands or hangs there hides
 uniform sampler2DArray textures;
 in vec3 position;
 in vec3 normal;
@@ -109,7 +111,11 @@ layout(location = 1) out vec2 out_geometry;
 // Tent filter of 3x3 texels by four bilinear comparisons (Castano, "Shadow mapping summary"): smooth at any scale.
 float sunlit() {
     float shadow_size = ground.w;
+#ifdef CONTACT                             // the table's top casts none: nothing to keep away from
+    vec4 p = light_from_world * vec4(position, 1.0);
+#else
     vec4 p = light_from_world * vec4(position + normal * eye.w, 1.0);
+#endif
 #ifdef LAMP
     p.xyz /= p.w;
 #endif
@@ -184,10 +190,7 @@ void main() {
 
     float open = openness;
 #ifdef CONTACT
-    vec2 covered = texture(contact_map, (position.xy - contact_box.xy) * contact_box.z).xy;
-    float gap = covered.y - position.z;    // height of what hangs over this point
-    open -= 0.85 * covered.x * clamp(1.0 + 40.0 * gap, 0.0, 1.0) * clamp(1.0 - 6.0 * gap, 0.0, 1.0)
-            * clamp(0.3 + n.z, 0.0, 1.0);
+    open -= texture(contact_map, (position.xy - contact_box.xy) * contact_box.z).x * clamp(n.z, 0.0, 1.0);
 #endif
 
     vec3 r = 2.0 * dot(n, v) * n - v;
@@ -258,42 +261,60 @@ void main() {
 }
 """
 
-# What stands or hangs where, seen from below: ambient light darkens where an object meets the table.
+# What stands or hangs where, from the table's top upwards: the space between its lowest and its highest point is taken.
+# Blended by maximum; heights over CONTACT_REACH, the lower one from above, so that nothing is (0, 0).
 CONTACT_VERTEX = (
     _POSES
     + """
-uniform vec4 contact_box;                 // xy: lower corner, z: 1 / extent
-uniform vec2 heights;
+uniform vec4 contact_box;                 // xy: lower corner, z: 1 / extent, w: height of the table's top
 in vec3 in_position;
 in uvec2 in_ids;
 out float height;
 void main() {
     vec3 p = to_world(in_ids.x, vec4(in_position, 1.0));
-    height = p.z;
-    vec3 unit = vec3((p.xy - contact_box.xy) * contact_box.z, (p.z - heights.x) * heights.y);
-    gl_Position = vec4(unit * 2.0 - 1.0, 1.0);
+    height = (p.z - contact_box.w) / CONTACT_REACH;
+    gl_Position = vec4((p.xy - contact_box.xy) * contact_box.z * 2.0 - 1.0, 0.0, 1.0);
 }
 """
 )
 
 CONTACT_FRAGMENT = """
 in float height;
-out vec2 out_cover;
-void main() { out_cover = vec2(1.0, height); }
+out vec2 out_taken;
+void main() {
+    float h = clamp(height, 0.0, 1.0);
+    out_taken = vec2(1.0 - h, h);
+}
 """
 
-CONTACT_BLUR_FRAGMENT = """
+# Share of the cosine-weighted surroundings that is taken, for points of the table: in each direction the elevations
+# that columns at growing distances take, the near ones above what the far ones have taken already.
+CONTACT_SHADE_FRAGMENT = """
 uniform sampler2D image;
-uniform float texel;
-out vec2 out_cover;
+uniform float texels;                     // of the map, per metre
+out float out_hidden;
+vec2 taken(vec2 offset) {                 // squared sines of the lowest and the highest elevation
+    vec2 h = texture(image, (gl_FragCoord.xy + offset * texels) / vec2(textureSize(image, 0))).xy;
+    h = CONTACT_REACH * vec2(1.0 - h.x, h.y);
+    h *= h;
+    return h / (h + dot(offset, offset));
+}
 void main() {
-    vec2 sum = vec2(0.0);
-    for (int y = -1; y <= 1; y++) {
-        for (int x = -1; x <= 1; x++) {
-            vec2 c = texture(image, (gl_FragCoord.xy + 2.0 * vec2(x, y)) * texel).xy;
-            sum += c * float((2 - abs(x)) * (2 - abs(y)));
-        }
+    vec2 above = taken(vec2(0.003, 0.0));
+    float hidden = 0.0;
+    for (int k = 0; k < 8; k++) {
+        float angle = 0.7853981634 * (float(k) + 0.3);
+        vec2 along = vec2(cos(angle), sin(angle));
+        vec2 far = taken(0.060 * along), middle = taken(0.027 * along), near = taken(0.011 * along);
+        far.y *= 0.6;
+        float most = far.y;
+        hidden += max(far.y - far.x, 0.0) + max(middle.y - max(middle.x, most), 0.0);
+        most = max(most, middle.y);
+        hidden += max(near.y - max(near.x, most), 0.0);
+        most = max(most, near.y);
+        hidden += max(above.y - max(above.x, most), 0.0);
     }
-    out_cover = vec2(sum.x / 16.0, sum.y / max(sum.x, 1e-3));
+    float open = clamp(1.0 - 0.125 * hidden, 0.0, 1.0);
+    out_hidden = 1.0 - open * sqrt(open);   // deeper than ambient light alone: so does light from lamps with a size
 }
 """
