@@ -50,6 +50,8 @@ class DistractorConfig:
     """Ids of object models."""
     modifiers: dict[str, Choice] = field(default_factory=dict)
     """Modifier name to its values."""
+    stay_m: float = 0.0
+    """An episode has failed once a distractor was moved further than this [m]; 0: they may be moved."""
 
     def __post_init__(self) -> None:
         """Check the range.
@@ -57,6 +59,8 @@ class DistractorConfig:
         Raises:
             ConfigError: When it is empty or too large.
         """
+        if self.stay_m < 0:
+            raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
         if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:
             raise ConfigError(
                 f"needs 0 <= minimum <= maximum <= {MAX_DISTRACTORS} distractors, got {self.minimum} and {self.maximum}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from roboxim_core.config import to_json
 from roboxim_core.episode import Draw
@@ -72,13 +73,15 @@ class EpisodeGenerator:
         """
         base = named("scenes", config.scene, SceneSpec)
         _check_unambiguous(base, config, task, self._library)
+        arm = self._arm(base.robot.model)
         context = ResetContext(
             seed=seed,
             config=config,
             task=task,
             library=self._library,
-            arm=self._arm(base.robot.model),
+            arm=arm,
             ordinal=ordinal,
+            way_blocked=self._solvability and partial(self._solvability.way_blocked, task, arm),
         )
         self.last_reset = context
         constraints = SKILLS[config.skill].constraints(context)

@@ -37,7 +37,13 @@ class Expert:
     """
 
     def __init__(
-        self, library: ModelLibrary, planner: PlannerPort, config: SpeedConfig | None = None, rate_hz: float = 10.0
+        self,
+        library: ModelLibrary,
+        planner: PlannerPort,
+        config: SpeedConfig | None = None,
+        rate_hz: float = 10.0,
+        *,
+        direct: bool = False,
     ) -> None:
         """Make an expert.
 
@@ -46,9 +52,12 @@ class Expert:
             planner: Verifies and finds motions.
             config: Speeds; none: the default.
             rate_hz: Control rate that it declares [Hz].
+            direct: Whether it goes straight from stage to stage and asks the planner nothing: what a scene whose way
+                is blocked is compared with.
         """
         self._library = library
-        self._solver = Solver(library, planner, config)
+        self._solver = Solver(library, planner, config, direct=direct)
+        self._direct = direct
         self._rate_hz = rate_hz
         self._start: EpisodeStart | None = None
         self._solution: Solution | None = None
@@ -58,7 +67,10 @@ class Expert:
     def describe(self) -> PolicyDescription:
         """Say what the expert is."""
         return PolicyDescription(
-            name="expert", semantics=ActionSemantics(rate_hz=self._rate_hz), privileged=True, version="1"
+            name="direct_expert" if self._direct else "expert",
+            semantics=ActionSemantics(rate_hz=self._rate_hz),
+            privileged=True,
+            version="1",
         )
 
     def reset(self, start: EpisodeStart) -> None:
@@ -91,7 +103,9 @@ class Expert:
             raise TaskError("the expert needs the state record in the observation; it is a privileged policy")
         assert self._start.task is not None
         assert self._start.scene is not None
-        view = ExpertScene(task=self._start.task, scene=self._start.scene, state=state, library=self._library)
+        view = ExpertScene(
+            task=self._start.task, scene=self._start.scene, state=state, library=self._library, direct=self._direct
+        )
         if self._solution is None:
             self._solution, self._first_seq = self._plan(view), state.seq
         elif self._recoveries < MAX_RECOVERIES:

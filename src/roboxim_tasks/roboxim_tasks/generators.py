@@ -18,7 +18,7 @@ from roboxim_core.models.modifiers import PHYSICAL
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, Scalar, TaskSpec
 from roboxim_tasks.choices import Choice
-from roboxim_tasks.roles import SPOKEN, description, distractor_role, fits_description
+from roboxim_tasks.roles import SPOKEN, STAY, description, distractor_role, fits_description
 
 if TYPE_CHECKING:
     from roboxim_tasks.config import TaskConfig
@@ -212,10 +212,12 @@ def generate_task(
         ConfigError: When the configuration names what does not exist.
     """
     objects = generate_objects(context, suits)
+    stay_m = context.config.distractors.stay_m
     return TaskSpec(
         skill=context.config.skill,
         objects=objects | generate_distractors(context, objects),
-        arguments=asdict(arguments if arguments is not None else context.parameters),
+        arguments=asdict(arguments if arguments is not None else context.parameters)
+        | ({STAY: stay_m} if stay_m else {}),
         instruction=generate_instruction(context, objects, words or {}),
     )
 

@@ -6,6 +6,8 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_tasks.predicates import Assessment, Condition, Conditions, largest_shift
+from roboxim_tasks.roles import STAY, task_distractors
 from roboxim_tasks.skills import SKILLS
 
 
@@ -48,6 +50,7 @@ class Judge:
             )
         self._verdict, self._solved_since_ns = Verdict(), None
         self._evaluator = self._skill.evaluator(self.task, state)
+        self._others = undisturbed(self.task, state)
         return self._fold(state)
 
     def step(self, state: StateRecord) -> Verdict:
@@ -68,6 +71,8 @@ class Judge:
     def _fold(self, state: StateRecord) -> Verdict:
         self._state = state
         assessment = self._evaluator.assess(state)
+        if self._others:
+            assessment = _both(self._others.assess(state), assessment)
         failed = self._verdict.failed or assessment.failed
         reason = self._verdict.reason if self._verdict.failed else assessment.reason
         if not assessment.solved or failed:
@@ -84,3 +89,24 @@ class Judge:
             predicates=assessment.predicates | {"held_s": held_s},
         )
         return self._verdict
+
+
+def undisturbed(task: TaskSpec, initial: StateRecord) -> Conditions | None:
+    """Return what judges that a task's distractors stay where they are; none: they may be moved."""
+    if STAY not in task.arguments:
+        return None
+    shift = largest_shift((thing.entity for thing in task_distractors(task)), initial, "distractors_shift_m")
+    most = float(task.arguments[STAY])
+    stayed = Condition(
+        name="distractors_stayed", measure=shift, most=most, reason="disturbed_distractor", fatal=True
+    )  # fmt: skip
+    return Conditions((stayed,), hold_s=0.0)
+
+
+def _both(first: Assessment, second: Assessment) -> Assessment:
+    return Assessment(
+        solved=first.solved and second.solved,
+        failed=first.failed or second.failed,
+        reason=first.reason or second.reason,
+        predicates=first.predicates | second.predicates,
+    )

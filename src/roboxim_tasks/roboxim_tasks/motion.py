@@ -62,6 +62,8 @@ class ExpertScene:
     """Entity that the gripper holds already; empty: none."""
     recovering: bool = False
     """Whether a try went wrong before, so that the gripper may be anywhere, closed."""
+    direct: bool = False
+    """Whether motions are to go straight from stage to stage, whatever is on the way."""
 
     @property
     def robot(self) -> RobotModel:

@@ -57,6 +57,10 @@ class TaskNodeConfig:
     """Smoothing of the expert."""
     solvable: bool = _parameter(True, "whether scenes are refused that the planner cannot solve; needs the planner")
     """Whether every scene is planned before it is given out."""
+    direct: bool = _parameter(
+        False, "whether the expert goes straight from stage to stage, whatever is in its way; only to compare with"
+    )
+    """Whether the expert takes no detours and verifies nothing."""
     planner_timeout_s: float = _parameter(30.0, "longest wait for the planner [s]", 0.1, 600.0)
     """Wait for the planner."""
 
@@ -84,7 +88,7 @@ class TaskNode(RoboximNode):
         planner = PlannerClient(self.clients_of_node, self.config.planner_timeout_s)
         solvability = Solvability(self._library, planner, speeds) if self.config.solvable else None
         self._generator = EpisodeGenerator(self._library, solvability)
-        self._expert = Expert(self._library, planner, speeds, self.config.rate_hz)
+        self._expert = Expert(self._library, planner, speeds, self.config.rate_hz, direct=self.config.direct)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)
         self.serve(DescribePolicy, "expert/describe_policy", self._on_describe)

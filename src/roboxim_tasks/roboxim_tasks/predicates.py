@@ -220,6 +220,12 @@ def shift(entity: str, initial: StateRecord, name: str = "shift_m") -> Measure:
     )
 
 
+def largest_shift(entities: Iterable[str], initial: StateRecord, name: str = "largest_shift_m") -> Measure:
+    """Largest distance of some objects from where they were at tick 0; 0 if there are none [m]."""
+    shifts = [shift(entity, initial) for entity in entities]
+    return Measure(name=name, of=lambda state: max((each.of(state) for each in shifts), default=0.0))
+
+
 def offset(state: StateRecord, entity: str, reference: str) -> Array:
     """Return the vector from a reference to an object in the world, shape (3,) [m]."""
     return np.subtract(state.entity(entity).pose.position, state.entity(reference).pose.position)

@@ -6,6 +6,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import PhysicalObject, TaskSpec
 
 DISTRACTOR = "distractor"
+STAY = "distractors_stay_m"
+"""Argument that a task of any skill may have: how far its distractors may be moved [m]."""
 
 
 def distractor_role(number: int) -> str:

@@ -157,7 +157,8 @@ class Script:
 
         Non-obvious: it rises straight up first, and no higher than needed; the expert plans around what still blocks.
         """
-        height = max(self.pose.position[2], goal.position[2] + APPROACH_M / 2, self._height_over(goal))
+        over = 0.0 if self.scene.direct else self._height_over(goal)
+        height = max(self.pose.position[2], goal.position[2] + APPROACH_M / 2, over)
         if height > self.pose.position[2] + 1e-3:
             self.shift((0.0, 0.0, height - self.pose.position[2]), name="rise")
         x, y, _ = goal.position

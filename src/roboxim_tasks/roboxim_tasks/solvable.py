@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from roboxim_core.errors import PolicyError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
@@ -10,6 +12,7 @@ from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_tasks.motion import ExpertScene
 from roboxim_tasks.planning import PlannerPort
 from roboxim_tasks.reference import SpeedConfig
+from roboxim_tasks.roles import task_distractors
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.solver import Solver
 
@@ -30,6 +33,7 @@ class Solvability:
         """
         self._library = library
         self._solver = Solver(library, planner, speeds)
+        self._direct = Solver(library, planner, speeds, direct=True)
 
     def holds(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics, seed: int) -> bool:
         """Tell whether a collision-free plan exists for every stage of one of the skill's candidates.
@@ -43,12 +47,37 @@ class Solvability:
         Raises:
             RoboximError: When the planner cannot be asked.
         """
-        view = ExpertScene(task=task, scene=scene, state=state_at_rest(scene, arm), library=self._library)
+        view = self._view(task, scene, arm)
         try:
             self._solver.solve(view, SKILLS[task.skill].stages(view), seed)
         except PolicyError:
             return False
         return True
+
+    def way_blocked(self, task: TaskSpec, arm: ArmKinematics, scene: SceneSpec) -> bool:
+        """Tell whether distractors are all that keeps straight lines from stage to stage from solving a task.
+
+        Args:
+            task: The task.
+            arm: Kinematics of the scene's robot.
+            scene: Its scene.
+
+        Raises:
+            RoboximError: When the planner cannot be asked.
+        """
+        names = {thing.entity for thing in task_distractors(task)}
+        alone = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name not in names))
+        view = replace(self._view(task, alone, arm), direct=True)
+        try:
+            straight = self._direct.solve(view, SKILLS[task.skill].stages(view), 0)
+        except PolicyError:
+            return False
+        if self._direct.obstruction(view, straight):
+            return False
+        return bool(self._direct.obstruction(self._view(task, scene, arm), straight))
+
+    def _view(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics) -> ExpertScene:
+        return ExpertScene(task=task, scene=scene, state=state_at_rest(scene, arm), library=self._library)
 
 
 def state_at_rest(scene: SceneSpec, arm: ArmKinematics) -> StateRecord:

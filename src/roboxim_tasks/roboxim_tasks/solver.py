@@ -66,16 +66,26 @@ _Cache = dict[tuple[Stage, ...], _Rolled | _Blocked]
 class Solver:
     """Finds the first candidate that holds. Not thread-safe (kinematics)."""
 
-    def __init__(self, library: ModelLibrary, planner: PlannerPort, config: SpeedConfig | None = None) -> None:
+    def __init__(
+        self,
+        library: ModelLibrary,
+        planner: PlannerPort,
+        config: SpeedConfig | None = None,
+        *,
+        direct: bool = False,
+    ) -> None:
         """Make a solver.
 
         Args:
             library: Robots and objects.
             planner: Verifies and finds motions.
             config: Speeds; none: the default.
+            direct: Whether to go straight from stage to stage and to ask the planner nothing: the first candidate
+                that the arm can follow is taken.
         """
         self._library = library
         self._planner = planner
+        self._direct = direct
         self._config = config or SpeedConfig()
         self._arms: dict[str, ArmKinematics] = {}
 
@@ -115,6 +125,11 @@ class Solver:
             f"the expert finds no motion for '{view.task.instruction}'; "
             f"candidates refused: {'; '.join(dict.fromkeys(reasons)) or '(none)'}"
         )
+
+    def obstruction(self, view: ExpertScene, solution: Solution) -> str:
+        """Return what the planner finds wrong with a solution, e.g. one of a direct solver, or nothing."""
+        blocked = self._verify(view, solution.stages, solution.reference, [tuple(row) for row in solution.path])
+        return f"{solution.stages[blocked.stage].name}: {blocked.reason}" if blocked else ""
 
     def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int, cache: _Cache) -> _Rolled | _Blocked:
         """Roll out and verify a candidate, one run between standstills after the other."""
@@ -156,7 +171,8 @@ class Solver:
         while True:
             points = make_reference(before.pose, legs, self._config, view.scene.control_rate_hz)
             state, path, blocked = _roll_out(controller, before.state, points)
-            blocked = self._verify(view, stages, points, path) or blocked
+            if not self._direct:
+                blocked = self._verify(view, stages, points, path) or blocked
             if blocked is None:
                 return _Rolled(
                     pose=points[-1].pose if points else before.pose,
@@ -166,7 +182,7 @@ class Solver:
                 )
             leg = legs[blocked.stage]
             refused = replace(blocked, stage=blocked.stage + first)
-            if not leg.stage.free or leg.via:
+            if self._direct or not leg.stage.free or leg.via:
                 return refused
             tick = next(i for i, point in enumerate(points) if point.stage == blocked.stage)
             try:

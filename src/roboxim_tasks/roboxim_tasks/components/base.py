@@ -51,6 +51,8 @@ class ResetContext:
     """Kinematics of the scene's robot."""
     ordinal: int | None = None
     """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
+    way_blocked: Callable[[SceneSpec], bool] | None = None
+    """Tells whether distractors collide with the straight lines that would solve the task; none: nothing is planned."""
     draws: int = 0
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)

@@ -19,6 +19,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.predicates import Assessment, Evaluator
+from roboxim_tasks.roles import STAY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,8 @@ def parameters_of(task: TaskSpec, cls: type[Any]) -> Any:
     Raises:
         ConfigError: When an argument is unknown or of a wrong kind.
     """
-    return from_plain(dict(task.arguments), cls, source=f"arguments of task '{task.instruction}'")
+    own = {name: value for name, value in task.arguments.items() if name != STAY}
+    return from_plain(own, cls, source=f"arguments of task '{task.instruction}'")
 
 
 __all__ = ["SKILLS", "Assessment", "Evaluator", "Role", "Skill", "parameters_of", "register"]

@@ -1,0 +1,138 @@
+"""Reset component ``blocked_way``: distractors stand in the way of the tool, so that a straight line is no way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
+from roboxim_tasks.choices import Choice
+from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.placement import refusal
+from roboxim_tasks.roles import task_distractors
+
+TOOL = "tool"
+CONSTRAINT = "way_blocked"
+"""Name of the constraint that the expert's straight lines collide."""
+HAND_RADIUS_M = 0.11
+"""Room that the open hand takes up around the tool centre point [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockedWayConfig:
+    """Which ways are blocked, and how."""
+
+    between: tuple[tuple[str, str], ...] = ((TOOL, "target"),)
+    """Ways from one end to another: roles of the task, or ``tool`` for where the tool centre point starts."""
+    row: int = 2
+    """Distractors across each way; further ones stay where the component ``distractors`` has put them."""
+    share: Choice = Choice(lower=0.0, upper=1.0)
+    """Where along the way the row stands, 0 = as close to its beginning as there is room, 1 = to its end."""
+    apart_m: float = 0.03
+    """Free space between the row and both ends of its way [m]."""
+    aside_m: Choice = Choice(lower=-0.02, upper=0.02)
+    """Shift of the row's middle along the row [m]."""
+    yaw_rad: Choice = Choice(lower=-0.2, upper=0.2)
+    """Rotation of each object against the row [rad]."""
+    gap_m: float = 0.01
+    """Free space between the objects of a row, too narrow for the hand [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: On no way, an empty row or a distance that is negative.
+        """
+        if not self.between or self.row < 1 or min(self.gap_m, self.apart_m) < 0:
+            raise ConfigError(
+                "needs at least one way, row >= 1, gap_m >= 0 and apart_m >= 0, "
+                f"got {self.between}, {self.row}, {self.gap_m:g} and {self.apart_m:g}"
+            )
+
+
+@register
+class BlockedWayReset(ResetComponent):
+    """Moves the first distractors into rows across the ways, and shows that the straight lines then collide.
+
+    Randomisation: where along the way each row stands, its shift and the yaw of its objects.
+
+    Non-obvious: it comes after ``objects`` and ``distractors``. Where scenes are planned (parameter ``solvable`` of the
+    task node) a scene is refused as ``way_blocked`` unless the expert's straight lines, from its start through every
+    stage, collide with something; that a way around exists is then shown as for every scene.
+    """
+
+    name = "blocked_way"
+    Config = BlockedWayConfig
+    places = True
+
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Draw each row.
+
+        Raises:
+            RejectedError: When an object has no room, or the direct way is free.
+            ConfigError: When the task has too few distractors, or no such role.
+        """
+        things = task_distractors(context.task)
+        needed = self.config.row * len(self.config.between)
+        if len(things) < needed:
+            raise ConfigError(
+                f"reset.blocked_way needs {needed} distractors for {len(self.config.between)} ways with rows of "
+                f"{self.config.row}, but the task has {len(things)}; set distractors.minimum to {needed} or more"
+            )
+        moved = {thing.entity for thing in things[:needed]}
+        order = [entity.name for entity in scene.entities]
+        standing = {entity.name: entity for entity in scene.entities}
+        scene = replace(scene, entities=tuple(e for e in scene.entities if e.name not in moved))
+        for number, way in enumerate(self.config.between):
+            row = things[number * self.config.row : (number + 1) * self.config.row]
+            scene = self._across(scene, [standing[thing.entity] for thing in row], way, context)
+        scene = replace(scene, entities=tuple(sorted(scene.entities, key=lambda entity: order.index(entity.name))))
+        if context.way_blocked is not None and not context.way_blocked(scene):
+            raise RejectedError(CONSTRAINT)
+        return scene
+
+    def _across(
+        self, scene: SceneSpec, row: Sequence[EntitySpec], way: tuple[str, str], context: ResetContext
+    ) -> SceneSpec:
+        """Add entities side by side across a way."""
+        rng, index, config = context.rng(self.name), context.index, self.config
+        (begin, room_begin), (end, room_end) = (_end(name, scene, context) for name in way)
+        length = float(np.linalg.norm(end - begin))
+        widths = [max(context.library.entity_model(entity).size[:2]) for entity in row]
+        first = room_begin + config.apart_m + max(widths) / 2
+        last = length - room_end - config.apart_m - max(widths) / 2
+        if first > last:
+            raise RejectedError("way_long_enough")
+        along = (end - begin) / length
+        across = np.array([-along[1], along[0]])
+        middle = begin + (first + config.share.draw_number(rng, index) * (last - first)) * along
+        middle = middle + config.aside_m.draw_number(rng, index) * across
+        offset = -(sum(widths) + config.gap_m * (len(row) - 1)) / 2
+        for entity, width in zip(row, widths, strict=True):
+            x, y = middle + (offset + width / 2) * across
+            turn = np.arctan2(across[1], across[0]) + config.yaw_rad.draw_number(rng, index)
+            pose = Pose.from_arrays((x, y, entity.pose.position[2]), Rotation.from_euler("z", turn))
+            placed = replace(entity, pose=pose)
+            reason = refusal(scene, placed, 0.0, context.library)
+            if reason:
+                raise RejectedError(f"{entity.name}_in_the_way_{reason}")
+            scene = replace(scene, entities=(*scene.entities, placed))
+            offset += width + config.gap_m
+        return scene
+
+
+def _end(name: str, scene: SceneSpec, context: ResetContext) -> tuple[Array, float]:
+    """Return where a way begins or ends on the table in the world, and the radius that is taken up there [m]."""
+    if name == TOOL:
+        tool = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
+        return np.array(tool.position[:2]), HAND_RADIUS_M
+    objects: dict[str, PhysicalObject] = dict(context.task.objects)
+    if name not in objects:
+        raise ConfigError(f"reset.blocked_way.between: no role '{name}'; {one_of((TOOL, *objects), name)}")
+    entity = scene.entity(objects[name].entity)
+    return np.array(entity.pose.position[:2]), max(context.library.entity_model(entity).size[:2]) / 2
