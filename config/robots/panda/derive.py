@@ -16,7 +16,9 @@ import trimesh
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-from decimate import visual  # noqa: E402 - found beside this folder
+from collada import read_collada  # noqa: E402 - found beside this folder
+from decimate import visual  # noqa: E402
+from decompose import around, convex_parts  # noqa: E402
 
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
 TRIANGLES, FINGER_TRIANGLES = 1130, 400
@@ -43,6 +45,13 @@ def stale() -> list[str]:
     ]
 
 
+def forearm_parts() -> list[trimesh.Trimesh]:
+    """Return convex parts of the bent forearm as it is drawn: its collision mesh fills the hollow under the bend."""
+    meshes = [mesh for _, mesh in read_collada(SOURCE / "meshes/visual/link5.dae")]
+    drawn_one = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    return [around(part.vertices) for part in convex_parts(drawn_one, worth=0.1, most=4)]
+
+
 def main() -> int:
     """Write everything, or check."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -60,6 +69,8 @@ def main() -> int:
     for source in sorted((SOURCE / "meshes/collision").glob("*.stl")):
         if source.stem != "finger":  # the fingers are boxes
             trimesh.load_mesh(source).convex_hull.export(HERE / "collision" / source.name)
+    for k, part in enumerate(forearm_parts(), start=1):
+        part.export(HERE / "collision" / f"link5_{k}.stl")
 
     urdf = (SOURCE / "urdf/panda.urdf").read_text()
     urdf = urdf.replace("package://example-robot-data/robots/panda_description/meshes/", "package://panda/")

@@ -22,10 +22,14 @@ HERE = Path(__file__).resolve().parent
 PANDA = HERE.parent / "panda"
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/ur_description"
 SAMPLES = 10_000
+WORTH = 0.03
+"""Share of a link's hull that another convex part must save: one whole hull says in a quarter of all states that links
+touch which do not."""
 TRIANGLES = 4500  # the caps are thin shells, which fewer would tear
 
 sys.path.append(str(HERE.parent))
 from decimate import visual  # noqa: E402 - found beside this folder
+from decompose import convex_parts  # noqa: E402
 
 
 def main() -> None:
@@ -37,12 +41,18 @@ def main() -> None:
         (HERE / "visual" / f"{source.stem}.glb").write_bytes(
             visual(source, triangles=TRIANGLES, linear=True).export(file_type="glb", include_normals=True)
         )
+    whole = arm()[: -len("</robot>")] + hand() + "</robot>\n"
+    urdf = whole
     for source in sorted((SOURCE / "meshes/ur5/collision").glob("*.stl")):
-        trimesh.load_mesh(source).convex_hull.export(HERE / "collision" / source.name)
+        parts = convex_parts(trimesh.load_mesh(source), worth=WORTH, most=8)
+        names = [f"{source.stem}_{k}.stl" for k in range(1, len(parts) + 1)] if len(parts) > 1 else [source.name]
+        for name, part in zip(names, parts, strict=True):
+            part.export(HERE / "collision" / name)
+        urdf = with_parts(urdf, source.name, names)
     for name in ("visual/hand.glb", "visual/finger.glb", "collision/hand.stl"):
         shutil.copy(PANDA / name, HERE / name)
-    (HERE / "ur5.urdf").write_text(arm()[: -len("</robot>")] + hand() + "</robot>\n")
-    (HERE / "ur5.srdf").write_text(srdf())
+    (HERE / "ur5.urdf").write_text(urdf)
+    (HERE / "ur5.srdf").write_text(srdf(whole))
 
 
 def arm() -> str:
@@ -80,14 +90,23 @@ def hand() -> str:
     return mount + text
 
 
-def srdf() -> str:
+def with_parts(urdf: str, mesh: str, parts: list[str]) -> str:
+    """Return a URDF with several collision meshes in the place of one."""
+    found = re.search(rf'\s*<collision>(?:(?!</collision>).)*/{re.escape(mesh)}".*?</collision>', urdf, flags=re.S)
+    assert found is not None
+    return urdf.replace(found[0], "".join(found[0].replace(f"/{mesh}", f"/{part}") for part in parts))
+
+
+def srdf(text: str) -> str:
     """Return the pairs of links that are not checked: adjacent ones, and those whose meshes never or always touch.
 
-    The original meshes decide: the convex hulls of the base and the upper arm overlap where the links pass each other.
+    Args:
+        text: The URDF with the original meshes, which decide.
     """
-    urdf = str(HERE / "ur5.urdf")
-    model = pin.buildModelFromUrdf(urdf)
     with tempfile.TemporaryDirectory() as folder:
+        urdf = str(Path(folder, "whole.urdf"))
+        Path(urdf).write_text(text)
+        model = pin.buildModelFromUrdf(urdf)
         meshes = Path(folder, "ur5", "collision")
         shutil.copytree(SOURCE / "meshes/ur5/collision", meshes)
         shutil.copy(HERE / "collision/hand.stl", meshes)

@@ -70,7 +70,7 @@ class CollisionWorld:
         shapes = robot.link_shapes(scene.gripper_opening)
         items = [shape.item for shape in shapes]
         item_names = [shape.link for shape in shapes]
-        moving = [shape.joint >= 0 for shape in shapes]
+        moving = [shape.joint >= 0 and not shape.close for shape in shapes]
         own = len(items)
         obstacles, obstacle_names = self._obstacles()
         joint, tcp_pose = robot.tcp_attachment
@@ -89,7 +89,7 @@ class CollisionWorld:
             if not scene.allowed or checks(item_names[pair.first], item_names[pair.second])
             for index in (pair.first, pair.second)
         ]
-        for i, links in self._partners(item_names[own:], item_names[:own]):
+        for i, links in self._partners(item_names[own:], item_names[: robot.whole_shapes]):
             item_pairs += [index for k in links for index in (k, own + i)]
         obstacle_pairs = [
             index

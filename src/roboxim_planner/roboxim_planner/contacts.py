@@ -114,7 +114,7 @@ class ContactModel:
             self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), held=True)
         fixed = [item.parentJoint == _WORLD_JOINT for item in self._model.geometryObjects]
         for i in range(own, len(self._names)):
-            for j in range(i):
+            for j in (*range(robot.whole_shapes), *range(own, i)):
                 if not (fixed[i] and fixed[j]) and rules.checks(self._names[j], self._names[i]):
                     self._model.addCollisionPair(pin.CollisionPair(j, i))
         for pair in list(robot.geometry.collisionPairs) if scene.allowed else ():

@@ -263,7 +263,7 @@ def robot_triangles(robot: PlannerRobot, joints: Array, opening: float) -> Itera
     data = robot.model.createData()
     placed = robot.geometry.createData()
     pin.updateGeometryPlacements(robot.model, data, robot.geometry, placed, robot.full(joints, opening))
-    for item, placement in zip(robot.geometry.geometryObjects, placed.oMg, strict=True):
+    for item, placement in list(zip(robot.geometry.geometryObjects, placed.oMg, strict=True))[: robot.whole_shapes]:
         corners = _coal_triangles(item.geometry)
         yield corners @ placement.rotation.T + placement.translation
 

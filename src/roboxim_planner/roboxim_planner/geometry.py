@@ -91,4 +91,4 @@ def mesh_points(path: str, scale: float) -> tuple[Vec3, ...]:
         mesh = coal.MeshLoader(coal.BV_OBBRSS).load(path, np.full(3, scale))
     except Exception as error:  # assimp's errors have no common class
         raise InvalidRequestError(f"cannot read the mesh {path}: {error}") from None
-    return tuple((float(x), float(y), float(z)) for x, y, z in (mesh.vertices(i) for i in range(mesh.num_vertices)))
+    return tuple((float(x), float(y), float(z)) for x, y, z in np.asarray(mesh.vertices()).tolist())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path
 
 import coal
 import numpy as np
@@ -20,6 +21,7 @@ from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
 from roboxim_planner import native
 from roboxim_planner.covers import cover_box, cover_hull, cover_round
+from roboxim_planner.geometry import convex_hull, mesh_points
 
 Array = npt.NDArray[np.float64]
 _INSIDE_RAD = 4e-3
@@ -55,6 +57,8 @@ class LinkShape:
     """Index of the arm joint that it moves with, -1: the base."""
     item: native.Item
     """The shape."""
+    close: bool
+    """Whether it is checked only against one other link; see `ClosePair`."""
 
 
 class PlannerRobot:
@@ -71,6 +75,7 @@ class PlannerRobot:
 
         Raises:
             ConfigError: When the URDF lacks a joint or link that the description names.
+            InvalidRequestError: When a mesh of a close pair cannot be read.
         """
         self.description = robot
         self.kinematics = ArmKinematics(robot)
@@ -90,6 +95,10 @@ class PlannerRobot:
         self.max_acceleration = np.array(robot.limits.acceleration)
         self.max_jerk = np.array(robot.limits.jerk)
         self.geometry = self._load_geometry(robot)
+        """Convex collision geometry and the pairs of links to check; parts of close pairs come last."""
+        self.whole_shapes = len(self.geometry.geometryObjects)
+        """How many shapes of ``geometry`` stand for their link against everything."""
+        self._add_close_pairs(robot)
         self._shapes = lru_cache(maxsize=16)(self._link_shapes)
 
     def _load_geometry(self, robot: RobotModel) -> pin.GeometryModel:
@@ -104,6 +113,24 @@ class PlannerRobot:
         geometry.addAllCollisionPairs()
         pin.removeCollisionPairs(self.model, geometry, str(robot.srdf))
         return geometry
+
+    def _add_close_pairs(self, robot: RobotModel) -> None:
+        """Add the parts of close pairs to the geometry."""
+        links = [self.model.frames[item.parentFrame].name for item in self.geometry.geometryObjects]
+        for pair in robot.close_pairs:
+            for name in (pair.link, pair.other):
+                if name not in links:
+                    known = one_of(sorted(set(links)), name)
+                    raise ConfigError(f"robot '{robot.id}': close_pairs: no link '{name}' with geometry; {known}")
+            other = self.geometry.geometryObjects[links.index(pair.other)]
+            for file in pair.parts:
+                shape = coal.Convex(convex_hull(mesh_points(file, 1.0)))
+                shape.computeLocalAABB()
+                frame = self.model.frames[other.parentFrame]
+                item = pin.GeometryObject(Path(file).stem, other.parentJoint, other.parentFrame, frame.placement, shape)
+                index = self.geometry.addGeometryObject(item)
+                for k in (k for k, name in enumerate(links) if name == pair.link):
+                    self.geometry.addCollisionPair(pin.CollisionPair(k, index))
 
     @cached_property
     def arm(self) -> native.Arm:
@@ -160,14 +187,15 @@ class PlannerRobot:
     def _link_shapes(self, opening: float) -> tuple[LinkShape, ...]:
         data = self._at_zero(opening)
         shapes = []
-        for part in self.geometry.geometryObjects:
+        for index, part in enumerate(self.geometry.geometryObjects):
             joint = self._moves_with(part.parentJoint)
             frame = pin.SE3.Identity() if joint < 0 else data.oMi[self._joint_ids[joint]]
             pose = frame.actInv(data.oMi[part.parentJoint]) * part.placement
             kind, size, spheres = native_shape(part.geometry)
             placed = np.column_stack([spheres[:, :3] @ pose.rotation.T + pose.translation, spheres[:, 3]])
             item = native.Item(joint, kind, size, pose.homogeneous, placed)
-            shapes.append(LinkShape(link=self.model.frames[part.parentFrame].name, joint=joint, item=item))
+            link = self.model.frames[part.parentFrame].name
+            shapes.append(LinkShape(link=link, joint=joint, item=item, close=index >= self.whole_shapes))
         return tuple(shapes)
 
     def _at_zero(self, opening: float) -> pin.Data:

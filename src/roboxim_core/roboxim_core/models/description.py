@@ -248,6 +248,18 @@ class JointLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ClosePair:
+    """Two links that may come so close that the collision mesh of one is too coarse; the SRDF disables them."""
+
+    link: str
+    """The one, checked with its collision geometry."""
+    other: str
+    """The other, checked with ``parts`` against the one."""
+    parts: tuple[str, ...]
+    """Convex mesh files in the other link's frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotModel:
     """An arm with a gripper."""
 
@@ -275,3 +287,5 @@ class RobotModel:
     """PyBullet position gain of the arm's motors."""
     motor_force: tuple[float, ...] = ()
     """Largest motor torque used by the sim [N m]."""
+    close_pairs: tuple[ClosePair, ...] = ()
+    """Pairs of links that the planner checks with finer geometry."""

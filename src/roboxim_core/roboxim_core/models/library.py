@@ -17,7 +17,7 @@ from pathlib import Path
 
 from roboxim_core.config import config_dirs, load_config
 from roboxim_core.errors import ConfigError, ErrorCode, one_of
-from roboxim_core.models.description import GripperModel, JointLimits, ObjectModel, RobotModel
+from roboxim_core.models.description import ClosePair, GripperModel, JointLimits, ObjectModel, RobotModel
 from roboxim_core.models.modifiers import PALETTE, ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
@@ -49,6 +49,8 @@ class RobotConfig:
     """PyBullet position gain of the arm's motors."""
     motor_force: tuple[float, ...] = ()
     """Largest motor torque used by the sim [N m]."""
+    close_pairs: tuple[ClosePair, ...] = ()
+    """Pairs of links that the planner checks with finer geometry, a mesh per convex part."""
 
     def __post_init__(self) -> None:
         """Check that every list has one number per joint.
@@ -106,7 +108,14 @@ class ModelLibrary:
                 fields[kind] = path.parent / fields[kind]
                 if not fields[kind].is_file():
                     raise ConfigError(f"{path}: {kind}: no such file: {fields[kind]}")
-            self._robots[robot_id] = RobotModel(id=robot_id, **fields)
+            pairs = tuple(
+                dataclasses.replace(pair, parts=tuple(str(path.parent / part) for part in pair.parts))
+                for pair in config.close_pairs
+            )
+            for part in (part for pair in pairs for part in pair.parts):
+                if not Path(part).is_file():
+                    raise ConfigError(f"{path}: close_pairs: no such file: {part}")
+            self._robots[robot_id] = RobotModel(id=robot_id, **{**fields, "close_pairs": pairs})
         return self._robots[robot_id]
 
     def object(self, object_id: str, modifiers: Mapping[str, Scalar] | None = None) -> ObjectModel:

@@ -1,0 +1,96 @@
+"""Convex parts that together cover a mesh: what the robots' ``derive.py`` make of links that are far from convex.
+
+The mesh is cut by a plane across an axis, where the hulls of the two pieces are smallest, again and again. A cut
+piece's hull holds all of the piece, so the parts hold all of the mesh: whatever touches the mesh touches a part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+Array = npt.NDArray[np.float64]
+PLANES = 40
+"""Cuts across each axis that are tried."""
+
+
+def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trimesh.Trimesh]:
+    """Cut a closed mesh into pieces and return their convex hulls.
+
+    Args:
+        mesh: The mesh.
+        worth: Share of the whole hull's volume that a cut must save.
+        most: Largest number of parts.
+    """
+    pieces = [np.asarray(mesh.triangles, dtype=float)]
+    cuts = [_best_cut(pieces[0])]
+    least = worth * _volume(pieces[0])
+    while len(pieces) < most:
+        k = int(np.argmax([saved for saved, _ in cuts]))
+        saved, halves = cuts[k]
+        if saved < least:
+            break
+        pieces[k : k + 1] = halves
+        cuts[k : k + 1] = [_best_cut(half) for half in halves]
+    return [trimesh.convex.convex_hull(piece.reshape(-1, 3)) for piece in pieces]
+
+
+def around(points: npt.ArrayLike, directions: int = 200) -> trimesh.Trimesh:
+    """Return a polytope of few faces that holds points of shape (N, 3): each face touches them.
+
+    Args:
+        points: The points.
+        directions: Number of faces, whose normals are spread evenly over the sphere, beside the six of the box.
+    """
+    inside = np.asarray(points, dtype=float)
+    k = np.arange(directions) + 0.5
+    polar, turn = np.arccos(1.0 - 2.0 * k / directions), np.pi * (1.0 + 5.0**0.5) * k
+    even = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+    normals = np.concatenate([even, np.eye(3), -np.eye(3)])
+    farthest = (inside @ normals.T).max(axis=0)
+    corners = HalfspaceIntersection(np.column_stack([normals, -farthest]), inside.mean(axis=0)).intersections
+    return trimesh.convex.convex_hull(np.unique(np.round(corners, 9), axis=0))
+
+
+def _best_cut(triangles: Array) -> tuple[float, list[Array]]:
+    """Return by how much the best cut makes the hulls' volume smaller, and the two halves."""
+    whole = _volume(triangles)
+    best: tuple[float, list[Array]] = (0.0, [])
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    for axis in range(3):
+        for place in np.linspace(low[axis], high[axis], PLANES + 2)[1:-1]:
+            heights = triangles[:, :, axis] - place
+            halves = [_clip(triangles, heights), _clip(triangles, -heights)]
+            saved = whole - sum(_volume(half) for half in halves)
+            if saved > best[0]:
+                best = saved, halves
+    return best
+
+
+def _volume(triangles: Array) -> float:
+    try:
+        return float(ConvexHull(triangles.reshape(-1, 3)).volume)
+    except (QhullError, ValueError):
+        return float("inf")
+
+
+def _clip(triangles: Array, heights: Array) -> Array:
+    """Return what of triangles of shape (N, 3, 3) has a height >= 0; heights of the corners, shape (N, 3)."""
+    inside = heights >= 0.0
+    count = inside.sum(axis=1)
+    kept = [triangles[count == 3]]
+    for corners in (1, 2):
+        some = count == corners
+        odd = np.argmax(inside[some] == (corners == 1), axis=1)  # the corner that is alone on its side
+        order = (odd[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(triangles[some], order[:, :, None], axis=1), 1, 0)
+        high = np.take_along_axis(heights[some], order, axis=1)
+        ab = a + (high[:, :1] / (high[:, :1] - high[:, 1:2])) * (b - a)
+        ac = a + (high[:, :1] / (high[:, :1] - high[:, 2:])) * (c - a)
+        if corners == 1:
+            kept.append(np.stack([a, ab, ac], axis=1))
+        else:
+            kept += [np.stack([b, c, ab], axis=1), np.stack([c, ac, ab], axis=1)]
+    return np.concatenate(kept)
