@@ -11,6 +11,8 @@ from collada import read_collada
 
 TRIANGLES = 1600
 CREASE_RAD = np.radians(32.0)
+SLIVER_M = 0.002
+"""A triangle that is thinner than this is one."""
 WHITE = (233, 234, 236)  # the files say 255, which no painted surface reflects
 GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
 
@@ -35,7 +37,7 @@ def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) ->
     result = trimesh.Scene()
     for color in sorted(set(map(tuple, color_of.tolist())), reverse=True):
         part = trimesh.Trimesh(*welded(corners[(color_of == color).all(axis=1)]), process=False)
-        part = trimesh.graph.smooth_shade(part, angle=CREASE_RAD)
+        part = softened(trimesh.graph.smooth_shade(part, angle=CREASE_RAD))
         part.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
                 baseColorFactor=[*(WHITE if color == (255, 255, 255) else color), 255],
@@ -43,7 +45,6 @@ def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) ->
                 roughnessFactor=GLOSS.get(color[0], 0.5),
             )
         )
-        _ = part.vertex_normals  # computed now so that the file carries them
         result.add_geometry(part, geom_name="color_{:02x}{:02x}{:02x}".format(*color))
     return result
 
@@ -64,6 +65,28 @@ def decimated(
         kept = whole(faces)
         faces, colors = faces[kept], colors[kept]
     return points[faces], colors
+
+
+def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the mesh with slivers shaded as the surface around them.
+
+    Where decimation leaves a step of a millimetre, its own normals would draw it as a black crack.
+    """
+    corners, normals = mesh.vertices[mesh.faces], np.asarray(mesh.vertex_normals)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    height = np.linalg.norm(areas, axis=1) / np.maximum(longest, 1e-9)
+    slivers = height < SLIVER_M
+    points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    around = np.zeros_like(points)
+    for k in range(3):
+        np.add.at(around, place.reshape(-1)[mesh.faces[:, k]], areas)
+    around /= np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-12)
+    shading = normals[mesh.faces]
+    shading[slivers] = around[place.reshape(-1)[mesh.faces[slivers]]]
+    both = np.round(np.concatenate([corners, shading], axis=2).reshape(-1, 6), 6)
+    both, index = np.unique(both, axis=0, return_inverse=True)
+    return trimesh.Trimesh(both[:, :3], index.reshape(-1, 3), vertex_normals=both[:, 3:], process=False)
 
 
 def whole(faces: np.ndarray) -> np.ndarray:

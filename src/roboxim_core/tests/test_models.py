@@ -11,6 +11,7 @@ import trimesh
 
 from roboxim_core.config import config_dir, from_plain, named_config
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import Visual
 from roboxim_core.models.library import PALETTE, ModelLibrary
 from roboxim_core.models.visuals import (
     ScenePoses,
@@ -172,6 +173,27 @@ def _record(scene: SceneSpec) -> StateRecord:
     )
     entities = tuple(EntityState(name=e.name, pose=e.pose) for e in scene.entities)
     return StateRecord(episode_id="", seq=0, stamp_ns=0, robot=state, entities=entities)
+
+
+def test_a_mesh_file_is_shaded_with_its_own_normals(tmp_path: Path) -> None:
+    bent = np.tile(np.array([0.6, 0.0, 0.8]), (3, 1))
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2]], vertex_normals=bent, process=False)
+    mesh.export(tmp_path / "bent.glb", include_normals=True)
+
+    (part,) = visual_parts(Visual(kind="mesh", mesh=str(tmp_path / "bent.glb")))
+
+    assert part.mesh.normals == pytest.approx(bent, abs=1e-5)
+
+
+def test_a_rounded_box_stretches_no_texture() -> None:
+    mesh = visual_generators["rounded_box"]((0.2, 0.1, 0.04, 0.005))
+    assert mesh.uv is not None
+    flat = np.abs(mesh.normals[mesh.faces]).max(axis=2).min(axis=1) > 0.999
+    corners, uv = mesh.vertices[mesh.faces[flat]], mesh.uv[mesh.faces[flat]]
+    lengths = np.linalg.norm(corners[:, 1:] - corners[:, :1], axis=2)
+
+    assert 0.2 * np.linalg.norm(uv[:, 1:] - uv[:, :1], axis=2) == pytest.approx(lengths, rel=1e-3)
 
 
 def test_render_world_and_poses_have_the_same_moving_bodies() -> None:

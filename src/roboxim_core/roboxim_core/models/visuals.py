@@ -242,7 +242,7 @@ def _load_mesh(path: str) -> tuple[VisualPart, ...]:
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
-        mesh = scene.geometry[name].copy()
+        mesh = scene.geometry[name].copy(include_cache=True)  # the normals of the file are in the cache
         mesh.apply_transform(transform)
         parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh, f"{path}#{name}")))
     return tuple(parts)

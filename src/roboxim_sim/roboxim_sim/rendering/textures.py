@@ -68,18 +68,23 @@ def fabric() -> Field:
 
 @TEXTURES.register("marble")
 def marble() -> Field:
-    """White stone with thin grey veins."""
+    """White stone: grey veins that swell, thin out and fade, finer ones across, soft clouds beside them."""
     x, y = grid()
-    bend = 0.16 * noise(31, 3, 3) + 0.06 * noise(32, 9, 9)
-    vein = np.abs(np.sin(np.pi * (2 * x + 3 * y + 2.5 * bend)))
-    return np.asarray(np.clip(0.94 - 0.35 * np.clip(1 - vein * 6, 0, 1) + 0.02 * noise(33, 6, 6), 0, 1))
+    bend = 0.15 * noise(31, 2.0, 2.0) + 0.04 * noise(32, 8.0, 8.0) + 0.012 * noise(34, 30.0, 30.0)
+    strength = np.clip(0.55 + 0.5 * noise(35, 3.0, 3.0), 0.0, 1.0)
+    vein = np.abs(np.sin(np.pi * (x + 2 * y + bend)))
+    fine = np.abs(np.sin(np.pi * (2 * x - 3 * y + 1.3 * bend + 0.1 * noise(36, 5.0, 5.0))))
+    lines = strength * np.clip(1.0 - vein * (26.0 - 16.0 * strength), 0.0, 1.0)
+    lines += 0.4 * (1.0 - strength) * np.clip(1.0 - 22.0 * fine, 0.0, 1.0)
+    clouds = strength * np.clip(1.0 - 2.2 * vein, 0.0, 1.0) ** 2
+    return np.asarray(np.clip(0.94 - 0.38 * lines - 0.12 * clouds + 0.015 * noise(33, 5.0, 5.0), 0, 1))
 
 
 @TEXTURES.register("speckle")
 def speckle() -> Field:
     """Terrazzo: light ground with darker specks."""
-    speck = np.clip(3.0 * (noise(41, 45, 45) - 1.2), 0.0, 1.0)
-    return np.asarray(np.clip(0.9 - 0.35 * speck + 0.02 * noise(42, 150, 150), 0, 1))
+    large, small = (np.clip(3.0 * (noise(seed, n, n) - 1.35), 0.0, 1.0) for seed, n in ((41, 70.0), (43, 130.0)))
+    return np.asarray(np.clip(0.9 - 0.32 * large - 0.25 * small + 0.02 * noise(42, 150, 150), 0, 1))
 
 
 __all__ = ["SIZE", "TEXTURES", "TILE_M", "pixels"]
