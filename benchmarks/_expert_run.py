@@ -17,18 +17,17 @@ from roboxim_bringup.core_graph import CoreGraph, CoreTasks
 from roboxim_core.actions import ActionArray
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.visuals import ScenePoses, render_world
-from roboxim_core.rendering import Renderer
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
+from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
-from roboxim_sim.rendering import make_renderer
 from roboxim_sim.world import World
+from roboxim_tasks.placement import centre, nearest_distance
 from roboxim_tasks.roles import task_distractors
+from roboxim_tasks.visible import Visibility
 
 NOISE_M, NOISE_RAD = 0.003, 0.01
 DISTURBED_M = 0.01
-SIGHT_PX = 128
+NEAR_M = 0.10
 
 
 @dataclass(kw_only=True)
@@ -48,10 +47,12 @@ class Outcome:
     draws: int
     rejections: Mapping[str, int]
     """Constraint to the placements that it refused."""
+    seen_share: float
+    """Least share of a named object's silhouette that the workspace camera sees at tick 0."""
     seen_px: int
-    """Pixels of the target in the workspace camera at tick 0, of 128 x 128; -1: the task has no such camera."""
+    """Fewest pixels of one, in a picture of 128 x 128."""
     near: bool
-    """Whether a distractor is within 10 cm of the target."""
+    """Whether the nearest point of a distractor is within 10 cm of the middle of the target."""
     disturbed: int
     """Distractors that moved by more than 1 cm."""
     replayed: bool | None
@@ -65,13 +66,13 @@ class _Watch:
 
     ports: Ports
     library: ModelLibrary
-    eyes: Renderer
+    sight: Visibility
     states: list[StateRecord] = field(default_factory=list)
     actions: list[ActionArray] = field(default_factory=list)
     scene: SceneSpec | None = None
     task: TaskSpec | None = None
     reset_s: float = 0.0
-    seen_px: int = -1
+    seen: tuple[float, int] = (0.0, 0)
 
     # the scenes' port
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
@@ -87,7 +88,9 @@ class _Watch:
         state = self.ports.sim.load(episode_id, self.scene)
         self.reset_s += time.perf_counter() - start
         self.states, self.actions = [state], []
-        self.seen_px = self._look(scene, state)
+        assert self.task is not None
+        sights = self.sight.look(self.task, scene, state)
+        self.seen = min(sight.share for sight in sights), min(sight.pixels for sight in sights)
         return state
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
@@ -95,13 +98,6 @@ class _Watch:
         self.states.append(state)
         self.actions.append(np.array(state.action_executed, np.float32))
         return state
-
-    def _look(self, scene: SceneSpec, state: StateRecord) -> int:
-        target = self.task and self.task.objects.get("target")
-        if not scene.cameras or not target:
-            return -1
-        camera = replace(scene.cameras[0], width=SIGHT_PX, height=SIGHT_PX, depth=False, segmentation=True)
-        return _seen(self.eyes, replace(scene, cameras=(camera,)), camera, state, target.entity, self.library)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.ports.sim, name)
@@ -118,23 +114,12 @@ class _Watch:
     def near(self) -> bool:
         """Whether a distractor starts close to the target."""
         assert self.task is not None
-        poses = {e.name: np.array(e.pose.position[:2]) for e in self.states[0].entities}
-        target = self.task.objects.get("target")
+        assert self.scene is not None
+        target = self.task.objects["target"].entity
+        placed = {e.name: replace(self.scene.entity(e.name), pose=e.pose) for e in self.states[0].entities}
+        middle = centre(placed[target], self.library)
         names = [thing.entity for thing in task_distractors(self.task)]
-        return bool(target) and any(np.linalg.norm(poses[n] - poses[target.entity]) < 0.10 for n in names)
-
-
-def _seen(
-    renderer: Renderer, scene: SceneSpec, camera: CameraSpec, state: StateRecord, entity: str, library: ModelLibrary
-) -> int:
-    """Return how many pixels of an entity a camera sees."""
-    renderer.load(render_world(scene, library))
-    poses = ScenePoses(scene, library)
-    pose = poses.camera_poses(state.robot)[camera.name]
-    segmentation = renderer.render(poses.body_poses(state), [(camera, pose)])[camera.name].segmentation
-    assert segmentation is not None
-    number = 1 + [e.name for e in scene.entities].index(entity)
-    return int(np.count_nonzero(segmentation == number))
+        return any(nearest_distance(placed[name], middle, self.library) <= NEAR_M for name in names)
 
 
 class CellRunner:
@@ -145,14 +130,14 @@ class CellRunner:
         self._folder = tempfile.TemporaryDirectory()
         self._library = ModelLibrary()
         self._cores = CoreGraph(Path(self._folder.name), renderer="tiny")
-        self._renderer = make_renderer("raster")
+        self._sight = Visibility(self._cores.eyes)
         self._world = World(self._library)
 
     def run(self, cell: str, config: str, index: int, *, replay: bool) -> Outcome:
         """Run the episode of an index of a cell."""
         start = time.perf_counter()
         ports = self._cores.ports
-        watch = _Watch(ports, self._library, self._renderer)
+        watch = _Watch(ports, self._library, self._sight)
         run = RunConfig(
             purpose="test", output_dir=self._folder.name, task_config=config, keep="none",
             noise_translation_m=NOISE_M, noise_rotation_rad=NOISE_RAD,
@@ -164,7 +149,7 @@ class CellRunner:
             cell=cell, index=index, first_try=succeeded and not result.recovered, recovered=result.recovered,
             reason="" if succeeded else f"{result.reason}: {result.message}".rstrip(": "), ticks=result.steps,
             reset_ms=1e3 * watch.reset_s, draws=reset.draws if reset else 0,
-            rejections=dict(reset.rejections) if reset else {}, seen_px=watch.seen_px,
+            rejections=dict(reset.rejections) if reset else {}, seen_share=watch.seen[0], seen_px=watch.seen[1],
             near=bool(watch.states) and watch.near, disturbed=watch.moved if watch.states else 0,
             replayed=self._replays(watch) if replay and succeeded else None,
             seconds=time.perf_counter() - start,

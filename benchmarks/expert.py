@@ -28,6 +28,7 @@ from _expert_run import run_chunk
 from _harness import Bench
 from roboxim_bringup.process import die_with_parent
 from roboxim_eval.statistics import success_rate
+from roboxim_tasks.visible import VisibleConfig
 
 CHUNK = 10
 QUICK_CELLS = (
@@ -144,7 +145,6 @@ def summary(name: str, outcomes: list[dict[str, Any]]) -> dict[str, str | float]
     rejections = sum((Counter(o["rejections"]) for o in outcomes), Counter())
     reasons = Counter(o["reason"].split(":")[0] for o in outcomes if o["reason"])
     replays = [o["replayed"] for o in outcomes if o["replayed"] is not None]
-    seen = [o["seen_px"] for o in outcomes if o["seen_px"] >= 0]
     return {
         "cell": name,
         "resets": len(outcomes),
@@ -156,12 +156,18 @@ def summary(name: str, outcomes: list[dict[str, Any]]) -> dict[str, str | float]
         "reset_p95": round(float(np.percentile(reset, 95))),
         "draws": float(np.median([o["draws"] for o in outcomes])),
         "near": round(float(np.mean([o["near"] for o in outcomes])), 2),
-        "unseen": sum(px == 0 for px in seen),
+        "unseen": sum(not visible(o) for o in outcomes),
         "disturbed": sum(o["disturbed"] > 0 for o in outcomes),
         "replayed": f"{sum(replays)}/{len(replays)}",
         "failures": _counted(reasons),
         "rejections": _counted(Counter(dict(rejections.most_common(3)))),
     }
+
+
+def visible(outcome: dict[str, Any]) -> bool:
+    """Tell whether the settled scene shows what the instruction names, by the thresholds that tasks have by default."""
+    least = VisibleConfig()
+    return bool(outcome["seen_share"] >= least.share and outcome["seen_px"] >= least.pixels)
 
 
 def _counted(counts: Counter[str]) -> str:

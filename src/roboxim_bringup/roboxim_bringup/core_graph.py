@@ -19,7 +19,7 @@ from roboxim_interfaces.msg import TickNotice
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
-from roboxim_bringup.cores import CorePlanner
+from roboxim_bringup.cores import CoreEyes, CorePlanner
 from roboxim_core.actions import ActionArray, check_chunk
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
 from roboxim_core.models.library import ModelLibrary
@@ -50,14 +50,17 @@ from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.visible import Visibility
 
 
 class CoreTasks:
     """Draws and judges."""
 
-    def __init__(self, library: ModelLibrary, planner: CorePlanner | None = None) -> None:
-        """Draw scenes that a planner can solve; without one, only judge."""
-        self.generator = EpisodeGenerator(library, Solvability(library, planner) if planner else None)
+    def __init__(self, library: ModelLibrary, planner: CorePlanner | None = None, eyes: CoreEyes | None = None) -> None:
+        """Draw scenes that a planner can solve and eyes can see, if given."""
+        self.generator = EpisodeGenerator(
+            library, Solvability(library, planner) if planner else None, Visibility(eyes) if eyes else None
+        )
         self._judge: Judge | None = None
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
@@ -241,7 +244,8 @@ class CoreGraph:
         library = ModelLibrary()
         self.sim = CoreSim(library, renderer)
         planner = CorePlanner(library)
-        self.tasks = CoreTasks(library, planner)
+        self.eyes = CoreEyes(library)
+        self.tasks = CoreTasks(library, planner, self.eyes)
         self._actor: ActorPort = CoreActor(policy or Expert(library, planner))
         self._recorder = CoreRecorder(self.sim, output_dir)
 
@@ -259,4 +263,5 @@ class CoreGraph:
 
     def __exit__(self, *_: object) -> None:
         """Free everything."""
+        self.eyes.close()
         self.sim.close()

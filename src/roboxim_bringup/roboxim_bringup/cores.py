@@ -8,11 +8,38 @@ import numpy as np
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_planner.pipeline import MotionOptions, Planner
 from roboxim_planner.scene import AllowedContact, PlanningScene
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.states import StateRenderer
 from roboxim_tasks.planning import Surroundings
+from roboxim_tasks.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
+
+
+class CoreEyes:
+    """The visibility check's renderer port, served by a renderer's core. Belongs to the thread that first looks."""
+
+    def __init__(self, library: ModelLibrary, renderer: str = "raster") -> None:
+        """Use a renderer by name; it is made when it is first needed."""
+        self._library, self._name = library, renderer
+        self._states: StateRenderer | None = None
+
+    def segment(self, scene: SceneSpec, state: StateRecord) -> dict[str, Segmentation]:
+        """Return what the cameras of a scene see; see `roboxim_tasks.visible.Eyes`."""
+        if self._states is None:
+            self._states = StateRenderer(make_renderer(self._name), self._library)
+        images = self._states.draw(scene, state)
+        return {name: seen.segmentation for name, seen in images.items() if seen.segmentation is not None}
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._states is not None:
+            self._states.renderer.close()
+            self._states = None
 
 
 class CorePlanner:
@@ -30,7 +57,9 @@ class CorePlanner:
 
     def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
         """Return what is wrong with a joint path, or an empty text."""
-        finding = self._planner.check_trajectory(self._scene(around), path, np.arange(len(path)) * period_s)
+        options = MotionOptions(padding_m=around.padding_m)
+        times = np.arange(len(path)) * period_s
+        finding = self._planner.check_trajectory(self._scene(around), path, times, options=options)
         return "" if finding.valid else str(finding)
 
     def _scene(self, around: Surroundings) -> PlanningScene:

@@ -7,7 +7,7 @@ coroutine that gives the executor a turn after every control period, so that it 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from tf2_msgs.msg import TFMessage
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, SimError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.models.visuals import render_world
 from roboxim_core.rendering import Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
@@ -33,7 +33,8 @@ from roboxim_ros.conversions import fill_stamp, from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.rig import CameraRig, draw_frames
+from roboxim_sim.rendering.rig import CameraRig
+from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.world import Snapshot, World
 
@@ -68,7 +69,7 @@ class SimNode(RoboximNode):
         self._renderer_name = self.config.renderer
         self._renderers: dict[tuple[str, str], Renderer] = {}
         self._rig: CameraRig | None = None
-        self._re_rendered: tuple[str, SceneSpec] | None = None
+        self._states: dict[str, StateRenderer] = {}
         self._holder = ""
         self._clock_out = self.create_publisher(Clock, "clock", qos.STATE)
         self._joints_out = self.create_publisher(JointState, "joint_states", qos.STATE)
@@ -222,16 +223,10 @@ class SimNode(RoboximNode):
     def _on_render_state(self, request: RenderState.Request, response: RenderState.Response) -> None:
         scene, state = from_msg(request.scene, SceneSpec), from_msg(request.state, StateRecord)
         name = request.renderer or self.config.renderer
-        renderer = self._renderer(name, "states")
-        bodies = replace(scene, cameras=())
-        if self._re_rendered != (name, bodies):
-            self._re_rendered = None
-            renderer.load(render_world(scene, self.library))
-            self._re_rendered = (name, bodies)
-        poses = ScenePoses(scene, self.library)
-        cameras = poses.camera_poses(state.robot)
-        views = [(camera, cameras[camera.name]) for camera in scene.cameras]
-        images = draw_frames(renderer, state.seq, poses.body_poses(state), views)
+        if name not in self._states:
+            self._states[name] = StateRenderer(self._renderer(name, "states"), self.library)
+        renderer = self._states[name].renderer
+        images = self._states[name].draw(scene, state)
         answers = {"image": response.images, "depth": response.depth, "segmentation": response.segmentation}
         for camera in scene.cameras:
             for kind, msg in camera_msgs(state.stamp_ns, camera, images[camera.name]).items():

@@ -23,6 +23,7 @@ from roboxim_core.specs import Scalar
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.skills import SKILLS, Role
+from roboxim_tasks.visible import VisibleConfig
 
 DEFAULT_TASK = "pick_cube"
 MAX_DISTRACTORS = 8
@@ -93,6 +94,8 @@ class TaskConfig:
     """Name of a scene in ``config/scenes``."""
     reset: dict[str, Any] = field(default_factory=dict)
     """Reset component to its configuration; the skill's own components need not be named."""
+    visible: VisibleConfig = VisibleConfig()
+    """What the cameras that are fixed in the world must see of the objects that the instruction names."""
     rate_hz: float = 10.0
     """Control rate [Hz]."""
     max_steps: int = 0

@@ -79,7 +79,7 @@ def planning_scene(around: Surroundings) -> PlanningScene:
     """
     there = {entity.name: entity for entity in around.state_then.entities}
     given = {entity.name for entity in around.moved}
-    msg = PlanningScene(gripper_opening=[float(around.opening)])
+    msg = PlanningScene(gripper_opening=[float(around.opening)], padding=around.padding_m)
     if around.state.episode_id:
         msg.episode_id, msg.seq = around.state.episode_id, around.state.seq
         msg.ignored_objects = sorted(given | ({around.held} if around.held else set()))

@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from roboxim_core.config import to_json
+from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
-from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
+from roboxim_tasks.components import COMPONENTS, Constraint, RejectedError, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig, TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.roles import description, fits_description, task_objects
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.solvable import CONSTRAINT, Solvability
+from roboxim_tasks.visible import Visibility
 
 
 class EpisodeGenerator:
     """Draws tasks and scenes; same seed path and configuration, same episode. Not thread-safe (kinematics)."""
 
-    def __init__(self, library: ModelLibrary, solvability: Solvability | None = None) -> None:
-        """Make a generator.
+    def __init__(
+        self, library: ModelLibrary, solvability: Solvability | None = None, visibility: Visibility | None = None
+    ) -> None:
+        """Make a generator. Without one of the checks other scenes are drawn for the same seed.
 
         Args:
             library: Robots and objects.
-            solvability: Refuses scenes that cannot be solved; none: every scene that meets its skill's constraints
-                is taken, which gives other scenes for the same seed.
+            solvability: Refuses scenes that cannot be solved; none: whether a scene can be solved is not asked.
+            visibility: Refuses scenes whose fixed cameras do not see what the instruction names; none: what they see
+                is not asked.
         """
         self._library = library
         self._solvability = solvability
+        self._visibility = visibility
         self._arms: dict[str, ArmKinematics] = {}
         self.last_reset: ResetContext | None = None
         """The newest reset: how often it drew, and what refused its draws."""
@@ -48,7 +54,9 @@ class EpisodeGenerator:
         cell, ordinal = config.at(seed.index)
         task = self.task(seed, config)
         scene = self.reset(seed, cell, task, ordinal)
-        return Draw(task=task, scene=scene, max_steps=cell.max_steps, config_json=to_json(cell))
+        drawn = self.last_reset.drawn if self.last_reset else {}
+        resolved = to_plain(cell) | ({"drawn": drawn} if drawn else {})
+        return Draw(task=task, scene=scene, max_steps=cell.max_steps, config_json=to_json(resolved))
 
     def task(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
         """Draw the task of a seed path, without its scene.
@@ -95,18 +103,23 @@ class EpisodeGenerator:
             context.draws += 1
             try:
                 drawn = _apply(scene, [c for c in components if c.places], context)
-                for constraint in constraints:
-                    if not constraint.holds(drawn):
-                        raise RejectedError(constraint.name)
-                if self._solvability and not self._solvability.holds(
-                    task, drawn, context.arm, seed.derived_seed("policy")
-                ):
-                    raise RejectedError(CONSTRAINT)
+                self._check(drawn, constraints, context)
                 return drawn
             except RejectedError as error:
                 context.rejections[error.constraint] += 1
         (worst, _), *_ = context.rejections.most_common(1)
         raise _infeasible(context, worst, context.draws)
+
+    def _check(self, scene: SceneSpec, constraints: Sequence[Constraint], context: ResetContext) -> None:
+        """Refuse a scene by the first constraint that it breaks; the costly ones come last."""
+        for constraint in constraints:
+            if not constraint.holds(scene):
+                raise RejectedError(constraint.name)
+        task, arm = context.task, context.arm
+        if self._visibility and (refused := self._visibility.refusal(task, scene, arm, context.config.visible)):
+            raise RejectedError(refused)
+        if self._solvability and not self._solvability.holds(task, scene, arm, context.seed.derived_seed("policy")):
+            raise RejectedError(CONSTRAINT)
 
     def _arm(self, model: str) -> ArmKinematics:
         if model not in self._arms:

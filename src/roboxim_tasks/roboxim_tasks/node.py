@@ -27,9 +27,10 @@ from roboxim_tasks.conversions import fill_chunk, window_from_msg
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge as TaskJudge
-from roboxim_tasks.ports import PlannerClient
+from roboxim_tasks.ports import EyesClient, PlannerClient
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.visible import Visibility
 
 MAX_JUDGES = 16
 """Episodes judged at a time; the one that was asked for longest ago is forgotten first."""
@@ -57,6 +58,14 @@ class TaskNodeConfig:
     """Smoothing of the expert."""
     solvable: bool = _parameter(True, "whether scenes are refused that the planner cannot solve; needs the planner")
     """Whether every scene is planned before it is given out."""
+    visible: bool = _parameter(
+        True, "whether scenes are refused whose fixed cameras do not see what the instruction names; needs the sim"
+    )
+    """Whether every scene with cameras is looked at before it is given out."""
+    visible_renderer: str = _parameter("raster", "renderer that looks; another one may refuse other scenes")
+    """Renderer that looks."""
+    render_timeout_s: float = _parameter(30.0, "longest wait for a picture [s]", 0.1, 600.0)
+    """Wait for the simulator."""
     direct: bool = _parameter(
         False, "whether the expert goes straight from stage to stage, whatever is in its way; only to compare with"
     )
@@ -87,7 +96,9 @@ class TaskNode(RoboximNode):
         )
         planner = PlannerClient(self.clients_of_node, self.config.planner_timeout_s)
         solvability = Solvability(self._library, planner, speeds) if self.config.solvable else None
-        self._generator = EpisodeGenerator(self._library, solvability)
+        eyes = EyesClient(self.clients_of_node, self.config.visible_renderer, self.config.render_timeout_s)
+        visibility = Visibility(eyes) if self.config.visible else None
+        self._generator = EpisodeGenerator(self._library, solvability, visibility)
         self._expert = Expert(self._library, planner, speeds, self.config.rate_hz, direct=self.config.direct)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)

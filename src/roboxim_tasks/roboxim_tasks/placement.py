@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.bounds import shape_bounds
+from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
@@ -44,8 +48,27 @@ class PlacementConfig:
             raise ConfigError(f"gap_m must be >= 0, got {self.gap_m:g}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Demand:
+    """Where an object is to lie besides being apart from the others."""
+
+    name: str
+    """Name for messages, e.g. ``beside_target``."""
+    holds: Callable[[EntitySpec], bool]
+    """Whether an object at a pose meets it."""
+    position: Callable[[np.random.Generator], Array] | None = None
+    """Draws a position on the table in the robot's base frame, shape (2,) [m]; none: from the whole area."""
+    gaps: Mapping[str, float] = field(default_factory=dict)
+    """Entity to the free space between it and the object, where that is another than usual [m]."""
+
+
 def place(
-    scene: SceneSpec, thing: PhysicalObject, config: PlacementConfig, context: ResetContext, component: str
+    scene: SceneSpec,
+    thing: PhysicalObject,
+    config: PlacementConfig,
+    context: ResetContext,
+    component: str,
+    demand: Demand | None = None,
 ) -> SceneSpec:
     """Return the scene with one more object, apart from all others and wholly on the table.
 
@@ -54,11 +77,12 @@ def place(
     """
     rng, index = context.rng(component), context.index
     model = context.library.object(thing.model, thing.modifiers)
+    room = Room.of(scene, context.library, config.gap_m, demand.gaps if demand else {})
     refused: dict[str, int] = {}
-    for _ in range(TRIES_PER_OBJECT):
-        x, y = config.area.draw(rng, index)
+    for _ in range(TRIES_PER_OBJECT * (2 if demand else 1)):
+        x, y = demand.position(rng) if demand and demand.position else config.area.draw(rng, index)
         yaw = config.yaw_rad.draw_number(rng, index)
-        pose = scene.robot.pose @ Pose.from_arrays((x, y, 0.0), Rotation.from_euler("z", yaw))
+        pose = scene.robot.pose @ turned((x, y, 0.0), yaw)
         height = scene.table.center[2] + model.rest_height
         entity = EntitySpec(
             name=thing.entity,
@@ -67,11 +91,17 @@ def place(
             pose=Pose(position=(*pose.position[:2], height), quat_xyzw=pose.quat_xyzw),
             fixed=bool(model.joints),
         )
-        reason = refusal(scene, entity, config.gap_m, context.library)
+        unmet = demand.name if demand and not demand.holds(entity) else ""
+        reason = unmet or room.refusal(entity)
         if not reason:
             return with_entity(scene, entity)
         refused[reason] = refused.get(reason, 0) + 1
     raise RejectedError(f"{thing.entity}_{max(refused, key=lambda key: refused[key])}")
+
+
+def turned(position: tuple[float, float, float], yaw_rad: float) -> Pose:
+    """Return a pose that is turned about the vertical."""
+    return Pose(position=position, quat_xyzw=(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)))
 
 
 def with_entity(scene: SceneSpec, entity: EntitySpec) -> SceneSpec:
@@ -79,35 +109,102 @@ def with_entity(scene: SceneSpec, entity: EntitySpec) -> SceneSpec:
     return replace(scene, entities=(*scene.entities, entity))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """What an object must stay on and clear of."""
+
+    library: ModelLibrary
+    """Where sizes come from."""
+    table: tuple[Array, Array]
+    """Middle and half extent of the table's top, each of shape (2,) [m]."""
+    others: tuple[tuple[Array, float], ...]
+    """Footprint of each object that is there, with the gap that it wants [m]."""
+
+    @staticmethod
+    def of(scene: SceneSpec, library: ModelLibrary, gap_m: float, gaps: Mapping[str, float] | None = None) -> Room:
+        """Return the room that a scene leaves.
+
+        Args:
+            scene: The scene.
+            library: Where sizes come from.
+            gap_m: Free space around the new object [m].
+            gaps: Entity to the free space between it and the new object, where that is another [m].
+        """
+        return Room(
+            library=library,
+            table=(np.array(scene.table.center[:2]), np.array(scene.table.size[:2]) / 2),
+            others=tuple((footprint(e, library), (gaps or {}).get(e.name, gap_m)) for e in scene.entities),
+        )
+
+    def refusal(self, entity: EntitySpec) -> str:
+        """Return why an entity cannot be where it is: ``off_table``, ``overlaps``, or nothing."""
+        corners = footprint(entity, self.library)
+        middle, half = self.table
+        if np.any(np.abs(corners - middle) > half):
+            return "off_table"
+        if any(overlap(grown(corners, gap_m), other) for other, gap_m in self.others):
+            return "overlaps"
+        return ""
+
+
 def refusal(scene: SceneSpec, entity: EntitySpec, gap_m: float, library: ModelLibrary) -> str:
-    """Return why an entity cannot be where it is: ``off_table``, ``overlaps``, or nothing."""
-    corners = footprint(entity, library)
-    half = np.array(scene.table.size[:2]) / 2
-    if np.any(np.abs(corners - np.array(scene.table.center[:2])) > half):
-        return "off_table"
-    grown = footprint(entity, library, grow_m=gap_m)
-    if any(overlap(grown, footprint(other, library)) for other in scene.entities):
-        return "overlaps"
-    return ""
+    """Return why an entity cannot be where it is in a scene; for many places of one scene ask its `Room`."""
+    return Room.of(scene, library, gap_m).refusal(entity)
 
 
-def footprint(entity: EntitySpec, library: ModelLibrary, grow_m: float = 0.0) -> Array:
+def centre(entity: EntitySpec, library: ModelLibrary) -> Array:
+    """Return the middle of an object's box in the world, shape (3,) [m]."""
+    model = library.entity_model(entity)
+    return entity.pose.apply((0.0, 0.0, model.size[2] / 2 - model.rest_height))
+
+
+def nearest_distance(entity: EntitySpec, point: Array, library: ModelLibrary) -> float:
+    """Return the distance from a point of the world to the nearest point of an object's collision shapes [m]."""
+    model = library.entity_model(entity)
+    links = object_link_poses(model, entity.joint_positions)
+    return min(
+        _shape_distance(shape, (entity.pose @ links[link.name] @ shape.pose).inverse().apply(point))
+        for link in model.links
+        for shape in link.collision
+    )
+
+
+def _shape_distance(shape: Shape, point: Array) -> float:
+    """Return the distance from a point in a shape's own frame; 0 inside. A hull counts as the box around it."""
+    if shape.kind in ("box", "hull"):
+        low, high = shape_bounds(replace(shape, pose=Pose()))
+        outside = np.maximum(np.maximum(low - point, point - high), 0.0)
+        return float(np.linalg.norm(outside))
+    radius, half = shape.size[0], shape.size[-1] / 2 if len(shape.size) > 1 else 0.0
+    across, along = float(np.hypot(point[0], point[1])), max(abs(float(point[2])) - half, 0.0)
+    if shape.kind == "cylinder":
+        return math.hypot(max(across - radius, 0.0), along)
+    return max(math.hypot(across, along) - radius, 0.0)
+
+
+def footprint(entity: EntitySpec, library: ModelLibrary) -> Array:
     """Return the corners of an object's bounding rectangle on the table in the world, in order, shape (4, 2) [m].
 
     Args:
         entity: The object; it stands upright or lies toppled, at any yaw.
         library: Where its size comes from.
-        grow_m: Margin on every side [m].
     """
     model = library.entity_model(entity)
     width, depth, height = model.size
     sides = ((-width / 2, width / 2), (-depth / 2, depth / 2), (-model.rest_height, height - model.rest_height))
     corners = entity.pose.apply(list(itertools.product(*sides)))[:, :2]
-    axes = entity.pose.rotation.as_matrix().T
-    along = next(axis[:2] / np.linalg.norm(axis[:2]) for axis in axes if abs(axis[2]) < 0.8)
+    axes = entity.pose.quaternion.matrix().T
+    along = next(axis[:2] / math.hypot(*axis[:2]) for axis in axes if abs(axis[2]) < 0.8)
     frame = np.array([along, [-along[1], along[0]]])
-    (a, b), (c, d) = (corners @ frame.T).min(axis=0) - grow_m, (corners @ frame.T).max(axis=0) + grow_m
+    (a, b), (c, d) = (corners @ frame.T).min(axis=0), (corners @ frame.T).max(axis=0)
     return np.asarray(np.array([(c, d), (a, d), (a, b), (c, b)]) @ frame, dtype=float)
+
+
+def grown(rectangle: Array, margin_m: float) -> Array:
+    """Return a rectangle of shape (4, 2), as `footprint` orders it, with a margin on every side [m]."""
+    along, across = rectangle[0] - rectangle[1], rectangle[1] - rectangle[2]
+    a, b = margin_m * along / math.hypot(*along), margin_m * across / math.hypot(*across)
+    return np.asarray(rectangle + np.array([a + b, b - a, -a - b, a - b]))
 
 
 def overlap(first: Array, second: Array) -> bool:

@@ -26,6 +26,8 @@ class Surroundings:
     """Its pose in the tool centre point's frame."""
     touching: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that may touch."""
+    padding_m: float = 0.0
+    """Distance that a checked path keeps from what it may not touch [m]."""
     moved: tuple[EntityState, ...] = ()
     """Entities that are elsewhere than in ``state`` by the time of the motion; poses in the world."""
 

@@ -1,14 +1,20 @@
-"""The expert's planner port, served by the planner node."""
+"""What the tasks need of other rooms, served by their nodes: the planner, and the simulator's renderer."""
 
 from __future__ import annotations
 
 import numpy as np
-from roboxim_interfaces.srv import CheckTrajectory, PlanToPose
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.srv import CheckTrajectory, PlanToPose, RenderState
 
 from roboxim_core.poses import Array, Pose
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import image_from_msg, to_msg
 from roboxim_tasks.conversions import motion_request, pose_stamped, trajectory
 from roboxim_tasks.planning import Surroundings
+from roboxim_tasks.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
 
@@ -55,3 +61,33 @@ class PlannerClient:
             return ""
         touching = [f"{pair.body_a} touches {pair.body_b}" for pair in answer.contacts]
         return "; ".join([*touching, *answer.violations]) or "the planner refuses the path"
+
+
+class EyesClient:
+    """Asks ``sim/render_state``; see `roboxim_tasks.visible.Eyes`."""
+
+    def __init__(self, clients: Clients, renderer: str, timeout_s: float) -> None:
+        """Use a set of clients.
+
+        Args:
+            clients: The node's clients.
+            renderer: Renderer by name.
+            timeout_s: Longest wait for an answer [s].
+        """
+        self._clients = clients
+        self._renderer = renderer
+        self._timeout_s = timeout_s
+
+    def segment(self, scene: SceneSpec, state: StateRecord) -> dict[str, Segmentation]:
+        """Return what the cameras of a scene see.
+
+        Raises:
+            SimError: When the simulator cannot draw it, e.g. ``RENDERER_UNAVAILABLE``.
+            UnavailableError: When the simulator is not there.
+            RequestTimeoutError: When it answers late.
+        """
+        request = RenderState.Request(
+            scene=to_msg(scene, SceneSpecMsg), state=to_msg(state, StateRecordMsg), renderer=self._renderer
+        )
+        answer = self._clients.call(RenderState, "sim/render_state", request, timeout_s=self._timeout_s)
+        return {seen.camera: image_from_msg(seen.image) for seen in answer.segmentation}

@@ -17,13 +17,16 @@ from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_betwee
 from roboxim_core.kinematics.delta import ControllerState
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
-from roboxim_tasks.motion import ExpertScene, Stage
+from roboxim_tasks.motion import ANYTHING, TABLE, ExpertScene, Stage
 from roboxim_tasks.planning import PlannerPort, Surroundings
 from roboxim_tasks.reference import Leg, ReferencePoint, SpeedConfig, make_reference
+from roboxim_tasks.roles import task_distractors
 
 MAX_TRACKING_ERROR_M = 2e-3
 PLANNED_VIA_STEP_M = 0.02
 MAX_CANDIDATES = 48
+CLEARANCE_M = 0.004
+"""Distance that a motion keeps from distractors: noise and the controller's lag take it off the verified path."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +175,7 @@ class Solver:
             points = make_reference(before.pose, legs, self._config, view.scene.control_rate_hz)
             state, path, blocked = _roll_out(controller, before.state, points)
             if not self._direct:
-                blocked = self._verify(view, stages, points, path) or blocked
+                blocked = self._verify(view, stages, points, path, CLEARANCE_M) or blocked
             if blocked is None:
                 return _Rolled(
                     pose=points[-1].pose if points else before.pose,
@@ -197,15 +200,19 @@ class Solver:
         stages: Sequence[Stage],
         points: Sequence[ReferencePoint],
         path: Sequence[tuple[float, ...]],
+        clearance_m: float = 0.0,
     ) -> _Blocked | None:
-        """Check what was rolled out of each stage that moves."""
+        """Check what was rolled out of each stage that moves, and its distance from distractors."""
         period_s = 1.0 / view.scene.control_rate_hz
         for index, stage in enumerate(stages):
             ticks = [i for i, point in enumerate(points) if point.stage == index]
             if stage.pose is None or not ticks or ticks[-1] + 2 > len(path):
                 continue
             joints = np.array(path[ticks[0] : ticks[-1] + 2])
-            problem = self._planner.check_path(joints, period_s, _around(view, stage))
+            around = _around(view, stage)
+            problem = self._planner.check_path(joints, period_s, around)
+            if not problem and clearance_m and (wider := _clear_of_distractors(view, around, clearance_m)):
+                problem = self._planner.check_path(joints, period_s, wider)
             if problem:
                 return _Blocked(stage=index, reason=problem)
         return None
@@ -253,6 +260,19 @@ def _around(view: ExpertScene, stage: Stage) -> Surroundings:
         touching=stage.touching,
         moved=stage.moved,
     )
+
+
+def _clear_of_distractors(view: ExpertScene, around: Surroundings, clearance_m: float) -> Surroundings | None:
+    """Return surroundings in which distractors alone count, and from afar; none: there are none to keep clear of.
+
+    After a failed try the gripper may be next to one, so that nothing is demanded.
+    """
+    distractors = {thing.entity for thing in task_distractors(view.task)}
+    if view.recovering or not distractors:
+        return None
+    others = [entity.name for entity in view.scene.entities if entity.name not in distractors]
+    may_touch = tuple((ANYTHING, name) for name in (TABLE, *others))
+    return replace(around, touching=around.touching + may_touch, padding_m=clearance_m)
 
 
 def _short(pose: Pose) -> str:

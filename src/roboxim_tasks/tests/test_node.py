@@ -24,7 +24,7 @@ from roboxim_tasks.node import TaskNode  # noqa: E402
 
 @pytest.fixture
 def call(graph_host):  # noqa: F811
-    graph_host.add(lambda context: TaskNode(context=context, parameters={"solvable": False}))
+    graph_host.add(lambda context: TaskNode(context=context, parameters={"solvable": False, "visible": False}))
     with Clients("test", context=graph_host.context) as clients:
         yield lambda srv, name, **fields: clients.call(srv, name, srv.Request(**fields), timeout_s=10.0)
 

@@ -2,18 +2,68 @@
 
 from __future__ import annotations
 
-from roboxim_core.specs import SceneSpec
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.poses import Array
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import PlacementConfig, place
+from roboxim_tasks.placement import Demand, PlacementConfig, centre, nearest_distance, place
 from roboxim_tasks.roles import task_distractors
+
+TARGET = "target"
+BLOCK = 20
+"""Episodes of which the exact share has a distractor close to the target."""
+ROOM_M = 0.01
+"""Least width of the ring around a wide target in which the nearest point of a distractor may be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearConfig:
+    """How often a distractor lies close to the target."""
+
+    share: float = 0.5
+    """Share of the episodes in which the first distractor does; in the others none does."""
+    distance_m: float = 0.10
+    """Largest distance from the middle of the target to the nearest point of the distractor [m]; more where the target
+    itself and the gap take it up."""
+    gap_m: float = 0.03
+    """Free space between the two, so that a finger fits in between [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On a number out of range.
+        """
+        if not 0.0 <= self.share <= 1.0 or self.distance_m <= 0 or self.gap_m < 0:
+            raise ConfigError(
+                "near needs 0 <= share <= 1, distance_m > 0 and gap_m >= 0, "
+                f"got {self.share:g}, {self.distance_m:g} and {self.gap_m:g}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistractorsResetConfig(PlacementConfig):
+    """Where distractors lie."""
+
+    near: NearConfig | None = None
+    """How often one lies close to the target; none: as it comes."""
 
 
 @register
 class DistractorsReset(ResetComponent):
-    """Places distractors between the objects of the task, which they leave where they are."""
+    """Places distractors between the objects of the task, which they leave where they are.
+
+    Randomisation: position and yaw of each; with ``near``, whether the first is close to the target: exactly the
+    share of every 20 episodes, at random, however often a placement is refused or an episode is tried again.
+    """
 
     name = "distractors"
-    Config = PlacementConfig
+    Config = DistractorsResetConfig
     places = True
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
@@ -22,6 +72,49 @@ class DistractorsReset(ResetComponent):
         Raises:
             RejectedError: When one finds no room.
         """
-        for thing in task_distractors(context.task):
-            scene = place(scene, thing, self.config, context, self.name)
+        near = self.config.near
+        target = next((entity for entity in scene.entities if entity.name == TARGET), None)
+        close = bool(near and self._turn(context) < near.share)
+        for number, thing in enumerate(task_distractors(context.task)):
+            demand = None
+            if near and target:
+                if not close:
+                    demand = self._away(near, target, context)
+                elif number == 0:
+                    demand = self._beside(near, scene, target, thing, context)
+            scene = place(scene, thing, self.config, context, self.name, demand)
         return scene
+
+    def _turn(self, context: ResetContext) -> float:
+        """Return the episode's number of [0, 1): in every `BLOCK` episodes one of each `BLOCK`-th of it, at random."""
+        block, place = divmod(context.index, BLOCK)
+        rng = replace(context.seed, index=block, attempt=0).rng(f"{self.name}/near")
+        return float((rng.permutation(BLOCK)[place] + rng.random()) / BLOCK)
+
+    def _away(self, near: NearConfig, target: EntitySpec, context: ResetContext) -> Demand:
+        middle = centre(target, context.library)
+        return Demand(
+            name="beside_target",
+            holds=lambda entity: nearest_distance(entity, middle, context.library) > near.distance_m,
+        )
+
+    def _beside(
+        self, near: NearConfig, scene: SceneSpec, target: EntitySpec, thing: PhysicalObject, context: ResetContext
+    ) -> Demand:
+        middle, size = centre(target, context.library), context.library.entity_model(target).size
+        half = min(size[:2]) / 2
+        limit = max(near.distance_m, half + near.gap_m + ROOM_M)
+        reach = math.hypot(*context.library.object(thing.model, thing.modifiers).size[:2]) / 2
+        x, y, _ = scene.robot.pose.inverse().apply(middle)
+
+        def position(rng: np.random.Generator) -> Array:
+            angle, radius = rng.uniform(-math.pi, math.pi), rng.uniform(half + near.gap_m, limit + reach)
+            return np.array([x + radius * math.cos(angle), y + radius * math.sin(angle)])
+
+        def holds(entity: EntitySpec) -> bool:
+            at = scene.robot.pose.inverse().apply(entity.pose.position)[:2]
+            area = self.config.area
+            inside = area.lower is None or bool(np.all(at >= area.lower) and np.all(at <= area.upper))
+            return inside and nearest_distance(entity, middle, context.library) <= limit
+
+        return Demand(name="away_from_target", holds=holds, position=position, gaps={TARGET: near.gap_m})

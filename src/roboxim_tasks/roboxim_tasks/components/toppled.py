@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.errors import ConfigError
-from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
-from roboxim_tasks.placement import refusal
+from roboxim_tasks.placement import refusal, turned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,5 +52,4 @@ class ToppledReset(ResetComponent):
         side = sides[int(rng.integers(len(sides)))]
         yaw = self.config.yaw_rad.draw_number(rng, index)
         x, y, _ = target.pose.position
-        ground = Pose.from_arrays((x, y, scene.table.center[2]), Rotation.from_euler("z", yaw))
-        return replace(target, pose=ground @ side)
+        return replace(target, pose=turned((x, y, scene.table.center[2]), yaw) @ side)

@@ -1,0 +1,40 @@
+"""Draws states that are not simulated: a scene's models at the poses of a state record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.rendering import CameraImages, Renderer
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_sim.rendering.rig import draw_frames
+
+
+class StateRenderer:
+    """Draws states on a renderer; belongs to the renderer's thread, and whoever made that closes it."""
+
+    def __init__(self, renderer: Renderer, library: ModelLibrary) -> None:
+        """Use a renderer and the models of a library."""
+        self.renderer = renderer
+        self._library = library
+        self._loaded: SceneSpec | None = None
+
+    def draw(self, scene: SceneSpec, state: StateRecord) -> dict[str, CameraImages]:
+        """Return what each camera of a scene sees of a state; a scene is loaded once for many states and cameras.
+
+        Raises:
+            ConfigError: On an unknown model, texture or link.
+            InvalidRequestError: On a malformed world or an impossible camera.
+            SimError: As the renderer's.
+        """
+        bodies = replace(scene, cameras=())
+        if self._loaded != bodies:
+            self._loaded = None
+            self.renderer.load(render_world(scene, self._library))
+            self._loaded = bodies
+        poses = ScenePoses(scene, self._library)
+        cameras = poses.camera_poses(state.robot)
+        views = [(camera, cameras[camera.name]) for camera in scene.cameras]
+        return draw_frames(self.renderer, state.seq, poses.body_poses(state), views)
