@@ -19,6 +19,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_tasks.choices import VectorChoice
 from roboxim_tasks.rejection import RejectedError
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ class ResetContext:
     """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
     way_blocked: Callable[[SceneSpec], bool] | None = None
     """Tells whether distractors collide with the straight lines that would solve the task; none: nothing is planned."""
+    areas: dict[str, VectorChoice] = field(default_factory=dict)
+    """Entity to where it is to be placed, instead of where the component that places it is configured to."""
+    drawn: dict[str, str] = field(default_factory=dict)
+    """Component to the name of what it has drawn, for those whose results are grouped by it."""
     draws: int = 0
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)

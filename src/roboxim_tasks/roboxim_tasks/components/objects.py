@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
@@ -33,5 +33,8 @@ class ObjectsReset(ResetComponent):
             RejectedError: When one finds no room.
         """
         for thing in task_objects(context.task):
-            scene = place(scene, thing, self.config.roles.get(thing.entity, self.config), context, self.name)
+            config: PlacementConfig = self.config.roles.get(thing.entity, self.config)
+            if thing.entity in context.areas:
+                config = replace(config, area=context.areas[thing.entity])
+            scene = place(scene, thing, config, context, self.name)
         return scene

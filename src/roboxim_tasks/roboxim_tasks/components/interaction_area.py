@@ -1,0 +1,74 @@
+"""Reset component ``interaction_area``: in which of several named areas of the table the task takes place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.specs import SceneSpec
+from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+
+AREAS = {
+    "far_left": VectorChoice(lower=(0.36, 0.32), upper=(0.52, 0.48)),
+    "left": VectorChoice(lower=(0.36, 0.12), upper=(0.52, 0.28)),
+    "middle": VectorChoice(lower=(0.36, -0.08), upper=(0.52, 0.08)),
+    "right": VectorChoice(lower=(0.36, -0.28), upper=(0.52, -0.12)),
+    "far_right": VectorChoice(lower=(0.36, -0.48), upper=(0.52, -0.32)),
+}
+"""Five areas next to each other, as the robot sees them: boxes of x and y in its base frame [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteractionAreaConfig:
+    """The areas, and which one an episode takes place in."""
+
+    areas: dict[str, VectorChoice] = field(default_factory=lambda: dict(AREAS))
+    """Name to the area: a box, or a list of positions, of x and y in the robot's base frame [m]."""
+    area: Choice | None = None
+    """Names of those that are used, at random or in order; none: all of them at random."""
+    roles: tuple[str, ...] = ("target",)
+    """Roles of the task whose objects are placed there; the others are where ``objects`` puts them."""
+
+    def __post_init__(self) -> None:
+        """Check names and positions.
+
+        Raises:
+            ConfigError: On an unknown area, or one that is not of x and y.
+        """
+        for name, area in self.areas.items():
+            area.require_size(2, f"areas.{name}")
+        for name in self.area.values if self.area else ():
+            if name not in self.areas:
+                raise ConfigError(f"area: no interaction area '{name}'; {one_of(self.areas, str(name))}")
+        if not self.areas or (self.area and not self.area.values):
+            raise ConfigError("needs at least one of areas, and area as values: names of areas, not a range")
+
+
+@register
+class InteractionAreaReset(ResetComponent):
+    """Chooses the area; the component ``objects`` then places the roles' objects there instead of in its own area.
+
+    Randomisation: the area; the position within it comes from the stream of ``objects``, so that datasets with other
+    areas stay paired in the rest. The name is in the episode's configuration as ``task.drawn.interaction_area``.
+    """
+
+    name = "interaction_area"
+    Config = InteractionAreaConfig
+
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Choose an area.
+
+        Raises:
+            ConfigError: When the task has no such role.
+        """
+        choice = self.config.area or Choice(values=tuple(self.config.areas))
+        name = str(choice.draw(context.rng(self.name), context.index))
+        for role in self.config.roles:
+            if role not in context.task.objects:
+                raise ConfigError(
+                    f"reset.interaction_area.roles: no role '{role}'; {one_of(context.task.objects, role)}"
+                )
+            context.areas[context.task.objects[role].entity] = self.config.areas[name]
+        context.drawn[self.name] = name
+        return scene
