@@ -121,7 +121,7 @@ def free_configuration(
     """Return a free configuration at one of some random tcp poses, or none."""
     for _ in range(attempts):
         joints = configuration_at(rng, draw(rng))
-        if joints is not None and not referee.collides(joints):
+        if joints is not None and not referee.collides(joints) and not referee.folds(joints):
             return joints
     return None
 

@@ -1,7 +1,8 @@
 """Judges timed motions of the Panda without any code of the planner: the original collision meshes, at a kilohertz.
 
 Meshes and allowed pairs come from the ``example-robot-data`` wheel, not from this tree; collisions are coal's on the
-triangles. It is quick because it may skip what cannot collide, and exact because it skips nothing else: where the
+triangles, and on their convex hulls, which are the same bodies but solid: triangles miss a finger that is wholly inside
+a link. It is quick because it may skip what cannot collide, and exact because it skips nothing else: where the
 convex hulls of the meshes keep a distance d, every later sample to which no point of the arm has moved by d is free.
 """
 
@@ -19,6 +20,7 @@ import pinocchio as pin
 
 Array = npt.NDArray[np.float64]
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
+URDF = SOURCE / "urdf/panda.urdf"
 # Franka's limits for the Panda, https://frankaemika.github.io/docs/control_parameters.html
 LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
@@ -119,7 +121,11 @@ class Referee:
 
     def collides(self, joints: Array) -> bool:
         """Tell whether an arm configuration of shape (7,) touches anything, on the original meshes."""
-        return self._exact.hit(joints)
+        return self._exact.hit(joints) or not self.keeps(joints, 0.0)
+
+    def folds(self, joints: Array) -> bool:
+        """Tell whether the hand passes through the forearm, or by at 5 mm, as drawn; the SRDF has that not checked."""
+        return _folding().hit(joints)
 
     def keeps(self, joints: Array, distance: float) -> bool:
         """Tell whether the hulls of all allowed pairs are farther apart than a distance [m]; never true wrongly."""
@@ -239,12 +245,11 @@ def _full(joints: Array) -> Array:
 @cache
 def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
     """Return the model, its collision meshes, their convex hulls, and the frame of the tcp."""
-    urdf = SOURCE / "urdf/panda.urdf"
-    model = pin.buildModelFromUrdf(str(urdf))
+    model = pin.buildModelFromUrdf(str(URDF))
 
     def load() -> pin.GeometryModel:
         folders = [str(SOURCE.parents[2])]
-        geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
+        geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION, package_dirs=folders)
         geometry.addAllCollisionPairs()
         pin.removeCollisionPairs(model, geometry, str(SOURCE / "srdf/panda.srdf"))
         return geometry
@@ -257,6 +262,17 @@ def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
             item.meshScale = np.ones(3)
         item.geometry.computeLocalAABB()
     return model, meshes, hulls, model.getFrameId("panda_hand_tcp")
+
+
+@cache
+def _folding() -> _Checker:
+    """Return a checker of the drawn hand and forearm."""
+    model = _robot()[0]
+    folders = [str(SOURCE.parents[2])]
+    drawn = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.VISUAL, package_dirs=folders)
+    pair = (drawn.getGeometryId(name) for name in ("panda_link5_0", "panda_hand_0"))
+    drawn.addCollisionPair(pin.CollisionPair(*pair))
+    return _Checker(model, drawn, 0.005)
 
 
 def _reach(geometry: pin.GeometryModel) -> Array:

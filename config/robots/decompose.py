@@ -37,7 +37,7 @@ def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trim
     return [trimesh.convex.convex_hull(piece.reshape(-1, 3)) for piece in pieces]
 
 
-def around(points: npt.ArrayLike, directions: int = 200) -> trimesh.Trimesh:
+def around(points: npt.ArrayLike, directions: int = 100) -> trimesh.Trimesh:
     """Return a polytope of few faces that holds points of shape (N, 3): each face touches them.
 
     Args:

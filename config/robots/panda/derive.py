@@ -49,7 +49,7 @@ def forearm_parts() -> list[trimesh.Trimesh]:
     """Return convex parts of the bent forearm as it is drawn: its collision mesh fills the hollow under the bend."""
     meshes = [mesh for _, mesh in read_collada(SOURCE / "meshes/visual/link5.dae")]
     drawn_one = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
-    return [around(part.vertices) for part in convex_parts(drawn_one, worth=0.1, most=4)]
+    return [around(part.vertices) for part in convex_parts(drawn_one, worth=0.02, most=4)]
 
 
 def main() -> int:
