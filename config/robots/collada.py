@@ -11,7 +11,7 @@ import trimesh
 
 
 def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
-    """Return the colour (0..255, as the file has it) and the placed mesh of each geometry.
+    """Return the colour (0..255, as the file has it) and the placed mesh of each part of each geometry.
 
     Raises:
         ValueError: When the file uses what this does not read.
@@ -24,12 +24,13 @@ def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
             instance = node.find("instance_geometry")
             if instance is not None:
                 matrix = np.array(node.find("matrix").text.split(), dtype=float).reshape(4, 4)
-                material = by_id[instance.find(".//instance_material").get("target")]
-                effect = by_id[material.find("instance_effect").get("url")]
-                diffuse = np.array(effect.find(".//diffuse/color").text.split()[:3], dtype=float)
-                mesh = _mesh(by_id[instance.get("url")].find("mesh/triangles"), by_id)
-                mesh.apply_transform(matrix)
-                found.append((tuple(int(c) for c in np.rint(255 * diffuse)), mesh))
+                materials = {e.get("symbol"): e.get("target") for e in instance.iter("instance_material")}
+                for triangles in by_id[instance.get("url")].findall("mesh/triangles"):
+                    effect = by_id[by_id[materials[triangles.get("material")]].find("instance_effect").get("url")]
+                    diffuse = np.array(effect.find(".//diffuse/color").text.split()[:3], dtype=float)
+                    mesh = _mesh(triangles, by_id)
+                    mesh.apply_transform(matrix)
+                    found.append((tuple(int(c) for c in np.rint(255 * diffuse)), mesh))
     except (AttributeError, KeyError) as error:
         raise ValueError(f"{path} has more than triangles, matrices and diffuse colours: {error}") from None
     return found

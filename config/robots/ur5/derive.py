@@ -25,7 +25,7 @@ SAMPLES = 10_000
 WORTH = 0.03
 """Share of a link's hull that another convex part must save: one whole hull says in a quarter of all states that links
 touch which do not."""
-TRIANGLES = 4500  # the caps are thin shells, which fewer would tear
+TRIANGLES, UPPERARM_TRIANGLES = 4500, 9000  # the caps are thin shells, which fewer would tear
 
 sys.path.append(str(HERE.parent))
 from decimate import visual  # noqa: E402 - found beside this folder
@@ -38,8 +38,9 @@ def main() -> None:
         shutil.rmtree(HERE / folder, ignore_errors=True)
         (HERE / folder).mkdir()
     for source in sorted((SOURCE / "meshes/ur5/visual").glob("*.dae")):
+        triangles = UPPERARM_TRIANGLES if source.stem == "upperarm" else TRIANGLES
         (HERE / "visual" / f"{source.stem}.glb").write_bytes(
-            visual(source, triangles=TRIANGLES, linear=True).export(file_type="glb", include_normals=True)
+            visual(source, triangles=triangles, linear=True).export(file_type="glb", include_normals=True)
         )
     whole = arm()[: -len("</robot>")] + hand() + "</robot>\n"
     urdf = whole
