@@ -38,9 +38,9 @@ class InteractionAreaConfig:
         """
         for name, area in self.areas.items():
             area.require_size(2, f"areas.{name}")
-        for name in self.area.values if self.area else ():
-            if name not in self.areas:
-                raise ConfigError(f"area: no interaction area '{name}'; {one_of(self.areas, str(name))}")
+        for chosen in self.area.values if self.area else ():
+            if chosen not in self.areas:
+                raise ConfigError(f"area: no interaction area '{chosen}'; {one_of(self.areas, str(chosen))}")
         if not self.areas or (self.area and not self.area.values):
             raise ConfigError("needs at least one of areas, and area as values: names of areas, not a range")
 
