@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -156,6 +157,14 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
             height = min(image.shape[0] for image in images)
             frames.append(np.concatenate([image[:height] for image in images], axis=1))
     return frames
+
+
+def drawn_by_name(bag: Path) -> dict[str, str]:
+    """Return what the reset components of a bag's episode have drawn by name, e.g. the interaction area."""
+    from roboxim_recorder.bag import BagReader
+
+    drawn: dict[str, str] = json.loads(BagReader(bag).info.config_json).get("task", {}).get("drawn", {})
+    return drawn
 
 
 def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:

@@ -36,6 +36,17 @@ class PolicyRun:
     """Its results."""
     films: dict[str, Frames] = field(default_factory=dict)
     """Episode id to frames, each of shape (height, width, 3), cameras side by side."""
+    drawn: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Episode id to what its reset components have drawn by name, e.g. ``{"interaction_area": "left"}``."""
+
+    @property
+    def rates_by_dimension(self) -> dict[str, dict[str, SuccessRate]]:
+        """Success rates by instruction, and by each dimension that reset components have drawn by name."""
+        found = {"instruction": rates_by(self.results, lambda result: result.instruction)}
+        for dimension in sorted({name for names in self.drawn.values() for name in names}):
+            names = {episode: drawn[dimension] for episode, drawn in self.drawn.items() if dimension in drawn}
+            found[dimension] = _rates_by_name(self.results, names)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,6 +63,11 @@ class Report:
     """Package to version."""
     command: str
     """The command that makes it again."""
+
+
+def _rates_by_name(results: Sequence[EpisodeResult], names: dict[str, str]) -> dict[str, SuccessRate]:
+    having = [result for result in results if result.episode_id in names]
+    return rates_by(having, lambda result: names[result.episode_id])
 
 
 def webp_film(frames: Frames) -> str:
@@ -93,7 +109,10 @@ def summary(report: Report) -> dict[str, Any]:
             run.policy: {
                 **asdict(rate_of(run.results)),
                 "rate": rate_of(run.results).rate,
-                "by_instruction": {k: asdict(v) for k, v in rates_by(run.results, lambda r: r.instruction).items()},
+                **{
+                    f"by_{dimension}": {name: asdict(rate) for name, rate in rates.items()}
+                    for dimension, rates in run.rates_by_dimension.items()
+                },
                 "failure_reasons": failure_reasons(run.results),
             }
             for run in report.runs
@@ -139,7 +158,7 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
     return {
         "policy": run.policy,
         "rate": rate,
-        "groups": rates_by(run.results, lambda r: r.instruction),
+        "dimensions": run.rates_by_dimension,
         "reasons": failure_reasons(run.results),
         "median_steps": int(np.median(steps)) if steps else None,
         "inference_ms": float(np.median(inference)) if inference else None,

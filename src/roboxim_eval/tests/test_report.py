@@ -64,3 +64,16 @@ def test_report_is_self_contained_and_escapes(tmp_path):
     numbers = json.loads((tmp_path / "summary.json").read_text())
     assert numbers["policies"]["bc"]["successes"] == 18
     assert numbers["policies"]["random"]["failure_reasons"] == {"max_steps": 20}
+
+
+def test_rates_by_what_reset_components_have_drawn(tmp_path):
+    results = [result(index, "success" if index % 2 else "failure") for index in range(6)]
+    drawn = {r.episode_id: {"interaction_area": "left" if r.index < 4 else "right"} for r in results}
+    run = PolicyRun(policy="bc", results=results, drawn=drawn)
+    rates = run.rates_by_dimension["interaction_area"]
+    assert {name: (rate.successes, rate.episodes) for name, rate in rates.items()} == {"left": (2, 4), "right": (1, 2)}
+    report = Report(title="Areas", runs=[run], facts={}, versions={}, command="roboxim evaluate")
+    assert "By interaction area" in write_report(report, tmp_path).read_text()
+    numbers = json.loads((tmp_path / "summary.json").read_text())["policies"]["bc"]
+    assert numbers["by_interaction_area"]["right"]["episodes"] == 2
+    assert "by_instruction" in numbers

@@ -114,14 +114,15 @@ def _launch(spec: str, checkpoint: Path | None, options: Sequence[str]) -> Polic
 
 
 def _policy_run(name: str, results: Sequence[EpisodeResult], folder: Path) -> PolicyRun:
-    from roboxim_bringup.jobs import film
+    from roboxim_bringup.jobs import drawn_by_name, film
     from roboxim_eval.report import PolicyRun
 
     recorded = [result for result in results if result.bag]
     failed = [result for result in recorded if result.outcome != "success"][: SHOWN // 2]
     solved = [result for result in recorded if result.outcome == "success"][: SHOWN - len(failed)]
     films = {result.episode_id: film(folder / result.bag) for result in failed + solved}
-    return PolicyRun(policy=name, results=results, films=films)
+    drawn = {result.episode_id: drawn_by_name(folder / result.bag) for result in recorded}
+    return PolicyRun(policy=name, results=results, films=films, drawn=drawn)
 
 
 def _report(runs: Sequence[PolicyRun], out: Path, *, task: str, seed: int) -> None:
