@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import InvalidRequestError
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -69,8 +72,10 @@ class Pose:
     @property
     def quaternion(self) -> pin.Quaternion:
         """The rotation as a pinocchio quaternion, which composes single rotations about ten times faster than scipy."""
+        import pinocchio  # half a second and 46 MiB, which a process that only draws does without
+
         x, y, z, w = self.quat_xyzw
-        return pin.Quaternion(w, x, y, z).normalized()
+        return pinocchio.Quaternion(w, x, y, z).normalized()
 
     @property
     def matrix(self) -> Array:

@@ -33,7 +33,7 @@ VERTEX = np.dtype(
         ("ids", np.uint16, 2),
     ]
 )
-"""A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture layer, openness; ids:
+"""A vertex. color: square roots of the linear base colour, metallic; surface: roughness, texture, openness; ids:
 body, entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
@@ -152,7 +152,7 @@ def pack(world: RenderWorld, textures: Sequence[str], openness: Openness) -> Pac
 
     Args:
         world: The world.
-        textures: Names of textures by layer, among them all that the world needs.
+        textures: Names of textures by number, the first of none, among them all that the world needs.
         openness: Tells how open the vertices of a body's meshes are (see `occlusion`).
     """
     entities = {name: index + 1 for index, name in enumerate(world.entity_names)}

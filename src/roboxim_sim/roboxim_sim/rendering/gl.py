@@ -201,7 +201,7 @@ class TextureStore:
         self._context = context
         self._array: moderngl.TextureArray | None = None
         self.names: tuple[str, ...] = ()
-        """Names by layer."""
+        """Names of textures by the number that vertices have: 0 is none, and 1 the array's first layer."""
 
     def hold(self, names: Iterable[str]) -> None:
         """See to it that the textures are there.
@@ -228,10 +228,10 @@ class TextureStore:
 
     def _upload(self, names: tuple[str, ...]) -> None:
         """Make the array anew, with mipmaps; four channels, because three are slower to read."""
-        images = [textures.pixels(name) for name in names]
+        images = [textures.pixels(name) for name in names if name]
         self.release()
         size = textures.SIZE
-        self._array = self._context.texture_array((size, size, len(names)), 4)
+        self._array = self._context.texture_array((size, size, max(len(images), 1)), 4)
         padded = np.full((size, size, 4), 255, np.uint8)
         for layer, image in enumerate(images):
             padded[..., :3] = image

@@ -194,7 +194,7 @@ class RasterRenderer:
         shader = self._shader("CONTACT_VERTEX", "CONTACT_FRAGMENT")
         shader.set(contact_box=box)
         ctx.enable_only(moderngl.BLEND)
-        ctx.blend_func, ctx.blend_equation = moderngl.ADDITIVE_BLENDING, (moderngl.MAX, moderngl.MAX)
+        ctx.blend_equation = moderngl.MAX, moderngl.MAX
         self._cover.fbo.use()
         self._cover.fbo.clear()
         world.draw(shader, frame.contact_ranges())

@@ -83,7 +83,7 @@ void main() {
     // What faces a table close by sees it in its own shade.
     float near = clamp(1.0 - 12.0 * abs(position.z - slab.z), 0.0, 1.0);
     openness = in_surface.z * (1.0 - 0.55 * slab.w * near * clamp(-normal.z, 0.0, 1.0));
-    surface = vec3(in_surface.x, floor(in_surface.y * 255.0 + 0.5), float(in_ids.y));
+    surface = vec3(in_surface.x, floor(in_surface.y * 255.0 - 0.5), float(in_ids.y));    // texture 1 is layer 0
     gl_Position = clip_from_world * vec4(position, 1.0);
 }
 """
