@@ -6,8 +6,8 @@ The kernel's answers are those of coal (a test compares them); coal itself, slow
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import coal
@@ -114,7 +114,7 @@ class CollisionWorld:
         made, names = [], []
         for body in self.scene.bodies:
             poses = to_base @ pose_matrix(body.pose) @ _part_poses(body.shapes)
-            made += [native.Obstacle(*part, pose) for part, pose in zip(_parts(body.shapes), poses, strict=True)]
+            made += [make(pose) for make, pose in zip(_parts(body.shapes), poses, strict=True)]
             names += [body.name] * len(body.shapes)
         return made, names
 
@@ -196,12 +196,12 @@ def _part_poses(shapes: tuple[BodyShape, ...]) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _parts(shapes: tuple[BodyShape, ...]) -> tuple[tuple[native.Mesh] | tuple[str, Array], ...]:
-    """Return a body's parts as the kernel takes obstacles."""
+def _parts(shapes: tuple[BodyShape, ...]) -> tuple[Callable[[Array], native.Obstacle], ...]:
+    """Return what makes obstacles of a body's parts from their poses."""
     return tuple(
-        (native.Mesh(np.array(part.vertices)[np.array(part.triangles)]),)
+        partial(native.Obstacle, native.Mesh(np.array(part.vertices)[np.array(part.triangles)]))
         if isinstance(part, TriangleMesh)
-        else _solid(part)
+        else partial(native.Obstacle, *_solid(part))
         for part in shapes
     )
 

@@ -158,7 +158,7 @@ class _Picture:
         scene = query.scene
         start = np.array(query.start) if query.start else (None if path is None else path[0])
         if start is not None:
-            self._arm(scene, start, _START, 1.0, "start")
+            self._arm(scene, start, _START, 1.0, "seed state" if isinstance(query, IkQuery) else "start")
             self._note(scene, start)
         if path is not None:
             for q in path[np.linspace(0, len(path) - 1, 6).astype(int)[1:-1]]:
@@ -234,9 +234,11 @@ class _Picture:
         axes.set_axis_off()
 
     def _extent(self) -> tuple[Array, Array]:
-        """Return the corners of a box around what is within 1.6 m of the robot's base."""
-        points = np.concatenate(self._triangles).reshape(-1, 3)
-        near = np.clip(points - np.array(self._base.position), -1.6, 1.6) + np.array(self._base.position)
+        """Return the corners of a box around what is within 1.6 m of the robot's base, and goals within 4 m."""
+        base = np.array(self._base.position)
+        shapes = np.clip(np.concatenate(self._triangles).reshape(-1, 3) - base, -1.6, 1.6)
+        goals = np.clip(np.array([goal.position for goal in self.goals]).reshape(-1, 3) - base, -4.0, 4.0)
+        near = np.concatenate([shapes, goals - 0.08, goals + 0.08]) + base
         return near.min(axis=0), near.max(axis=0)
 
     def legend(self) -> list[Any]:
@@ -244,6 +246,8 @@ class _Picture:
         entries: list[Any] = [Patch(color=color, label=name) for name, color in self._entries.items()]
         if self.lines:
             entries.append(Line2D([], [], color="C0", linewidth=2.5, label="path of the tcp"))
+        if self.goals:
+            entries.append(Line2D([], [], color="r", linewidth=2.0, label="goal: x red, y green, z blue"))
         if self.contacts:
             entries.append(Line2D([], [], color=_BAD, marker="o", linestyle="", label="contact"))
         return entries
@@ -359,7 +363,7 @@ def _title(query: Query, plans: Sequence[Plan]) -> str:
         what += f", path of {len(query.path)} points"
     if not plans:
         return what
-    routes = ", ".join(f"{plan.route} {plan.duration:.2f} s" for plan in plans)
+    routes = ", ".join(f"{plan.duration:.2f} s (route: {plan.route})" for plan in plans)
     return f"{what}: {routes}"
 
 

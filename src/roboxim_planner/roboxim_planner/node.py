@@ -41,10 +41,12 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_planner import conversions as convert
+from roboxim_planner import query_conversions as queries
 from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
 from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig
 from roboxim_planner.queries import Answer, Query, run_query
 from roboxim_planner.scene import PlanningScene
+from roboxim_planner.scene_conversions import scene_from_msg
 from roboxim_planner.tracker import SceneTracker
 from roboxim_ros import qos
 from roboxim_ros.conversions import fill_pose, from_msg
@@ -180,12 +182,12 @@ class PlannerNode(RoboximNode):
         named = None
         if msg.episode_id:
             named = self._revision(msg.episode_id, int(msg.seq))
-        return convert.scene_from_msg(msg, named, self._library)
+        return scene_from_msg(msg, named, self._library)
 
     def _plan(
         self,
         msg: MotionRequest,
-        make: Callable[[convert.Common], Query],
+        make: Callable[[queries.Common], Query],
         response: Any,
         *,
         with_start: bool = True,
@@ -215,13 +217,13 @@ class PlannerNode(RoboximNode):
             progress(stage, iterations)
 
         planner = self._planner(msg.robot)
-        common = convert.common_from_msg(msg, planner, self._scene(msg.scene), with_start=with_start)
+        common = queries.common_from_msg(msg, planner, self._scene(msg.scene), with_start=with_start)
         try:
             answer = self._run(common.planner, make(common), watch, entered)
         except PathIncompleteError as error:
-            convert.fill_answer(response, Answer(plans=(error.partial,), goal_indices=(-1,)), common, begun)
+            queries.fill_answer(response, Answer(plans=(error.partial,), goal_indices=(-1,)), common, begun)
             raise
-        convert.fill_answer(response, answer, common, begun)
+        queries.fill_answer(response, answer, common, begun)
 
     def _run(
         self,
@@ -264,7 +266,7 @@ class PlannerNode(RoboximNode):
 
     def _planning(self, name: str) -> Callable[[Any, Any], None]:
         """Return the handler of a planning service."""
-        make = convert.MAKERS[name]
+        make = queries.MAKERS[name]
 
         def handler(msg: Any, response: Any) -> None:
             if hasattr(response, "goal_index"):
@@ -275,7 +277,7 @@ class PlannerNode(RoboximNode):
 
     def _on_compute_ik(self, msg: ComputeIK.Request, response: ComputeIK.Response) -> None:
         planner = self._planner(msg.robot)
-        query = convert.ik_query(planner, self._scene(msg.scene), msg)
+        query = queries.ik_query(planner, self._scene(msg.scene), msg)
         answer = self._run(planner, query, lambda *_: None)
         response.solutions = [convert.joints_to_msg(q, planner.robot.description) for q in answer.solutions]
 
@@ -283,7 +285,7 @@ class PlannerNode(RoboximNode):
         planner = self._planner(msg.robot)
         robot = planner.robot
         joints = robot.check_joints(convert.joints_from_msg(msg.state, robot.description, what="state"), what="state")
-        base = convert.optional_pose(msg.robot_pose_in_world)
+        base = convert.optional_pose(msg.robot_pose_in_world, what="robot_pose_in_world")
         links = list(msg.links) or [robot.description.tcp_link]
         poses = [base @ robot.fk(joints, link) for link in links]
         for pose in poses:
@@ -296,7 +298,7 @@ class PlannerNode(RoboximNode):
     def _on_check_state(self, msg: CheckState.Request, response: CheckState.Response) -> None:
         planner = self._planner(msg.robot)
         scene = self._scene(msg.scene)
-        state = convert.start_from_msg(msg.state, planner.robot, scene, what="state")
+        state = queries.start_from_msg(msg.state, planner.robot, scene, what="state")
         finding = planner.check_state(scene, state)
         response.valid = finding.valid
         response.contacts = [convert.contact_to_msg(contact) for contact in finding.contacts]
@@ -344,7 +346,7 @@ class PlannerNode(RoboximNode):
                 feedback.stage, feedback.iterations, feedback.elapsed = stage, iterations, now - begun
                 goal.publish_feedback(feedback)
 
-        make, msg = convert.MAKERS[name], goal.request
+        make, msg = queries.MAKERS[name], goal.request
         with self.answering(f"planner/{name}", result), self._busy:
             self._plan(msg.request, lambda common: make(common, msg), result, progress=progress, entered=entered)
         if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:

@@ -125,7 +125,7 @@ def _query(path: Path, library: Any) -> tuple[Any, Any]:
     from roboxim_bringup.messages import look_up, message_from_plain
     from roboxim_core.config import load_yaml
     from roboxim_core.errors import ConfigError, one_of
-    from roboxim_planner.conversions import query_without_graph
+    from roboxim_planner.query_conversions import query_without_graph
 
     data = dict(load_yaml(path) or {})
     service = str(data.pop("service", ""))
