@@ -230,7 +230,8 @@ class _Picture:
             axes.plot(*np.array(contact.position)[:, None], "o", color=_BAD, markersize=7, zorder=10_002)
         low, high = self._extent()
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        axes.set_box_aspect(high - low, zoom=1.3)
+        size = high - low
+        axes.set_box_aspect(size, zoom=1.3 * min(1.0, float(np.linalg.norm(size) / size.max()) / 1.45))  # long: smaller
         axes.set_axis_off()
 
     def _extent(self) -> tuple[Array, Array]:

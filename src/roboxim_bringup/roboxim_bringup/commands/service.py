@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from roboxim_bringup.attach import attach_options, attached
@@ -80,13 +82,24 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
         cls = given or look_up(offered, "srv")
         request = request or message_from_plain(cls.Request, data)
         response = peer.clients.call(cls, absolute(name), request, timeout_s=timeout, check=False)
-    click.echo(dump(message_to_plain(response, full=full)), nl=False)
+    answer = message_to_plain(response, full=full)
     code = getattr(response, "error_code", 0)
+    if not code or _says_more(answer, message_to_plain(cls.Response(), full=full)):
+        click.echo(dump(answer), nl=False)
     if code:
         raise RoboximError(f"{absolute(name)}: {response.error_msg}", code)
     result = getattr(response, "result", None)  # how simulation_interfaces says it
     if hasattr(result, "RESULT_OK") and result.result != result.RESULT_OK:
         raise SimError(f"{absolute(name)}: {result.error_message}")
+
+
+def _says_more(answer: dict[str, Any], empty: dict[str, Any]) -> bool:
+    """Tell whether a failed call's answer has more than its error, e.g. a part of a path; an index of -1 is nothing."""
+    return any(
+        value != empty[name] and value != -1
+        for name, value in answer.items()
+        if name not in ("error_code", "error_msg")
+    )
 
 
 def split_type(words: tuple[str, ...]) -> tuple[str, str]:
