@@ -3,18 +3,18 @@
 Through the cores, with the noise that demonstrations have, and without cameras but for one look at each reset. Success
 is judged after a second of rest; an episode that needed a second grasp is no success. A replay rebuilds the episode's
 scene in a fresh world and executes its actions open loop; it counts when every state hash agrees and the judge says
-success again. With ``--out`` episodes are kept as they end, and the same command goes on where it was stopped.
+success again. With ``--out`` episodes are kept as they end, and the same command goes on where it was stopped, as long
+as code and configuration are those that began.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import os
 import sys
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -26,6 +26,7 @@ from tqdm import tqdm
 from _cells import Cell, cells
 from _expert_run import run_chunk
 from _harness import Bench
+from _kept import Kept
 from roboxim_bringup.process import die_with_parent
 from roboxim_eval.statistics import success_rate
 from roboxim_tasks.visible import VisibleConfig
@@ -80,23 +81,16 @@ def measure(
     by_name: dict[str, Cell], wanted: dict[str, int], options: argparse.Namespace
 ) -> dict[str, list[dict[str, Any]]]:
     """Run what is not there yet; return every cell's episodes."""
-    outcomes: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    file = options.out / "episodes.jsonl" if options.out else None
-    if file is not None and file.exists():
-        for line in file.read_text().splitlines():
-            outcome = json.loads(line)
-            outcomes[outcome["cell"]].append(outcome)
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
+    kept = Kept(options.out, {name: cell.config() for name, cell in by_name.items()}) if options.out else None
+    outcomes = kept.load() if kept else {}
     total = sum(wanted.values())
-    known = {name: [o for o in outcomes[name] if o["index"] < n] for name, n in wanted.items()}
+    known = {name: [o for o in outcomes.get(name, []) if o["index"] < n] for name, n in wanted.items()}
     with tqdm(total=total, initial=sum(map(len, known.values())), unit="episode", disable=None) as bar:
         for done in run(missing(by_name, wanted, known), options):
             for outcome in done:
                 known[outcome["cell"]].append(outcome)
-            if file is not None:
-                with file.open("a") as stream:
-                    stream.writelines(json.dumps(outcome) + "\n" for outcome in done)
+            if kept:
+                kept.add(done)
             bar.update(len(done))
     return {name: sorted(found, key=lambda o: o["index"]) for name, found in known.items()}
 

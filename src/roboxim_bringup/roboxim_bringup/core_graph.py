@@ -100,7 +100,7 @@ class CoreActor:
 
 
 class CoreSim:
-    """World and renderer; makes the very messages that the sim node publishes while a recording is open."""
+    """World and renderer; makes the very messages that the sim node publishes, when they are asked for."""
 
     def __init__(self, library: ModelLibrary, renderer: str = "raster") -> None:
         """Make the world and the renderer in this thread."""
@@ -108,7 +108,7 @@ class CoreSim:
         self.world = World(library)
         self._renderer = make_renderer(renderer)
         self._rig = CameraRig(self._renderer)
-        self.messages: dict[str, Any] = {}
+        self._messages: dict[str, Any] = {}
         self.images: dict[str, CameraImages] = {}
 
     @property
@@ -121,13 +121,13 @@ class CoreSim:
         record = self.world.load(scene, episode_id)
         if scene.cameras:
             self._rig.load(render_world(scene, self.library), scene)
-        self._publish(record)
+        self._capture(record)
         return record
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action."""
         record = self.world.tick(seq, action, episode_id=episode_id)
-        self._publish(record)
+        self._capture(record)
         return record
 
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
@@ -149,7 +149,22 @@ class CoreSim:
         self._renderer.close()
         self.world.close()
 
-    def _publish(self, record: StateRecord) -> None:
+    def _capture(self, record: StateRecord) -> None:
+        """Draw a tick's images; its messages are made when somebody asks for them."""
+        cameras, self._messages = self.world.scene.cameras, {}
+        if cameras:
+            poses = self.world.camera_poses()
+            views = [(camera, poses[camera.name]) for camera in cameras]
+            self.images = self._rig.capture(record.seq, self.world.body_poses(), views)
+
+    @property
+    def messages(self) -> dict[str, Any]:
+        """The newest tick's messages, by topic."""
+        if not self._messages:
+            self._messages = self._publish(self.world.record)
+        return self._messages
+
+    def _publish(self, record: StateRecord) -> dict[str, Any]:
         world, stamp_ns = self.world, record.stamp_ns
         cameras = world.camera_poses()
         frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}
@@ -163,10 +178,6 @@ class CoreSim:
             "sim/state": to_msg(record, StateRecordMsg),
         }
         checksums = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0}
-        if world.scene.cameras:
-            self.images = self._rig.capture(
-                record.seq, world.body_poses(), [(camera, cameras[camera.name]) for camera in world.scene.cameras]
-            )
         for camera in world.scene.cameras:
             for kind, message in camera_msgs(stamp_ns, camera, self.images[camera.name]).items():
                 topic = f"camera/{camera.name}/{kind}"
@@ -177,7 +188,7 @@ class CoreSim:
             image_crc32=list(checksums.values()),
         )  # fmt: skip
         fill_stamp(notice.stamp, stamp_ns)
-        self.messages = {**messages, "sim/ticks": notice}
+        return {**messages, "sim/ticks": notice}
 
 
 class CoreRecorder:

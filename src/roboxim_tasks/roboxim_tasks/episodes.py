@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,7 +12,7 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
-from roboxim_tasks.components import COMPONENTS, Constraint, RejectedError, ResetComponent, ResetContext
+from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig, TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
@@ -89,10 +88,10 @@ class EpisodeGenerator:
             library=self._library,
             arm=arm,
             ordinal=ordinal,
-            way_blocked=self._solvability and partial(self._solvability.way_blocked, task, arm),
+            way_blocked=partial(self._solvability.way_blocked, task, arm) if self._solvability else None,
         )
         self.last_reset = context
-        constraints = SKILLS[config.skill].constraints(context)
+        context.constraints = SKILLS[config.skill].constraints(context)
         components = [COMPONENTS[name](section) for name, section in config.reset.items()]
         scene = replace(base, control_rate_hz=config.rate_hz)
         try:
@@ -103,16 +102,16 @@ class EpisodeGenerator:
             context.draws += 1
             try:
                 drawn = _apply(scene, [c for c in components if c.places], context)
-                self._check(drawn, constraints, context)
+                self._check(drawn, context)
                 return drawn
             except RejectedError as error:
                 context.rejections[error.constraint] += 1
         (worst, _), *_ = context.rejections.most_common(1)
         raise _infeasible(context, worst, context.draws)
 
-    def _check(self, scene: SceneSpec, constraints: Sequence[Constraint], context: ResetContext) -> None:
+    def _check(self, scene: SceneSpec, context: ResetContext) -> None:
         """Refuse a scene by the first constraint that it breaks; the costly ones come last."""
-        for constraint in constraints:
+        for constraint in context.constraints:
             if not constraint.holds(scene):
                 raise RejectedError(constraint.name)
         task, arm = context.task, context.arm

@@ -52,12 +52,14 @@ class PlacementConfig:
 class Demand:
     """Where an object is to lie besides being apart from the others."""
 
-    name: str
+    name: str = ""
     """Name for messages, e.g. ``beside_target``."""
-    holds: Callable[[EntitySpec], bool]
+    holds: Callable[[EntitySpec], bool] = lambda entity: True
     """Whether an object at a pose meets it."""
     position: Callable[[np.random.Generator], Array] | None = None
     """Draws a position on the table in the robot's base frame, shape (2,) [m]; none: from the whole area."""
+    leaves: Callable[[SceneSpec], str] = lambda scene: ""
+    """Returns the name of what a scene with the object has no room for, or nothing; asked last."""
     gaps: Mapping[str, float] = field(default_factory=dict)
     """Entity to the free space between it and the object, where that is another than usual [m]."""
 
@@ -93,8 +95,11 @@ def place(
         )
         unmet = demand.name if demand and not demand.holds(entity) else ""
         reason = unmet or room.refusal(entity)
+        there = with_entity(scene, entity)
+        if not reason and demand:
+            reason = demand.leaves(there)
         if not reason:
-            return with_entity(scene, entity)
+            return there
         refused[reason] = refused.get(reason, 0) + 1
     raise RejectedError(f"{thing.entity}_{max(refused, key=lambda key: refused[key])}")
 

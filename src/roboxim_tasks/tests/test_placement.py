@@ -87,6 +87,14 @@ def test_wide_targets_get_a_distractor_as_near_as_the_gap_allows(draw, library):
     assert min(nearest_distance(t, centre(drawn.scene.entity("target"), library), library) for t in things) <= 0.1151
 
 
+def test_distractors_leave_the_room_that_the_skill_needs(draw, generator):
+    config = parse_task_config("skill: rotate\nobjects: {target: {models: {values: [knife]}}}\n" + THREE + NEAR % 1.0)
+    for index in range(8):
+        draw(index, config)
+        assert "free_to_turn" not in generator.last_reset.rejections
+        assert generator.last_reset.draws <= 8
+
+
 def test_near_is_checked_when_it_is_read():
     for near in ("{share: 2}", "{distance_m: 0}", "{gap_m: -1}"):
         with pytest.raises(ConfigError, match="near needs"):

@@ -219,6 +219,7 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
     )
 
 
+@lru_cache(maxsize=64)
 def _slab(size: tuple[float, float, float], center: tuple[float, float, float], material: MaterialSpec) -> VisualPart:
     return _placed(VisualPart(mesh=box_mesh(size), material=material), Pose(position=center))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -34,6 +34,8 @@ class Constraint:
     """Name for messages and statistics, e.g. ``target_reachable``."""
     holds: Callable[[SceneSpec], bool]
     """Whether a scene meets it."""
+    room: bool = False
+    """Whether it asks for free room, quickly: then distractors are placed so that they leave it."""
 
 
 @dataclass(kw_only=True)
@@ -52,6 +54,8 @@ class ResetContext:
     """Kinematics of the scene's robot."""
     ordinal: int | None = None
     """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
+    constraints: Sequence[Constraint] = ()
+    """What the skill demands of the scene; known once the components run."""
     way_blocked: Callable[[SceneSpec], bool] | None = None
     """Tells whether distractors collide with the straight lines that would solve the task; none: nothing is planned."""
     areas: dict[str, VectorChoice] = field(default_factory=dict)

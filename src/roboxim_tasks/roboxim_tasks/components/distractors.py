@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Array
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
-from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
 from roboxim_tasks.placement import Demand, PlacementConfig, centre, nearest_distance, place
 from roboxim_tasks.roles import task_distractors
 
@@ -70,18 +71,21 @@ class DistractorsReset(ResetComponent):
         """Place each distractor apart from everything.
 
         Raises:
-            RejectedError: When one finds no room.
+            RejectedError: When one finds no room, or the objects of the task leave too little themselves.
         """
+        if no_room := _no_room_for(context, scene):
+            raise RejectedError(no_room)
         near = self.config.near
         target = next((entity for entity in scene.entities if entity.name == TARGET), None)
         close = bool(near and self._turn(context) < near.share)
         for number, thing in enumerate(task_distractors(context.task)):
-            demand = None
+            demand = Demand()
             if near and target:
                 if not close:
                     demand = self._away(near, target, context)
                 elif number == 0:
                     demand = self._beside(near, scene, target, thing, context)
+            demand = replace(demand, leaves=partial(_no_room_for, context))
             scene = place(scene, thing, self.config, context, self.name, demand)
         return scene
 
@@ -118,3 +122,8 @@ class DistractorsReset(ResetComponent):
             return inside and nearest_distance(entity, middle, context.library) <= limit
 
         return Demand(name="away_from_target", holds=holds, position=position, gaps={TARGET: near.gap_m})
+
+
+def _no_room_for(context: ResetContext, scene: SceneSpec) -> str:
+    """Return the name of the first constraint whose room is taken, or nothing."""
+    return next((c.name for c in context.constraints if c.room and not c.holds(scene)), "")

@@ -31,7 +31,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage
-from roboxim_tasks.placement import refusal
+from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, offset, shift, table_force
 from roboxim_tasks.reach import downward_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
@@ -172,6 +172,7 @@ def free_goals(
     model, other_model = library.entity_model(spec), library.entity_model(other)
     others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
     side = np.array([-direction[1], direction[0]])
+    room = Room.of(others, library, FREE_GAP_M)
     height = scene.table.center[2] + model.rest_height
     found = []
     for gap_m in GAPS_M:
@@ -185,7 +186,7 @@ def free_goals(
                     continue
                 xy = np.array(other.pose.position[:2]) + direction * along + side * slope * along
                 goal = raised(upright(spec.pose, (*xy, 0.0), yaw), height)
-                if comfortable(scene, goal) and not refusal(others, replace(spec, pose=goal), FREE_GAP_M, library):
+                if comfortable(scene, goal) and not room.refusal(replace(spec, pose=goal)):
                     found.append(goal)
                     if len(found) == GOALS:
                         return found

@@ -29,7 +29,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
-from roboxim_tasks.placement import refusal
+from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
@@ -120,9 +120,10 @@ class PushObject(Skill):
             spec = scene.entity(entity)
             farthest = way_m(context.library.entity_model(spec), spec.pose, direction)
             others = replace(scene, entities=tuple(e for e in scene.entities if e.name != entity))
+            room = Room.of(others, context.library, 0.01)
             places = (Pose.from_arrays(spec.pose.position + direction * way, spec.pose.rotation)
                       for way in np.linspace(0.0, farthest, 5))  # fmt: skip
-            return not any(refusal(others, replace(spec, pose=place), 0.01, context.library) for place in places)
+            return not any(room.refusal(replace(spec, pose=place)) for place in places)
 
         def reachable(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
@@ -136,7 +137,7 @@ class PushObject(Skill):
             )
 
         return (
-            Constraint(name="way_free", holds=way_free),
+            Constraint(name="way_free", holds=way_free, room=True),
             Constraint(name="target_reachable", holds=reachable),
             start_clear(context),
         )

@@ -24,7 +24,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
-from roboxim_tasks.placement import refusal
+from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, shift, table_force, turned
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
@@ -111,11 +111,12 @@ class Rotate(Skill):
         def free(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
             others = replace(scene, entities=tuple(e for e in scene.entities if e.name != entity))
+            room = Room.of(others, context.library, FREE_GAP_M)
             turns = (replace(spec, pose=_turned(spec.pose, angle)) for angle in _steps(parameters.angle_rad))
-            return not any(refusal(others, turn, FREE_GAP_M, context.library) for turn in turns)
+            return not any(room.refusal(turn) for turn in turns)
 
         return (
-            Constraint(name="free_to_turn", holds=free),
+            Constraint(name="free_to_turn", holds=free, room=True),
             Constraint(name="target_reachable", holds=reachable),
             start_clear(context),
         )

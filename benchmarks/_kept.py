@@ -1,0 +1,91 @@
+"""Episodes that a long benchmark keeps in a folder, with what made them, so that no two codes end in one table."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import config_dirs
+
+PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup")
+SUFFIXES = (".py", ".so", ".yaml", ".urdf", ".srdf", ".obj", ".stl", ".glb")
+"""Files that decide what happens in an episode; textures and documents do not."""
+
+
+class Kept:
+    """A folder with ``episodes.jsonl``, one episode a line, and ``made_by.json``."""
+
+    def __init__(self, folder: Path, configs: Mapping[str, str]) -> None:
+        """Open or make a folder.
+
+        Args:
+            folder: The folder.
+            configs: Cell to its configuration.
+
+        Raises:
+            SystemExit: When it holds episodes of other code, or of another configuration of a cell.
+        """
+        self._episodes = folder / "episodes.jsonl"
+        made_by, cells = folder / "made_by.json", {name: _digest(text.encode()) for name, text in configs.items()}
+        now: dict[str, Any] = {"code": code_digest(), "commit": commit(), "cells": cells}
+        if self._episodes.exists():
+            then = (
+                json.loads(made_by.read_text()) if made_by.exists() else {"code": "", "commit": "unknown", "cells": {}}
+            )
+            if then["code"] != now["code"]:
+                raise SystemExit(
+                    f"{folder} holds episodes that other code made (commit {then['commit']}; this is {now['commit']}, "
+                    "or files were changed since): give --out a new folder, or go on with the code that began it"
+                )
+            other = [name for name, digest in cells.items() if then["cells"].get(name, digest) != digest]
+            if other:
+                raise SystemExit(
+                    f"{folder} holds episodes of another configuration of {', '.join(other)}: give --out a new folder"
+                )
+            now["cells"] = then["cells"] | cells
+        folder.mkdir(parents=True, exist_ok=True)
+        made_by.write_text(json.dumps(now, indent=2) + "\n")
+
+    def load(self) -> dict[str, list[dict[str, Any]]]:
+        """Return the episodes of each cell."""
+        found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        if self._episodes.exists():
+            for line in self._episodes.read_text().splitlines():
+                episode = json.loads(line)
+                found[episode["cell"]].append(episode)
+        return found
+
+    def add(self, episodes: Iterable[Mapping[str, Any]]) -> None:
+        """Append episodes."""
+        with self._episodes.open("a") as stream:
+            stream.writelines(json.dumps(dict(episode)) + "\n" for episode in episodes)
+
+
+def code_digest() -> str:
+    """Return a hash of the code and configuration that this process uses, wherever they were imported from."""
+    digest = hashlib.blake2b(digest_size=8)
+    roots = [Path(str(import_module(f"roboxim_{name}").__file__)).parent for name in PACKAGES]
+    for root in (*roots, *config_dirs()):
+        for path in sorted(root.rglob("*")):
+            if path.suffix in SUFFIXES and path.is_file():
+                digest.update(
+                    f"{root.name}/{path.relative_to(root)}".encode() + b"\0" + _digest(path.read_bytes()).encode()
+                )
+    return digest.hexdigest()
+
+
+def commit() -> str:
+    """Return the checkout's commit; ``unknown`` outside of one."""
+    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=12", "HEAD"]
+    answer = subprocess.run(asked, capture_output=True, text=True, check=False)
+    return answer.stdout.strip() or "unknown"
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=8).hexdigest()

@@ -1,0 +1,63 @@
+"""The expert's benchmark: what it keeps of a long run, and that an episode's figures are those of its scene."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _benchmarks_importable():
+    sys.path.insert(0, str(BENCHMARKS))
+    yield
+    sys.path.remove(str(BENCHMARKS))
+
+
+def test_a_run_goes_on_with_its_own_code_and_configuration_alone(tmp_path, monkeypatch):
+    import _kept
+
+    folder = tmp_path / "run"
+    _kept.Kept(folder, {"a": "skill: pick_up"}).add([{"cell": "a", "index": 0}])
+    again = _kept.Kept(folder, {"a": "skill: pick_up", "b": "skill: rotate"})
+    again.add([{"cell": "b", "index": 3}])
+    assert again.load() == {"a": [{"cell": "a", "index": 0}], "b": [{"cell": "b", "index": 3}]}
+    with pytest.raises(SystemExit, match="another configuration of b: give --out a new folder"):
+        _kept.Kept(folder, {"a": "skill: pick_up", "b": "skill: stack"})
+    with pytest.raises(SystemExit, match="another configuration of a"):
+        _kept.Kept(folder, {"a": "skill: stack"})
+    monkeypatch.setattr(_kept, "code_digest", lambda: "0123")
+    with pytest.raises(SystemExit, match="other code made .*new folder"):
+        _kept.Kept(folder, {"a": "skill: pick_up"})
+    (folder / "made_by.json").unlink()
+    with pytest.raises(SystemExit, match="commit unknown"):
+        _kept.Kept(folder, {"a": "skill: pick_up"})
+
+
+def test_the_codes_digest_is_that_of_the_files(tmp_path, monkeypatch):
+    import _kept
+
+    monkeypatch.setattr(_kept, "PACKAGES", ())
+    monkeypatch.setattr(_kept, "config_dirs", lambda: (tmp_path,))
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "cube.yaml").write_text("mass: 1")
+    first = _kept.code_digest()
+    (tmp_path / "README.md").write_text("words")
+    assert _kept.code_digest() == first
+    (tmp_path / "objects" / "cube.yaml").write_text("mass: 2")
+    assert _kept.code_digest() != first
+
+
+def test_an_episodes_figures_are_those_of_its_settled_scene():
+    from _cells import cells
+    from _expert_run import run_chunk
+
+    cell = next(cell for cell in cells(3) if cell.name == "pick_up/apple/3")
+    (near,) = run_chunk(cell, [2], [2])
+    assert near["first_try"]
+    assert near["replayed"]
+    assert near["disturbed"] == 0
+    assert near["seen_share"] >= 0.5
+    assert 40 <= near["seen_px"] <= 400  # an apple of 7 cm, a metre away, in a picture of 128 x 128
+    assert near["draws"] == 1 + sum(near["rejections"].values())
