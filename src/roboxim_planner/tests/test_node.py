@@ -505,6 +505,68 @@ def test_every_service_answers_and_refuses_nan_and_a_wrong_joint_count(graph: Gr
         assert words in str(error)
 
 
+@pytest.mark.parametrize("name", ["plan_to_pose", "plan_to_joints", "plan_cartesian", "plan_sequence", "retime_path"])
+def test_every_planning_service_ends_at_its_deadline(graph: Graph, name: str) -> None:
+    kind, request = _requests()[name]
+    request.request.timeout = 1e-5
+    error = graph.refused(kind, name, request)
+    assert error.code == ErrorCode.TIMEOUT
+    assert "time out after 1e-05 s in stage" in str(error)
+
+
+def _impossible() -> dict[str, tuple[Any, Any, ErrorCode, str]]:
+    """Return a request to each service that can ask for what cannot be done."""
+    asked = _requests()
+    beyond = [*HOME[:5], 9.0, HOME[6]]
+    asked["plan_to_pose"][1].target.pose.position.x = 2.5
+    asked["plan_to_joints"][1].target = JointState(position=beyond)
+    asked["plan_cartesian"][1].waypoints[0].pose.position.x = 2.5
+    asked["plan_sequence"][1].stages[0].goals[0].pose.position.x = 2.5
+    asked["retime_path"][1].path = trajectory(beyond, HOME)
+    asked["compute_ik"][1].target.pose.position.x = 2.5
+    expected = {
+        "plan_to_pose": (ErrorCode.GOAL_UNREACHABLE, "mm and"),
+        "plan_to_joints": (ErrorCode.GOAL_UNREACHABLE, "panda_joint6 at 9.0000 rad"),
+        "plan_cartesian": (ErrorCode.PATH_INCOMPLETE, "out of reach"),
+        "plan_sequence": (ErrorCode.GOAL_UNREACHABLE, "stage 'approach' (1 of 3)"),
+        "retime_path": (ErrorCode.TRAJECTORY_INVALID, "point 0 of the path: panda_joint6 at 9.0000 rad"),
+        "compute_ik": (ErrorCode.GOAL_UNREACHABLE, "mm and"),
+    }
+    return {name: (*asked[name], *said) for name, said in expected.items()}
+
+
+@pytest.mark.parametrize("name", sorted(_impossible()))
+def test_what_cannot_be_done_is_refused_with_the_reason(graph: Graph, name: str) -> None:
+    kind, request, code, words = _impossible()[name]
+    error = graph.refused(kind, name, request)
+    assert error.code == code
+    assert words in str(error)
+
+
+def test_the_wrong_part_of_a_request_is_named(graph: Graph) -> None:
+    asked = _requests()
+    nan = float("nan")
+    pose, line, staged = (asked[name][1] for name in ("plan_to_pose", "plan_cartesian", "plan_sequence"))
+    pose.alternatives = [target().pose, target().pose]
+    pose.alternatives[1].position.x = nan
+    line.waypoints.append(target())
+    line.waypoints[1].pose.orientation.x = 2.0
+    staged.stages[1].goals[0].pose.position.x = nan
+    scene = asked["check_state"][1]
+    scene.scene.objects = [cube()]
+    scene.scene.objects[0].pose.position.x = nan
+    path = asked["retime_path"][1]
+    path.path.points[1].positions = [nan, *HOME[1:]]
+    for name, request, words in (
+        ("plan_to_pose", pose, "target 3 of 3: a pose must be finite"),
+        ("plan_cartesian", line, "waypoint 2 of 2: a pose's quaternion must have norm 1"),
+        ("plan_sequence", staged, "stage 'grasp': goal: a pose must be finite"),
+        ("check_state", scene, "pose of object 'cube': a pose must be finite"),
+        ("retime_path", path, "point 1 of the trajectory: positions must be finite"),
+    ):
+        assert words in str(graph.refused(asked[name][0], name, request))
+
+
 def test_unknown_frames_are_named(graph: Graph) -> None:
     line = _requests()["plan_cartesian"][1]
     line.waypoints[0].header.frame_id = "tpc"
