@@ -48,8 +48,9 @@ def pixels(name: str) -> Pixels:
         factor = _linear(_image(name))[::-1]  # an image's first row is its top, at v = 1
     else:
         factor = TEXTURES[name]()
-    image = np.broadcast_to(factor if factor.ndim == 3 else factor[..., None], (SIZE, SIZE, 3))
-    return np.ascontiguousarray(np.rint(255.0 * np.sqrt(np.clip(image, 0.0, 1.0))).astype(np.uint8))
+    image = np.rint(255.0 * np.sqrt(np.clip(factor, 0.0, 1.0))).astype(np.uint8)
+    # A grey one is kept once, not thrice.
+    return np.ascontiguousarray(image) if image.ndim == 3 else np.broadcast_to(image[..., None], (SIZE, SIZE, 3))
 
 
 def _image(name: str) -> Image.Image:
