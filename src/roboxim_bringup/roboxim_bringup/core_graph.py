@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 import zlib
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +62,12 @@ class CoreTasks:
         self.generator = EpisodeGenerator(
             library, Solvability(library, planner) if planner else None, Visibility(eyes) if eyes else None
         )
+        self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._judge: Judge | None = None
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
         """Draw the episode of a seed path."""
-        return self.generator.draw(seed, parse_task_config(task_config) if task_config else load_task_config())
+        return self.generator.draw(seed, self._parse(task_config) if task_config else load_task_config())
 
     def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
         """Start a fold."""
