@@ -18,7 +18,7 @@ from roboxim_core.poses import Vec3
 from roboxim_planner import native
 from roboxim_planner.constraint import Upright
 from roboxim_planner.contacts import ContactModel, ContactPair, ContactRules, held_shape
-from roboxim_planner.geometry import make_shape
+from roboxim_planner.geometry import make_shape, placed_shapes
 from roboxim_planner.robot import PlannerRobot, native_shape, pose_matrix
 from roboxim_planner.scene import BodyShape, PlanningScene, PointHull, TriangleMesh
 
@@ -26,6 +26,8 @@ __all__ = ["CollisionWorld", "ContactPair"]
 Array = npt.NDArray[np.float64]
 SEARCH_RESOLUTION_M = 0.01
 EXACT_RESOLUTION_M = 2.5e-4
+SELF_MARGIN_M = 2e-3  # that the arm keeps from itself while searching, where its ends do
+_HALVINGS = 5  # of a blend that is not free
 TOUCH_M = 5e-6  # exact distances of hulls differ by less between the native kernel and coal
 _PLAIN = ("box", "sphere", "cylinder", "capsule")
 
@@ -51,7 +53,10 @@ class CollisionWorld:
         self.scene = scene
         self.padding = padding
         self._rules = ContactRules(robot, scene)
+        self._placed = placed_shapes(scene)
         self._coal: list[ContactModel] = []
+        self._margins: dict[float, native.Margins] = {}
+        self._eased: Array | None = None
         self.upright = upright
         self.native = self._build()
         if upright is not None:
@@ -62,8 +67,35 @@ class CollisionWorld:
         """Return the same world with another padding; it shares the geometry."""
         other = object.__new__(CollisionWorld)
         other.__dict__.update(self.__dict__)
-        other.padding = padding
+        other.padding, other._eased, other._margins = padding, None, {}
         return other
+
+    def eased(self, padding: float, states: Array) -> CollisionWorld:
+        """Return the same world with a padding that some states keep: for a pair that is near in one of them, less.
+
+        A path that is free in it touches nothing, because a pair's margin is also the motion below which a state stands
+        for what is around it (but for pairs whose margin is less than the resolution that a check names).
+
+        Args:
+            padding: Distance from obstacles at or below which the arm counts as touching them, where it can be [m].
+            states: Arm configurations that touch nothing, shape (N, dof) [rad].
+        """
+        world = self.padded(padding)
+        margins = 0.5 * self.native.clearances(states, 2.0 * padding)
+        margins[: self._item_pairs] = np.minimum(margins[: self._item_pairs], SELF_MARGIN_M)
+        world._eased = margins
+        return world
+
+    def margins(self, resolution: float) -> native.Margins:
+        """Return what the native kernel is asked for at a resolution [m]."""
+        known = self._margins.get(resolution)
+        if known is None:
+            if self._eased is None:
+                known = native.Margins(self.padding, 0.0, resolution)
+            else:
+                known = native.Margins(self._eased, resolution)
+            self._margins[resolution] = known
+        return known
 
     def _build(self) -> native.World:
         robot, scene = self.robot, self.scene
@@ -72,7 +104,8 @@ class CollisionWorld:
         item_names = [shape.link for shape in shapes]
         moving = [shape.joint >= 0 and not shape.close for shape in shapes]
         own = len(items)
-        obstacles, obstacle_names = self._obstacles()
+        makers = [make for body in scene.bodies for make in _parts(body.shapes)]
+        obstacles = [make(part.pose) for make, part in zip(makers, self._placed, strict=True)]
         joint, tcp_pose = robot.tcp_attachment
         for held in scene.attached:
             placed = tcp_pose @ pose_matrix(held.body.pose)
@@ -84,21 +117,18 @@ class CollisionWorld:
                 moving.append(True)
         checks = self._rules.checks
         item_pairs = [
-            index
-            for pair in robot.geometry.collisionPairs
-            if not scene.allowed or checks(item_names[pair.first], item_names[pair.second])
-            for index in (pair.first, pair.second)
+            pair for pair in robot.self_pairs if not scene.allowed or checks(item_names[pair[0]], item_names[pair[1]])
         ]
         for i, links in self._partners(item_names[own:], item_names[: robot.whole_shapes]):
-            item_pairs += [index for k in links for index in (k, own + i)]
+            item_pairs += [(k, own + i) for k in links]
         obstacle_pairs = [
-            index
-            for i, others in self._partners(item_names, obstacle_names)
+            (i, k)
+            for i, others in self._partners(item_names, [part.body for part in self._placed])
             if moving[i]
             for k in others
-            for index in (i, k)
         ]
-        return native.World(robot.arm, items, obstacles, item_pairs, obstacle_pairs)
+        self._item_pairs = len(item_pairs)
+        return native.World(robot.arm, items, obstacles, _flat(item_pairs), _flat(obstacle_pairs))
 
     def _partners(self, names: list[str], others: list[str]) -> Iterator[tuple[int, list[int]]]:
         """Yield the index of each name with the indices of the others that it may not touch."""
@@ -108,21 +138,11 @@ class CollisionWorld:
                 found[name] = [k for k, other in enumerate(others) if self._rules.checks(name, other)]
             yield i, found[name]
 
-    def _obstacles(self) -> tuple[list[native.Obstacle], list[str]]:
-        """Return the scene's shapes in the base's frame, and the body that each belongs to."""
-        to_base = np.linalg.inv(pose_matrix(self.scene.robot_pose))
-        made, names = [], []
-        for body in self.scene.bodies:
-            poses = to_base @ pose_matrix(body.pose) @ _part_poses(body.shapes)
-            made += [make(pose) for make, pose in zip(_parts(body.shapes), poses, strict=True)]
-            names += [body.name] * len(body.shapes)
-        return made, names
-
     @property
     def coal(self) -> ContactModel:
         """The same scene in coal; built when first needed."""
         if not self._coal:
-            self._coal.append(ContactModel(self.robot, self.scene, self._rules))
+            self._coal.append(ContactModel(self.robot, self.scene, self._rules, self._placed))
         return self._coal[0]
 
     def contacts(self, joints: npt.ArrayLike) -> tuple[ContactPair, ...]:
@@ -131,7 +151,7 @@ class CollisionWorld:
 
     def is_free(self, joints: npt.ArrayLike) -> bool:
         """Tell whether an arm configuration touches nothing."""
-        return self.native.path_is_free(np.asarray(joints, dtype=float), self.padding, 0.0, 1.0)
+        return self.native.path_is_free(joints, self.margins(SEARCH_RESOLUTION_M))
 
     def edge_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float = SEARCH_RESOLUTION_M) -> bool:
         """Tell whether the straight joint-space edge is free, both ends included.
@@ -141,15 +161,40 @@ class CollisionWorld:
             end: Arm configuration.
             resolution: Motion below which a free state stands for what is around it [m].
         """
-        return self.native.path_is_free(np.array([start, end]), self.padding, 0.0, resolution)
+        return self.native.path_is_free(np.array([start, end]), self.margins(resolution))
+
+    def free_edge(self, start: Array, ends: Array, resolution: float = SEARCH_RESOLUTION_M) -> int:
+        """Return the first of some configurations (N, dof) to which the straight edge is free, or -1."""
+        return self.native.free_edge(start, ends, self.margins(resolution))
 
     def path_is_free(self, path: npt.ArrayLike, resolution: float = SEARCH_RESOLUTION_M) -> bool:
         """Tell whether a polyline of arm configurations (N, dof) is free, also between its points."""
-        return self.native.path_is_free(np.asarray(path, dtype=float), self.padding, 0.0, resolution)
+        return self.native.path_is_free(path, self.margins(resolution))
+
+    def blends(self, path: npt.ArrayLike, largest: float, resolution: float = SEARCH_RESOLUTION_M) -> Array:
+        """Return how far from each inner waypoint of a polyline its corner may be blended, see `timing.blend_points`.
+
+        Args:
+            path: Waypoints, shape (N, dof) [rad].
+            largest: Largest distance from a waypoint at which a blend may begin [rad].
+            resolution: Motion below which a free state stands for what is around it [m].
+
+        Returns:
+            Distances, shape (N - 2,) [rad]; 0 where no blend is free.
+        """
+        return self.native.blends(path, largest, _HALVINGS, self.margins(resolution))
 
     def first_hit(self, path: npt.ArrayLike, resolution: float = EXACT_RESOLUTION_M) -> float:
         """Return where a polyline first collides, in units of its points, e.g. 1.5; negative: nowhere."""
-        return self.native.first_hit(np.asarray(path, dtype=float), self.padding, 0.0, resolution)
+        return self.native.first_hit(path, self.margins(resolution))
+
+    def is_proven(self, path: npt.ArrayLike) -> bool:
+        """Tell whether a dense path of shape (N, dof) touches nothing, in the sense of `first_collision`."""
+        return any(self.native.path_is_free(path, margins) for margins in self._proofs())
+
+    def _proofs(self) -> Iterator[native.Margins]:
+        for margin in (EXACT_RESOLUTION_M, TOUCH_M):
+            yield native.Margins(self.padding + margin, margin, margin)
 
     def first_collision(self, path: npt.ArrayLike) -> int:
         """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1.
@@ -158,8 +203,9 @@ class CollisionWorld:
         it, it is looked at again, as finely as distances are exact.
         """
         points = np.asarray(path, dtype=float)
-        for margin in (EXACT_RESOLUTION_M, TOUCH_M):
-            hit = self.native.first_hit(points, self.padding + margin, margin, margin)
+        hit = -1.0
+        for margins in self._proofs():
+            hit = self.native.first_hit(points, margins)
             if hit < 0.0:
                 return -1
         return math.ceil(hit - 1e-9)
@@ -174,7 +220,14 @@ class CollisionWorld:
 
     def free_states(self, states: Iterable[Array]) -> list[Array]:
         """Return those of some arm configurations that touch nothing."""
-        return [q for q in states if self.is_free(q)]
+        candidates = np.array(list(states))
+        if not len(candidates):
+            return []
+        return list(candidates[self.native.free_states(candidates, self.margins(SEARCH_RESOLUTION_M))])
+
+
+def _flat(pairs: list[tuple[int, int]]) -> list[int]:
+    return [index for pair in pairs for index in pair]
 
 
 def _unit(axis: Vec3) -> Array:

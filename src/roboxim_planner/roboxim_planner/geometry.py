@@ -1,7 +1,8 @@
-"""Turns the shapes of scenes and models into coal's."""
+"""Turns the shapes of scenes and models into coal's, and says where they are."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import coal
@@ -10,8 +11,41 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.poses import Vec3
-from roboxim_planner.scene import BodyShape, PointHull, TriangleMesh
+from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_planner import native
+from roboxim_planner.scene import BodyShape, PlanningScene, PointHull, TriangleMesh
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedShape:
+    """A part of a body that rests."""
+
+    body: str
+    """Name of the body."""
+    shape: BodyShape
+    """The part."""
+    pose: Array
+    """In the robot's base, shape (4, 4)."""
+
+
+def placed_shapes(scene: PlanningScene) -> list[PlacedShape]:
+    """Return all parts of a scene's bodies in the frame of the robot's base."""
+    parts = [(body, shape) for body in scene.bodies for shape in body.shapes]
+    poses = pose_matrices([body.pose for body, _ in parts])
+    if any(shape.pose is not IDENTITY for _, shape in parts):
+        poses = poses @ pose_matrices([shape.pose for _, shape in parts])
+    if scene.robot_pose != IDENTITY:
+        poses = np.linalg.inv(pose_matrices([scene.robot_pose])) @ poses
+    return [
+        PlacedShape(body=body.name, shape=shape, pose=pose) for (body, shape), pose in zip(parts, poses, strict=True)
+    ]
+
+
+def pose_matrices(poses: list[Pose]) -> Array:
+    """Return poses as homogeneous matrices, shape (N, 4, 4); a small part of scipy's time."""
+    return native.pose_matrices(np.array([(*pose.position, *pose.quat_xyzw) for pose in poses]).reshape(-1, 7))
 
 
 def make_shape(shape: BodyShape) -> coal.CollisionGeometry:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.poses import Pose
+from roboxim_planner import native
 from roboxim_planner.robot import PlannerRobot, pose_matrix
 
 Array = npt.NDArray[np.float64]
@@ -109,13 +110,7 @@ class IkSolver:
         )
 
     def _distinct(self, found: Array, reference: Array) -> Array:
-        ordered = found[np.argsort(np.abs(found - reference).max(axis=1), kind="stable")]
-        close = np.abs(ordered[:, None] - ordered[None]).max(axis=2) <= self.config.same_rad
-        kept: list[int] = []
-        for i in range(len(ordered)):
-            if not close[i, kept].any():
-                kept.append(i)
-        return np.asarray(ordered[kept])
+        return native.distinct(found, reference, self.config.same_rad)
 
 
 def _unreachable(target: Pose, off: float, turned: float) -> PlannerError:

@@ -6,12 +6,35 @@ There is no other way to check collisions here: a kernel that is missing or old 
 from __future__ import annotations
 
 try:
-    from roboxim_planner_native import API, Arm, Item, Mesh, Obstacle, World
+    from roboxim_planner_native import (
+        API,
+        Arm,
+        Item,
+        Margins,
+        Mesh,
+        Obstacle,
+        World,
+        distinct,
+        extremes,
+        pose_matrices,
+        sample_polynomial,
+    )
 except ImportError as error:
     raise ImportError(f"the planner's native kernel cannot be loaded ({error}); run `make setup`") from error
 
-EXPECTED_API = 3
+EXPECTED_API = 4
 if API != EXPECTED_API:
     raise ImportError(f"the planner needs version {EXPECTED_API} of its native kernel, found {API}; run `make setup`")
 
-__all__ = ["Arm", "Item", "Mesh", "Obstacle", "World"]
+__all__ = [
+    "Arm",
+    "Item",
+    "Margins",
+    "Mesh",
+    "Obstacle",
+    "World",
+    "distinct",
+    "extremes",
+    "pose_matrices",
+    "sample_polynomial",
+]

@@ -44,8 +44,9 @@ class SearchConfig:
     """Planners in the order tried, each with its iterations."""
     range_rad: float = 1.2
     """Longest edge that a tree grows by [rad]."""
-    resolution_m: float = 0.01
-    """Motion of the arm's points below which a free state stands for what is around it on an edge [m]."""
+    resolution_m: float = 5e-4
+    """Motion of the arm's points below which a free state stands for what is around it on an edge [m]; of a pair that
+    keeps a larger distance, that distance."""
     shortcuts: int = 100
     """Random shortcuts tried."""
     upright_iterations: int = 3000
@@ -62,11 +63,15 @@ class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
     def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, resolution: float) -> None:
         super().__init__(info)
         self._free = world.native.path_is_free
-        self._margins = (world.padding, 0.0, resolution)
+        self._margins = world.margins(resolution)
         self._dof = world.robot.dof
+        self._edge = np.empty((2, self._dof))
 
     def checkMotion(self, start: ob.State, end: ob.State) -> bool:  # noqa: N802 - OMPL's name
-        return self._free((start[0 : self._dof], end[0 : self._dof]), *self._margins)
+        edge = self._edge
+        edge[0] = start[0 : self._dof]
+        edge[1] = end[0 : self._dof]
+        return self._free(edge, self._margins)
 
 
 class _Stop:
@@ -111,7 +116,7 @@ def search(
             seed,
             config.upright_iterations,
             config.upright_step_rad,
-            (world.padding, 0.0, config.resolution_m),
+            world.margins(config.resolution_m),
             lambda spent: watch("search", spent),
         )
         return found if len(found) else None
@@ -219,7 +224,7 @@ def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConf
     watch("search", 0)
     weights = 1.0 / world.robot.max_velocity
     return world.native.shorten(
-        path, seed, config.shortcuts, weights / weights.max(), world.padding, 0.0, config.resolution_m
+        path, seed, config.shortcuts, weights / weights.max(), world.margins(config.resolution_m)
     )
 
 

@@ -24,14 +24,18 @@ from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Traj
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import PaddedSweep, Sweep
-from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, blend_points, still, time_path
+from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, still, time_path
 from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
 Goals = tuple[Array, list[int]]
 """Arm configurations, nearest first, shape (N, dof) [rad], and which goal each belongs to."""
 _BUDGETS = (1, 1, 2, 2, 4, 4)
-"""Of successive searches, in units of the configured one; every second one ignores the padding."""
+"""Of successive searches, in units of the configured one."""
+_DIRECT = 8
+"""Goal configurations to which the straight line is tried."""
+_PADDINGS = (1.0, 0.2, 1.0, 0.2, 0.2, 0.0)
+"""That they keep, in units of the one asked for."""
 
 __all__ = ["MotionOptions", "PathIncompleteError", "Plan", "Planner", "PlannerConfig", "Trajectory", "Upright"]
 
@@ -102,7 +106,11 @@ class Planner:
         watch("goals", 0)
         for i, goal in enumerate(goals):
             near = self.ik.nearest(goal, begin)
-            plan = None if near is None else self._try_direct(worlds, begin, near, options, i, watch)
+            if near is None or not worlds.exact.is_free(near):
+                continue
+            if worlds.eased(begin, near).free_edge(begin, near[None], self.config.search.resolution_m) < 0:
+                continue
+            plan = self._direct(worlds, begin, near, options, i)
             if plan is not None:
                 return plan
         found = self._goal_configurations(worlds, begin, goals, options.seed, watch)
@@ -355,21 +363,41 @@ class Planner:
             ErrorCode.GOAL_IN_COLLISION,
         )
 
-    def _try_direct(
-        self, worlds: PaddedSweep, begin: Array, goal: Array, options: MotionOptions, owner: int, watch: Watch
+    def _direct(
+        self, worlds: PaddedSweep, begin: Array, goal: Array, options: MotionOptions, owner: int
     ) -> Plan | None:
-        """Return the plan of the straight joint line, or none when it is not valid."""
-        if float(np.abs(goal - begin).max()) < 1e-9:
-            return Plan(motion=still(begin), route="still", goal_index=owner, waypoints=np.stack([begin, goal]))
-        watch("direct", 0)
+        """Return the plan of a straight joint line, or none when it is not valid."""
         path = np.stack([begin, goal])
-        world = worlds.for_ends(begin, goal)
-        if world is None or not world.edge_is_free(begin, goal, self.config.search.resolution_m):
-            return None
-        motion = time_path(path, np.zeros(0), self.limits(options), self.robot.kinematics.jacobian)
-        if not verify_motion(worlds, self.robot, motion, self.limits(options), goal).valid:
+        if float(np.abs(goal - begin).max()) < 1e-9:
+            return Plan(motion=still(begin), route="still", goal_index=owner, waypoints=path)
+        limits = self.limits(options)
+        motion = time_path(path, np.zeros(0), limits, self.robot.kinematics.jacobian)
+        if not verify_motion(worlds, self.robot, motion, limits, goal, explain=False).valid:
             return None
         return Plan(motion=motion, route="direct", goal_index=owner, waypoints=path)
+
+    def _first_direct(
+        self,
+        worlds: PaddedSweep,
+        world: CollisionWorld,
+        begin: Array,
+        found: Goals,
+        options: MotionOptions,
+        watch: Watch,
+    ) -> Plan | None:
+        """Return the plan of the straight joint line to the first goal that has a valid one, or none."""
+        watch("direct", 0)
+        goals, owners = found[0][:_DIRECT], found[1]
+        at = 0
+        while at < len(goals):
+            k = world.free_edge(begin, goals[at:], self.config.search.resolution_m)
+            if k < 0:
+                return None
+            plan = self._direct(worlds, begin, goals[at + k], options, owners[at + k])
+            if plan is not None:
+                return plan
+            at += k + 1
+        return None
 
     def _plan(
         self,
@@ -385,19 +413,20 @@ class Planner:
         ``more`` looks for more goal configurations; it is called when the first search finds no way to those there are.
         """
         goals, owners = found
-        for goal, owner in zip(goals[:8], owners, strict=False):
-            plan = self._try_direct(worlds, begin, goal, options, owner, watch)
-            if plan is not None:
-                return plan
-        finding: Finding | None = None
+        world = worlds.eased(begin, goals)
+        plan = self._first_direct(worlds, world, begin, found, options, watch)
+        if plan is not None:
+            return plan
+        failed: tuple[Motion, Array] | None = None
         refused = 0
         for attempt, budget in enumerate(_BUDGETS[: self.config.attempts]):
             if attempt == 1 and more is not None:
                 goals, owners = more()
-            world = worlds.for_goals(begin, goals, padded=attempt % 2 == 0)
+            if attempt:
+                world = worlds.eased(begin, goals, _PADDINGS[attempt])
             seed = options.seed + 7919 * attempt
             config = self._search_config(options, budget, refused)
-            path = search(world, begin, np.array(world.free_states(goals)), seed=seed, config=config, watch=watch)
+            path = search(world, begin, goals, seed=seed, config=config, watch=watch)
             if path is None:
                 continue
             path = without_repeats(path)
@@ -408,11 +437,13 @@ class Planner:
                 path = improve(
                     options.planner, world, path, seed=seed, iterations=iterations, config=config, watch=watch
                 )
-            motion, finding = self._time_and_verify(worlds, world, path, options, watch)
-            if motion is not None:
+            motion, valid = self._time_and_verify(worlds, world, path, options, watch)
+            if valid:
                 return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
+            failed = motion, path[-1]
             refused += 1
-        if finding is not None:
+        if failed is not None:
+            finding = verify_motion(worlds, self.robot, failed[0], self.limits(options), failed[1])
             raise PlannerError(f"no path passed verification, the last because {finding}", ErrorCode.TRAJECTORY_INVALID)
         constraint = "" if options.upright is None else " that keeps the tool upright"
         raise PlannerError(
@@ -424,6 +455,8 @@ class Planner:
         """Return the budget of a search, finer the more motions verification has refused."""
         base = self.config.search
         planners = base.planners
+        if budget == 1 and not refused and options.planner in (*IMPROVERS, planners[0][0]):
+            return base
         if options.planner not in IMPROVERS and options.planner != planners[0][0]:
             most = max(iterations for _, iterations in planners)
             planners = ((options.planner, most), *planners)
@@ -436,34 +469,21 @@ class Planner:
 
     def _time_and_verify(
         self, sweep: Sweep, world: CollisionWorld, path: Array, options: MotionOptions, watch: Watch
-    ) -> tuple[Motion | None, Finding]:
-        """Time a path with blends, then with smaller ones, then stopping at its waypoints, until one is valid."""
+    ) -> tuple[Motion, bool]:
+        """Time a path with blends, then with smaller ones, then stopping at its waypoints, until one is valid.
+
+        Returns:
+            The last motion tried, and whether it is valid.
+        """
         limits = self.limits(options)
-        corners = self._blends(world, path)
-        finding = Finding()
-        for shrink in (1.0, 0.4, 0.0):
+        corners = world.blends(path, self.config.max_blend_rad, self.config.search.resolution_m)
+        for shrink in (1.0, 0.4, 0.0) if corners.any() else (1.0,):
             watch("timing", 0)
             motion = time_path(path, corners * shrink, limits, self.robot.kinematics.jacobian)
             watch("verify", 0)
-            finding = verify_motion(sweep, self.robot, motion, limits, path[-1])
-            if finding.valid:
-                return motion, finding
-            if not corners.any():
-                break
-        return None, finding
-
-    def _blends(self, world: CollisionWorld, path: Array) -> Array:
-        """Return the largest collision-free blend distance of each inner waypoint, 0 where there is none."""
-        lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        corners = np.zeros(max(0, len(path) - 2))
-        for i in range(len(corners)):
-            distance = min(self.config.max_blend_rad, 0.499 * lengths[i], 0.499 * lengths[i + 1])
-            for _ in range(5):
-                if world.path_is_free(blend_points(path[i], path[i + 1], path[i + 2], distance)[1:-1]):
-                    corners[i] = distance
-                    break
-                distance *= 0.5
-        return corners
+            if verify_motion(sweep, self.robot, motion, limits, path[-1], explain=False).valid:
+                return motion, True
+        return motion, False
 
     def named_state(self, name: str) -> Array:
         """Return a named arm configuration of the robot.

@@ -20,6 +20,7 @@ from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
 from roboxim_planner import native
+from roboxim_planner.broadphase import LinkGroup
 from roboxim_planner.covers import cover_box, cover_hull, cover_round
 from roboxim_planner.geometry import convex_hull, mesh_points
 
@@ -99,7 +100,16 @@ class PlannerRobot:
         self.whole_shapes = len(self.geometry.geometryObjects)
         """How many shapes of ``geometry`` stand for their link against everything."""
         self._add_close_pairs(robot)
+        self.item_links = tuple(self.model.frames[item.parentFrame].name for item in self.geometry.geometryObjects)
+        """The link that each collision shape belongs to."""
+        self.item_joints = tuple(self._moves_with(item.parentJoint) for item in self.geometry.geometryObjects)
+        """The arm joint that each moves with, -1: none."""
+        self.self_pairs = tuple((pair.first, pair.second) for pair in self.geometry.collisionPairs)
+        """Shapes that may not touch each other."""
+        self.scratch = self.model.createData()
         self._shapes = lru_cache(maxsize=16)(self._link_shapes)
+        self.link_group = lru_cache(maxsize=16)(self._link_group)
+        """Broad phase of some of the shapes, by index, with the pairs of them that are checked."""
 
     def _load_geometry(self, robot: RobotModel) -> pin.GeometryModel:
         folders = [str(folder) for folder in robot.urdf.resolve().parents]
@@ -113,6 +123,9 @@ class PlannerRobot:
         geometry.addAllCollisionPairs()
         pin.removeCollisionPairs(self.model, geometry, str(robot.srdf))
         return geometry
+
+    def _link_group(self, items: tuple[int, ...], pairs: tuple[tuple[int, int], ...] = ()) -> LinkGroup:
+        return LinkGroup(self.model, (self.geometry.geometryObjects[i] for i in items), pairs)
 
     def _add_close_pairs(self, robot: RobotModel) -> None:
         """Add the parts of close pairs to the geometry."""

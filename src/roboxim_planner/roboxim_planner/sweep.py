@@ -14,6 +14,8 @@ from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
+LEAST_PADDING_M = 1e-3
+"""That searches keep, where start and goal do, even if asked for none: what only just clears is slow to prove."""
 
 
 class Sweep:
@@ -44,6 +46,10 @@ class Sweep:
         """Return the index of the first sample of a sweep of shape (N, dof) at or after a collision, or -1."""
         return self.exact.first_collision(samples)
 
+    def is_proven(self, samples: Array) -> bool:
+        """Tell whether a sweep of shape (N, dof) touches nothing."""
+        return self.exact.is_proven(samples)
+
 
 class PaddedSweep(Sweep):
     """The scene exactly and with the padding that searches keep."""
@@ -62,22 +68,15 @@ class PaddedSweep(Sweep):
         super().__init__(robot, scene, upright=upright)
         self.search_padding = search_padding
 
-    @cached_property
-    def padded(self) -> CollisionWorld:
-        """The robot in the scene with the padding."""
-        return self.exact.padded(self.search_padding)
+    def eased(self, begin: Array, goals: Array, part: float = 1.0) -> CollisionWorld:
+        """Return the world to search in: with the padding, or less for pairs that are nearer at the start or a goal.
 
-    def for_ends(self, begin: Array, goal: Array) -> CollisionWorld | None:
-        """Return the padded world where both ends keep the distance, else the exact one; none if the goal collides."""
-        if self.padded.is_free(begin) and self.padded.is_free(goal):
-            return self.padded
-        return self.exact if self.exact.is_free(goal) else None
-
-    def for_goals(self, begin: Array, goals: Array, *, padded: bool) -> CollisionWorld:
-        """Return the padded world where the start and any goal keep the distance and it is asked for."""
-        if padded and self.padded.is_free(begin) and any(self.padded.is_free(q) for q in goals):
-            return self.padded
-        return self.exact
+        Args:
+            begin: Free arm configuration at the start, shape (dof,) [rad].
+            goals: Free arm configurations, shape (N, dof) [rad].
+            part: Share of the padding to keep.
+        """
+        return self.exact.eased(part * max(self.search_padding, LEAST_PADDING_M), np.vstack([begin, goals]))
 
     def check_upright(self, begin: Array) -> None:
         """Check that the tool is upright at the start.

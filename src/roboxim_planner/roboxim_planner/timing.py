@@ -7,6 +7,7 @@ there) and never exceeds a limit. Everything is one piecewise polynomial in time
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,9 +15,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 from ruckig import InputParameter, Result, Ruckig, Trajectory
-from scipy.interpolate import PPoly
 
 from roboxim_core.errors import PlannerError
+from roboxim_planner import native
 
 Array = npt.NDArray[np.float64]
 _SAME = 1e-9
@@ -67,18 +68,17 @@ class PolynomialMotion:
             breaks: Times between pieces, from 0, shape (M + 1,) [s].
             coefficients: Highest power first, shape (order + 1, M, dof).
         """
-        position = PPoly(coefficients, breaks)
-        self._derivatives = [position, *(position.derivative(k) for k in (1, 2, 3))]
+        self._breaks = np.ascontiguousarray(breaks)
+        self._coefficients = np.ascontiguousarray(coefficients)
 
     @property
     def duration(self) -> float:
         """[s]."""
-        return float(self._derivatives[0].x[-1])
+        return float(self._breaks[-1])
 
     def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return positions, velocities, accelerations, jerks."""
-        clipped = np.clip(times, 0.0, self.duration)
-        q, v, a, j = (np.asarray(d(clipped)) for d in self._derivatives)
+        q, v, a, j = native.sample_polynomial(self._breaks, self._coefficients, times)
         return q, v, a, j
 
 
@@ -108,6 +108,18 @@ def still(joints: Array) -> PolynomialMotion:
     return PolynomialMotion(np.array([0.0, 1e-3]), joints[None, None, :].copy())
 
 
+_own = threading.local()
+_FACTORIALS = np.array([[6.0], [2.0], [1.0], [1.0]])
+
+
+def _ruckig() -> tuple[Ruckig, InputParameter, Trajectory]:
+    """Return this thread's objects for one degree of freedom; to make them takes ten times as long as to use them."""
+    if not hasattr(_own, "ruckig"):
+        _own.ruckig = Ruckig(1), InputParameter(1), Trajectory(1)
+    made: tuple[Ruckig, InputParameter, Trajectory] = _own.ruckig
+    return made
+
+
 def line_profile(
     length: float, speed_in: float, speed_out: float, velocity: float, acceleration: float, jerk: float
 ) -> tuple[Array, Array]:
@@ -126,7 +138,7 @@ def line_profile(
     Raises:
         PlannerError: When Ruckig finds no profile.
     """
-    ruckig, request, result = Ruckig(1), InputParameter(1), Trajectory(1)
+    ruckig, request, result = _ruckig()
     request.current_position, request.target_position = [0.0], [length]
     request.current_velocity, request.target_velocity = [speed_in], [speed_out]
     request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]
@@ -136,14 +148,7 @@ def line_profile(
     profile = result.profiles[0][0]
     durations = np.array(profile.t)
     kept = durations > 1e-12
-    coefficients = np.stack(
-        [
-            np.array(profile.j) / 6.0,
-            np.array(profile.a[:7]) / 2.0,
-            np.array(profile.v[:7]),
-            np.array(profile.p[:7]),
-        ]
-    )
+    coefficients = np.array([profile.j, profile.a[:7], profile.v[:7], profile.p[:7]]) / _FACTORIALS
     return durations[kept], coefficients[:, kept]
 
 
@@ -178,6 +183,7 @@ class TcpRates:
 
 
 BLEND_SAMPLES = np.linspace(0.0, 1.0, 9)
+_PLACES = np.linspace(0.0, 1.0, 17)[:, None]
 
 
 def blend_points(before: Array, corner: Array, after: Array, distance: float, samples: Array = BLEND_SAMPLES) -> Array:
@@ -216,20 +222,20 @@ def time_path(
     directions = deltas / lengths[:, None]
     ends = np.concatenate([[0.0], corners, [0.0]])
     rest = np.maximum(lengths - ends[:-1] - ends[1:], 0.0)
-    caps = [_line_limits(path[i], path[i + 1], directions[i], limits, rates) for i in range(len(lengths))]
+    caps = _line_limits(path, directions, limits, rates)
     speeds = np.zeros(len(path))
-    for i, distance in enumerate(corners, start=1):
-        if distance > _SAME:
-            turn = _corner_speed(path[i - 1 : i + 2], distance, directions[i - 1], directions[i], limits, rates)
-            speeds[i] = min(turn, caps[i - 1][0], caps[i][0])
-        elif passed[i - 1]:
-            speeds[i] = min(caps[i - 1][0], caps[i][0])
-    _make_reachable(speeds, rest, caps)
+    if len(corners):
+        speeds[1:-1] = np.minimum(caps[:-1, 0], caps[1:, 0])
+        turns = _corner_speeds(path, corners, directions, limits, rates)
+        blended = corners > _SAME
+        speeds[1:-1] = np.where(blended, np.minimum(turns, speeds[1:-1]), np.where(passed, speeds[1:-1], 0.0))
+    rows = [(velocity, acceleration, jerk) for velocity, acceleration, jerk in caps.tolist()]
+    _make_reachable(speeds, rest, rows)
     durations, pieces = [], []
     for i in range(len(lengths)):
         start = path[i] + ends[i] * directions[i]
         if rest[i] > _SAME:
-            times, law = line_profile(rest[i], speeds[i], speeds[i + 1], *caps[i])
+            times, law = line_profile(rest[i], speeds[i], speeds[i + 1], *rows[i])
             durations.append(times)
             piece = np.zeros((5, len(times), path.shape[1]))
             piece[1:] = law[:, :, None] * directions[i]
@@ -272,35 +278,36 @@ def _direction(start: Array, end: Array) -> Array:
     return np.asarray(delta / np.linalg.norm(delta))
 
 
-def _line_limits(
-    start: Array, end: Array, direction: Array, limits: MotionLimits, rates: TcpRates
-) -> tuple[float, float, float]:
-    share = np.maximum(np.abs(direction), 1e-12)
-    places = np.linspace(0.0, 1.0, 17)[:, None]
-    velocity = min(
-        float((limits.velocity / share).min()),
-        rates.speed_limit(start + places * (end - start), np.broadcast_to(direction, (17, len(direction)))),
-    )
-    return velocity, float((limits.acceleration / share).min()), float((limits.jerk / share).min())
+def _line_limits(path: Array, directions: Array, limits: MotionLimits, rates: TcpRates) -> Array:
+    """Return the largest velocity, acceleration and jerk along each line of a path, shape (N - 1, 3)."""
+    share = np.maximum(np.abs(directions), 1e-12)
+    caps = np.stack([(limit / share).min(axis=1) for limit in (limits.velocity, limits.acceleration, limits.jerk)], 1)
+    if limits.limits_tcp:
+        for i, direction in enumerate(directions):
+            points = path[i] + _PLACES * (path[i + 1] - path[i])
+            caps[i, 0] = min(caps[i, 0], rates.speed_limit(points, np.broadcast_to(direction, points.shape)))
+    return np.asarray(caps)
 
 
-def _corner_speed(
-    around: Array, distance: float, before: Array, after: Array, limits: MotionLimits, rates: TcpRates
-) -> float:
-    """Return the speed through a blend of duration 2 d / v whose velocity turns by the smoothstep 3 s^2 - 2 s^3.
+def _corner_speeds(path: Array, corners: Array, directions: Array, limits: MotionLimits, rates: TcpRates) -> Array:
+    """Return the speed through each blend, of duration 2 d / v, whose velocity turns by the smoothstep 3 s^2 - 2 s^3.
 
     Its acceleration peaks at 0.75 v^2 |turn| / d and its jerk at 1.5 v^3 |turn| / d^2.
     """
+    before, after = directions[:-1], directions[1:]
     turn = np.maximum(np.abs(after - before), 1e-12)
     largest = np.maximum(np.maximum(np.abs(before), np.abs(after)), 1e-12)
-    s = BLEND_SAMPLES[:, None]
-    velocities = before + (after - before) * (3.0 * s**2 - 2.0 * s**3)
-    return min(
-        float((limits.velocity / largest).min()),
-        float(np.sqrt(limits.acceleration * distance / (0.75 * turn)).min()),
-        float(np.cbrt(limits.jerk * distance**2 / (1.5 * turn)).min()),
-        rates.speed_limit(blend_points(around[0], around[1], around[2], distance), velocities),
-    )
+    distance = corners[:, None]
+    speeds = (limits.velocity / largest).min(axis=1)
+    speeds = np.minimum(speeds, np.sqrt(limits.acceleration * distance / (0.75 * turn)).min(axis=1))
+    speeds = np.minimum(speeds, np.cbrt(limits.jerk * distance**2 / (1.5 * turn)).min(axis=1))
+    if limits.limits_tcp:
+        s = BLEND_SAMPLES[:, None]
+        for i in np.flatnonzero(corners > _SAME):
+            velocities = before[i] + (after[i] - before[i]) * (3.0 * s**2 - 2.0 * s**3)
+            points = blend_points(path[i], path[i + 1], path[i + 2], corners[i])
+            speeds[i] = min(speeds[i], rates.speed_limit(points, velocities))
+    return np.asarray(speeds)
 
 
 def _blend_piece(corner: Array, distance: float, speed: float, before: Array, after: Array) -> tuple[float, Array]:

@@ -169,6 +169,48 @@ def test_free_edges_are_free_everywhere_and_others_are_not(planner: Planner, see
             assert not world.coal.is_free(a + hit * (b - a))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_proven_touches_nothing(planner: Planner, seed: int) -> None:
+    """Straight lines, lines in many uneven steps, bent ones: what the kernel proves keeps apart wherever one looks."""
+    world = CollisionWorld(planner.robot, cluttered(seed))
+    rng = np.random.default_rng(seed)
+    eased = np.linspace(0.0, 1.0, 200)[:, None] ** 2 * (3.0 - 2.0 * np.linspace(0.0, 1.0, 200)[:, None])
+    proven = 0
+    for k in range(30):
+        a = rng.uniform(planner.robot.lower, planner.robot.upper)
+        b, c = (np.clip(a + rng.normal(size=len(a)) * 0.3, planner.robot.lower, planner.robot.upper) for _ in range(2))
+        path = (np.stack([a, b]), a + eased * (b - a), np.stack([a, b, c]))[k % 3]
+        if world.is_proven(path):
+            proven += 1
+            places = rng.uniform(0.0, len(path) - 1.0, 200)
+            states = [path[int(p)] + (p - int(p)) * (path[int(p) + 1] - path[int(p)]) for p in places]
+            assert min(world.clearance(q, 0.01) for q in states) > 0.0
+    assert proven > 3
+
+
+def test_search_keeps_its_distance_but_where_the_ends_do_not(tcp_down: Down, planner: Planner) -> None:
+    """A box 1 mm below the hand at the start is no hindrance to leave; one 3 mm below the middle of the way is."""
+    start = planner.ik.nearest(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))
+    end = start + [0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    def below(joints: np.ndarray, gap: float) -> CollisionWorld:
+        x, y, z = planner.robot.fk(joints).position
+        low, high = 0.0, 0.1
+        while high - low > 1e-6:
+            down = 0.5 * (low + high)
+            block = box("block", (0.02, 0.02, 0.02), Pose(position=(x, y, z - down)))
+            world = CollisionWorld(planner.robot, PlanningScene(bodies=(block,), gripper_opening=0.0))
+            low, high = (down, high) if world.clearance(joints) < gap else (low, down)
+        return world
+
+    world = below(start, 0.001)
+    assert not world.padded(0.005).is_free(start)
+    assert world.eased(0.005, np.stack([start, end])).edge_is_free(start, end, 5e-4)
+    world = below(0.5 * (start + end), 0.003)
+    assert world.edge_is_free(start, end, 5e-4)
+    assert not world.eased(0.005, np.stack([start, end])).edge_is_free(start, end, 5e-4)
+
+
 def test_a_scene_is_ready_within_a_millisecond(planner: Planner) -> None:
     """Moving a body or attaching one makes a new world; the best of some tries, for the machine is shared."""
     boxes = [box(f"b{i}", (0.05, 0.05, 0.1), Pose(position=(0.3 + 0.05 * i, 0.3, 0.05))) for i in range(10)]

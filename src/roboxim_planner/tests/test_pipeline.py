@@ -132,19 +132,30 @@ def test_a_planted_bug_never_leaves_the_planner(
 ) -> None:
     """Whatever part lies about collisions, the answer is an error or a motion that coal finds free everywhere."""
     faulty = Planner(planner.robot.description)
+    asked = []
+
+    def lie(name: str, answer: Callable[..., object]) -> None:
+        monkeypatch.setattr(CollisionWorld, name, lambda *given: asked.append(name) or answer(*given))
+
     if fault == "kernel says free":
-        monkeypatch.setattr(CollisionWorld, "edge_is_free", lambda *_: True)
-        monkeypatch.setattr(CollisionWorld, "first_hit", lambda *_: -1.0)
+        lie("free_edge", lambda *_: 0)
+        lie("is_proven", lambda *_: True)
     elif fault == "searches in an empty scene":
         empty = CollisionWorld(planner.robot, PlanningScene())
-        monkeypatch.setattr(CollisionWorld, "padded", lambda *_: empty)
+        lie("eased", lambda *_: empty)
     else:
-        monkeypatch.setattr(CollisionWorld, "path_is_free", lambda *_: True)
+        lie("blends", _largest_blends)
     goal = left * [-1, 1, -1, 1, -1, 1, -1]
     with suppress(PlannerError):
         samples = faulty.plan_to_joints(walled, left, goal).sample(0.002).positions
         coal = CollisionWorld(planner.robot, walled).coal
         assert all(coal.is_free(q) for q in samples)
+    assert asked
+
+
+def _largest_blends(world: CollisionWorld, path: np.ndarray, largest: float, *_: float) -> np.ndarray:
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return np.minimum(largest, 0.499 * np.minimum(lengths[:-1], lengths[1:]))
 
 
 def test_goal_list_reaches_the_reachable_one(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:

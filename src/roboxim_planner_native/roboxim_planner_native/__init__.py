@@ -4,6 +4,30 @@
 kinematics from many starts. Thread-safe across objects, not within one `World`.
 """
 
-from roboxim_planner_native._native import API, Arm, Item, Mesh, Obstacle, World
+from roboxim_planner_native._native import (
+    API,
+    Arm,
+    Item,
+    Margins,
+    Mesh,
+    Obstacle,
+    World,
+    distinct,
+    extremes,
+    pose_matrices,
+    sample_polynomial,
+)
 
-__all__ = ["API", "Arm", "Item", "Mesh", "Obstacle", "World"]
+__all__ = [
+    "API",
+    "Arm",
+    "Item",
+    "Margins",
+    "Mesh",
+    "Obstacle",
+    "World",
+    "distinct",
+    "extremes",
+    "pose_matrices",
+    "sample_polynomial",
+]

@@ -5,6 +5,9 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+#include <numeric>
+
 #include "world.hpp"
 
 PYBIND11_MAKE_OPAQUE(roboxim::Mesh)
@@ -127,6 +130,109 @@ py::array_t<double> rows(const std::vector<double>& flat, int width) {
   return array;
 }
 
+py::array_t<double> flat(const std::vector<double>& values) {
+  return py::array_t<double>(static_cast<py::ssize_t>(values.size()), values.data());
+}
+
+const Margins& checked(const World& world, const Margins& margins) {
+  if (!margins.pairs.empty() && static_cast<int>(margins.pairs.size()) != world.pairs()) {
+    throw std::invalid_argument("expected a margin for each of " + std::to_string(world.pairs()) + " pairs");
+  }
+  return margins;
+}
+
+// Rows ordered by their largest distance from a reference in any joint, without those that are, in every joint, within
+// `same` of one kept before.
+py::array_t<double> distinct(const Array& found, const Array& reference, double same) {
+  const int n = static_cast<int>(reference.size()), count = rows_of(found, n, "solutions");
+  const double *q = found.data(), *from = reference.data();
+  const auto apart = [n](const double* a, const double* b) {
+    double most = 0.0;
+    for (int j = 0; j < n; ++j) most = std::max(most, std::abs(a[j] - b[j]));
+    return most;
+  };
+  std::vector<int> order(static_cast<std::size_t>(count)), kept;
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return apart(q + a * n, from) < apart(q + b * n, from); });
+  std::vector<double> result;
+  for (const int i : order) {
+    const auto near = [&](int k) { return apart(q + i * n, q + k * n) <= same; };
+    if (std::any_of(kept.begin(), kept.end(), near)) continue;
+    kept.push_back(i);
+    result.insert(result.end(), q + i * n, q + (i + 1) * n);
+  }
+  return rows(result, n);
+}
+
+// Homogeneous matrices (N, 4, 4) of poses (N, 7): position, quaternion xyzw.
+py::array_t<double> pose_matrices(const Array& poses) {
+  if (poses.ndim() != 2 || poses.shape(1) != 7) throw std::invalid_argument("expected rows of 7");
+  const auto count = poses.shape(0);
+  py::array_t<double> matrices({count, py::ssize_t{4}, py::ssize_t{4}});
+  for (py::ssize_t i = 0; i < count; ++i) {
+    const double* p = poses.data() + 7 * i;
+    const double x = p[3], y = p[4], z = p[5], w = p[6], s = 2.0 / (x * x + y * y + z * z + w * w);
+    const double values[16] = {1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w), p[0],
+                               s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w), p[1],
+                               s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y), p[2],
+                               0.0, 0.0, 0.0, 1.0};
+    std::copy(values, values + 16, matrices.mutable_data() + 16 * i);
+  }
+  return matrices;
+}
+
+// Least and largest value of each column, shape (2, n).
+py::array_t<double> extremes(const Array& values) {
+  if (values.ndim() != 2 || values.shape(0) < 1) throw std::invalid_argument("expected rows");
+  const auto count = values.shape(0), n = values.shape(1);
+  py::array_t<double> found({py::ssize_t{2}, n});
+  double *low = found.mutable_data(), *high = low + n;
+  std::copy(values.data(), values.data() + n, low);
+  std::copy(values.data(), values.data() + n, high);
+  for (py::ssize_t i = 1; i < count; ++i) {
+    for (py::ssize_t j = 0; j < n; ++j) {
+      const double value = values.data()[i * n + j];
+      low[j] = value < low[j] ? value : low[j];
+      high[j] = value > high[j] ? value : high[j];
+    }
+  }
+  return found;
+}
+
+// Value and first three derivatives of a piecewise polynomial of vectors: coefficients (order + 1, pieces, n), highest
+// power first, of the time since each piece began.
+py::array_t<double> sample_polynomial(const Array& breaks, const Array& coefficients, const Array& times) {
+  if (coefficients.ndim() != 3 || breaks.size() != coefficients.shape(1) + 1 || coefficients.shape(1) < 1) {
+    throw std::invalid_argument("coefficients have shape (order + 1, pieces, n), breaks one more entry than pieces");
+  }
+  const auto orders = coefficients.shape(0), pieces = coefficients.shape(1), n = coefficients.shape(2);
+  const py::ssize_t count = times.size();
+  py::array_t<double> samples({py::ssize_t{4}, count, n});
+  double* out = samples.mutable_data();
+  const double* begins = breaks.data();
+  py::ssize_t piece = 0;
+  for (py::ssize_t i = 0; i < count; ++i) {
+    const double at = std::clamp(times.data()[i], begins[0], begins[pieces]);
+    if (at < begins[piece] || at >= begins[piece + 1]) {
+      piece = std::upper_bound(begins + 1, begins + pieces, at) - (begins + 1);
+    }
+    const double t = at - begins[piece];
+    for (py::ssize_t j = 0; j < n; ++j) {
+      double value[4] = {0.0, 0.0, 0.0, 0.0};  // Horner's scheme of the value and its derivatives over k!
+      for (py::ssize_t k = 0; k < orders; ++k) {
+        value[3] = value[3] * t + value[2];
+        value[2] = value[2] * t + value[1];
+        value[1] = value[1] * t + value[0];
+        value[0] = value[0] * t + coefficients.data()[(k * pieces + piece) * n + j];
+      }
+      const double factor[4] = {1.0, 1.0, 2.0, 6.0};
+      for (int d = 0; d < 4; ++d) out[(d * count + i) * n + j] = factor[d] * value[d];
+    }
+  }
+  return samples;
+}
+
 py::tuple solve_ik(const Arm& arm, const Array& target, const Array& reference, std::uint64_t seed, int starts,
                    int enough, int iterations, double position_tolerance, double rotation_tolerance) {
   if (rows_of(reference, arm.dof(), "reference") != 1) throw std::invalid_argument("one reference");
@@ -144,7 +250,11 @@ PYBIND11_MODULE(_native, m) {
     throw py::import_error("roboxim_planner_native is compiled for processors with AVX2 and FMA (x86-64-v3)");
   }
 #endif
-  m.attr("API") = 3;
+  m.attr("API") = 4;
+  m.def("distinct", &distinct, py::arg("solutions"), py::arg("reference"), py::arg("same"));
+  m.def("extremes", &extremes, py::arg("values"));
+  m.def("pose_matrices", &pose_matrices, py::arg("poses"));
+  m.def("sample_polynomial", &sample_polynomial, py::arg("breaks"), py::arg("coefficients"), py::arg("times"));
 
   py::class_<Arm, std::shared_ptr<Arm>>(m, "Arm")
       .def(py::init(&make_arm), py::kw_only(), py::arg("parents"), py::arg("placements"), py::arg("axes"),
@@ -182,6 +292,16 @@ PYBIND11_MODULE(_native, m) {
            }),
            py::arg("mesh"), py::arg("pose"));
 
+  py::class_<Margins>(m, "Margins")
+      .def(py::init([](double margin, double self_margin, double resolution) {
+             return Margins{margin, self_margin, resolution, {}};
+           }),
+           py::arg("margin"), py::arg("self_margin"), py::arg("resolution"))
+      .def(py::init([](const Array& pairs, double resolution) {
+             return Margins{0.0, 0.0, resolution, std::vector<float>(pairs.data(), pairs.data() + pairs.size())};
+           }),
+           py::arg("pairs"), py::arg("resolution"));
+
   py::class_<World>(m, "World")
       .def(py::init([](std::shared_ptr<Arm> arm, const std::vector<std::shared_ptr<Item>>& items,
                        const std::vector<Obstacle>& obstacles, const std::vector<int>& item_pairs,
@@ -199,43 +319,72 @@ PYBIND11_MODULE(_native, m) {
           py::arg("axis"), py::arg("direction"), py::arg("tolerance"))
       .def(
           "path_is_free",
-          [](World& world, const Array& path, double margin, double self_margin, double resolution) {
+          [](World& world, const Array& path, const Margins& margins) {
             const int count = rows_of(path, world.arm().dof(), "path");
-            return world.path_is_free(path.data(), count, {margin, self_margin, resolution});
+            return world.path_is_free(path.data(), count, checked(world, margins));
           },
-          py::arg("path"), py::arg("margin"), py::arg("self_margin"), py::arg("resolution"))
+          py::arg("path"), py::arg("margins"))
+      .def(
+          "free_states",
+          [](World& world, const Array& states, const Margins& margins) {
+            const int n = world.arm().dof(), count = rows_of(states, n, "states");
+            py::array_t<bool> free(count);
+            for (int i = 0; i < count; ++i) {
+              free.mutable_data()[i] = world.path_is_free(states.data() + i * n, 1, checked(world, margins));
+            }
+            return free;
+          },
+          py::arg("states"), py::arg("margins"))
+      .def(
+          "free_edge",
+          [](World& world, const Array& start, const Array& ends, const Margins& margins) {
+            const int n = world.arm().dof(), count = rows_of(ends, n, "ends");
+            rows_of(start, n, "start");
+            std::vector<double> edge(start.data(), start.data() + n);
+            for (int i = 0; i < count; ++i) {
+              edge.resize(n);
+              edge.insert(edge.end(), ends.data() + i * n, ends.data() + (i + 1) * n);
+              if (world.path_is_free(edge.data(), 2, checked(world, margins))) return i;
+            }
+            return -1;
+          },
+          py::arg("start"), py::arg("ends"), py::arg("margins"))
       .def(
           "first_hit",
-          [](World& world, const Array& path, double margin, double self_margin, double resolution) {
+          [](World& world, const Array& path, const Margins& margins) {
             const int count = rows_of(path, world.arm().dof(), "path");
-            return world.first_hit(path.data(), count, {margin, self_margin, resolution});
+            return world.first_hit(path.data(), count, checked(world, margins));
           },
-          py::arg("path"), py::arg("margin"), py::arg("self_margin"), py::arg("resolution"))
+          py::arg("path"), py::arg("margins"))
       .def(
           "shorten",
-          [](World& world, const Array& path, std::uint64_t seed, int tries, const Array& weights, double margin,
-             double self_margin, double resolution) {
+          [](World& world, const Array& path, std::uint64_t seed, int tries, const Array& weights,
+             const Margins& margins) {
             const int count = rows_of(path, world.arm().dof(), "path");
             rows_of(weights, world.arm().dof(), "weights");
-            return rows(world.shorten(path.data(), count, seed, tries, {margin, self_margin, resolution},
-                                      weights.data()),
+            return rows(world.shorten(path.data(), count, seed, tries, checked(world, margins), weights.data()),
                         world.arm().dof());
           },
-          py::arg("path"), py::arg("seed"), py::arg("tries"), py::arg("weights"), py::arg("margin"),
-          py::arg("self_margin"), py::arg("resolution"))
+          py::arg("path"), py::arg("seed"), py::arg("tries"), py::arg("weights"), py::arg("margins"))
+      .def(
+          "blends",
+          [](World& world, const Array& path, double largest, int halvings, const Margins& margins) {
+            const int count = rows_of(path, world.arm().dof(), "path");
+            return flat(world.blends(path.data(), count, largest, halvings, checked(world, margins)));
+          },
+          py::arg("path"), py::arg("largest"), py::arg("halvings"), py::arg("margins"))
       .def(
           "connect_upright",
           [](World& world, const Array& start, const Array& goals, std::uint64_t seed, int iterations, double step,
-             const std::tuple<double, double, double>& limits, const std::function<void(int)>& watch) {
+             const Margins& margins, const std::function<void(int)>& watch) {
             const int n = world.arm().dof(), count = rows_of(goals, n, "goals");
             rows_of(start, n, "start");
-            const auto [margin, self_margin, resolution] = limits;
             return rows(world.connect_upright(start.data(), goals.data(), count, seed, iterations, step,
-                                              {margin, self_margin, resolution}, watch),
+                                              checked(world, margins), watch),
                         n);
           },
           py::arg("start"), py::arg("goals"), py::arg("seed"), py::arg("iterations"), py::arg("step"),
-          py::arg("limits"), py::arg("watch"))
+          py::arg("margins"), py::arg("watch"))
       .def(
           "tilt",
           [](World& world, const Array& joints) {
@@ -250,5 +399,12 @@ PYBIND11_MODULE(_native, m) {
             return world.clearance(joints.data(), cap);
           },
           py::arg("joints"), py::arg("cap"))
+      .def(
+          "clearances",
+          [](World& world, const Array& states, double cap) {
+            const int count = rows_of(states, world.arm().dof(), "states");
+            return flat(world.clearances(states.data(), count, cap));
+          },
+          py::arg("states"), py::arg("cap"))
       .def_readonly("states_checked", &World::states_checked);
 }

@@ -81,7 +81,7 @@ bool World::straighten(double* q) {
 }
 
 std::vector<double> World::connect_upright(const double* start, const double* goals, int goal_count,
-                                           std::uint64_t seed, int iterations, double step, const Limits& limits,
+                                           std::uint64_t seed, int iterations, double step, const Margins& margins,
                                            const std::function<void(int)>& watch) {
   const int n = arm_->dof();
   Random random{seed * 0x9e3779b97f4a7c15ULL + 0x3c6ef372fe94f82bULL};
@@ -101,7 +101,7 @@ std::vector<double> World::connect_upright(const double* start, const double* go
       if (apart(next.data(), tree.at(from), n) > 2.0 * step) break;
       std::copy(tree.at(from), tree.at(from) + n, edge.begin());
       std::copy(next.begin(), next.end(), edge.begin() + n);
-      if (!path_is_free(edge.data(), 2, limits)) break;
+      if (!path_is_free(edge.data(), 2, margins)) break;
       from = tree.add(next.data(), from);
       left = rest;
     }

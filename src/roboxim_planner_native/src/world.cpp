@@ -8,8 +8,14 @@ namespace {
 constexpr double kSlack = 1e-6;        // covers single precision in the spheres' bounds [m]
 constexpr double kWorthExact = 0.04;   // intervals with less motion get exact distances to prove them [m]
 constexpr int kDeepest = 40;
+constexpr double kBend = 1e-10;        // of a path's step, off the straight line [rad]
 
 }  // namespace
+
+World::Pair World::part_of(Pair pair, int part) {
+  pair.part = part;
+  return pair;
+}
 
 std::shared_ptr<const Item> make_item(int joint, Shape shape, const Transform& local, const double* spheres,
                                       std::size_t count) {
@@ -39,17 +45,19 @@ World::World(std::shared_ptr<const Arm> arm, std::vector<std::shared_ptr<const I
       placed_(items_.size()),
       frames_(arm_->joints.size()),
       q_(arm_->joints.size()),
-      spread_(arm_->joints.size()) {
+      spread_(arm_->joints.size()),
+      turns_(arm_->joints.size()),
+      shifts_(arm_->joints.size()) {
   const int count = static_cast<int>(items_.size()), solids = static_cast<int>(obstacles_.size());
   for (std::size_t i = 0; i + 1 < item_pairs.size(); i += 2) {
     const int a = item_pairs[i], b = item_pairs[i + 1];
     if (a < 0 || b < 0 || a >= count || b >= count) throw std::out_of_range("item pair");
-    roots_.push_back({a, b, true, 0});
+    roots_.push_back({a, b, true, 0, 0.0f, 0.0f});
   }
   for (std::size_t i = 0; i + 1 < obstacle_pairs.size(); i += 2) {
     const int a = obstacle_pairs[i], b = obstacle_pairs[i + 1];
     if (a < 0 || b < 0 || a >= count || b >= solids) throw std::out_of_range("obstacle pair");
-    roots_.push_back({a, b, false, 0});
+    roots_.push_back({a, b, false, 0, 0.0f, 0.0f});
   }
   for (std::size_t i = 0; i < items_.size(); ++i) {
     if (items_[i]->joint >= arm_->dof()) throw std::out_of_range("item of an unknown joint");
@@ -62,6 +70,7 @@ World::World(std::shared_ptr<const Arm> arm, std::vector<std::shared_ptr<const I
 }
 
 void World::load(const double* path, int count) {
+  straight_ = false;
   const int n = arm_->dof();
   points_ = count;
   path_.assign(path, path + static_cast<std::ptrdiff_t>(count) * n);
@@ -69,6 +78,68 @@ void World::load(const double* path, int count) {
   for (int i = 1; i < count; ++i) {
     for (int j = 0; j < n; ++j) {
       variation_[i * n + j] = variation_[(i - 1) * n + j] + std::abs(path_[i * n + j] - path_[(i - 1) * n + j]);
+    }
+  }
+}
+
+// Counts the points of the path at which it leaves the straight line that it is on, or turns back, by more than rounding.
+void World::find_bends() {
+  const int n = arm_->dof();
+  bends_.assign(static_cast<std::size_t>(points_) + 1, 0);
+  const double* begin = path_.data();  // of the present straight part
+  for (int i = 0; i < points_; ++i) {
+    bool bends = false;
+    if (i + 1 < points_) {
+      const double *now = &path_[i * n], *next = now + n;
+      double chord = 0.0, along = 0.0, ahead = 0.0;
+      for (int j = 0; j < n; ++j) {
+        chord += (now[j] - begin[j]) * (now[j] - begin[j]);
+        along += (now[j] - begin[j]) * (next[j] - begin[j]);
+        ahead += (now[j] - begin[j]) * (next[j] - now[j]);
+      }
+      for (int j = 0; j < n && chord > 0.0; ++j) {
+        bends = bends || std::abs(next[j] - begin[j] - along / chord * (now[j] - begin[j])) > kBend;
+      }
+      bends = bends || ahead < 0.0;
+      if (bends) begin = now;
+    }
+    bends_[i + 1] = bends_[i] + bends;
+  }
+}
+
+// On an interval without a bend: how the joints' frames move, to first order.
+void World::turn_along(const Interval& interval) {
+  const int n = arm_->dof(), first = static_cast<int>(interval.from) + 1;
+  const int last = static_cast<int>(std::ceil(interval.to)) - 1;  // points strictly inside
+  straight_ = last < first || bends_[last + 1] == bends_[first];
+  if (!straight_) return;
+  const int from = std::min(static_cast<int>(interval.from), points_ - 1);
+  const int to = std::min(static_cast<int>(std::ceil(interval.to)), points_ - 1);
+  for (int j = 0; j < n; ++j) {
+    const Joint& joint = arm_->joints[j];
+    const double change = path_[to * n + j] < path_[from * n + j] ? -spread_[j] : spread_[j];
+    const Vec3 axis = frames_[j].r * joint.axis;
+    turns_[j] = joint.parent < 0 ? Vec3{} : turns_[joint.parent];
+    shifts_[j] = joint.parent < 0 ? Vec3{} : shifts_[joint.parent];
+    if (joint.prismatic) {
+      shifts_[j] = shifts_[j] + change * axis;
+    } else {
+      turns_[j] = turns_[j] + change * axis;
+      shifts_[j] = shifts_[j] + change * cross(frames_[j].t, axis);
+    }
+  }
+}
+
+void World::ask(const Margins& margins) {
+  asked_ = roots_;
+  for (std::size_t i = 0; i < asked_.size(); ++i) {
+    Pair& pair = asked_[i];
+    pair.resolution = static_cast<float>(margins.resolution);
+    if (margins.pairs.empty()) {
+      pair.margin = static_cast<float>(pair.own ? margins.self_margin : margins.margin);
+    } else {
+      pair.margin = margins.pairs[i];
+      pair.resolution = std::max(pair.resolution, pair.margin);
     }
   }
 }
@@ -90,9 +161,13 @@ void World::place_at(double t) {
   ++states_checked;
 }
 
-// Puts an item where the arm is now and bounds how far its points move within the interval: joint by joint from the tip,
-// a rotation by d about an axis moves a point by at most d times its distance from the axis, and that distance
-// exceeds the present one by at most what the joints further out move the point.
+// Puts an item where the arm is now and bounds how far its points move within the interval, relative to the frame of each
+// joint that it hangs on. Joint by joint from the tip, a rotation by d about an axis moves a point by at most d times its
+// distance from the axis, and that distance exceeds the present one by at most what the joints further out move the point.
+//
+// Where the path is straight there is a second bound, and the smaller counts: the motion to first order, in which joints
+// that turn against each other cancel, and half the largest second derivative. The second derivative of a point by the
+// angles of two joints is its distance from the outer one's axis, or less.
 World::Placed& World::placed(int index) {
   Placed& at = placed_[index];
   if (at.epoch == epoch_) return at;
@@ -113,15 +188,24 @@ World::Placed& World::placed(int index) {
     at.y[g] = m[3] * x + m[4] * y + m[5] * z + float(frame.t.y);
     at.z[g] = m[6] * x + m[7] * y + m[8] * z + float(frame.t.z);
   }
-  double travel = 0.0;
+  double travel = 0.0, sum = 0.0, second = 0.0;
   for (int j = item.joint; j >= 0; j = arm_->joints[j].parent) {
     at.travel[j + 1] = travel;
     const Joint& joint = arm_->joints[j];
-    if (joint.prismatic) {
-      travel += spread_[j];
-    } else {
+    const double change = spread_[j];
+    double step = change;
+    if (!joint.prismatic) {
       const Vec3 axis = frames_[j].r * joint.axis;
-      travel += spread_[j] * (norm(cross(axis, at.center - frames_[j].t)) + item.radius + travel);
+      step *= norm(cross(axis, at.center - frames_[j].t)) + item.radius + travel;
+      second += change * (step + 2.0 * sum);
+    }
+    sum += step;
+    travel += step;
+    if (straight_) {
+      const Vec3 turn = joint.parent < 0 ? turns_[item.joint] : turns_[item.joint] - turns_[joint.parent];
+      const Vec3 shift = joint.parent < 0 ? shifts_[item.joint] : shifts_[item.joint] - shifts_[joint.parent];
+      const double first = norm(shift + cross(turn, at.center)) + norm(turn) * item.radius;
+      travel = std::min(travel, first + 0.5 * second + kSlack);
     }
   }
   at.travel[0] = travel;
@@ -211,6 +295,7 @@ bool World::look(const Interval& interval, bool& upright_left) {
     spread_[j] = std::max(at - variation(j, interval.from), variation(j, interval.to) - at);
   }
   place_at(middle);
+  turn_along(interval);
   upright_left = interval.upright;
   if (interval.upright && upright_fails(upright_left)) return true;
   work_.assign(arena_.begin() + static_cast<std::ptrdiff_t>(interval.begin),
@@ -219,7 +304,7 @@ bool World::look(const Interval& interval, bool& upright_left) {
     const Pair pair = work_[i];
     const Item& item = *items_[pair.item];
     const Placed& at = placed(pair.item);
-    const double margin = pair.own ? limits_.self_margin : limits_.margin;
+    const double margin = pair.margin;
     double travel, bound;
     Transform pose;
     const Solid* solid = nullptr;
@@ -238,11 +323,11 @@ bool World::look(const Interval& interval, bool& upright_left) {
     if (bound > margin + travel) continue;
     if (solid && solid->children) {
       if (norm(solid->shape.half) > travel) {  // worth splitting: its parts may be proven one by one
-        for (int k = 0; k < solid->children; ++k) work_.push_back({pair.item, pair.other, false, solid->child + k});
+        for (int k = 0; k < solid->children; ++k) work_.push_back(part_of(pair, solid->child + k));
         continue;
       }
       if (bound <= margin && touches(pair)) return true;
-      if (travel > limits_.resolution) arena_.push_back(pair);
+      if (travel > pair.resolution) arena_.push_back(pair);
       continue;
     }
     const bool worth_exact = travel < kWorthExact;
@@ -254,7 +339,7 @@ bool World::look(const Interval& interval, bool& upright_left) {
       if (apart <= margin) return true;
       if (apart > margin + travel) continue;
     }
-    if (travel > limits_.resolution) arena_.push_back(pair);
+    if (travel > pair.resolution) arena_.push_back(pair);
   }
   return false;
 }
@@ -269,10 +354,10 @@ bool World::touches(const Pair& pair) {
     stack_.pop_back();
     Transform pose;
     const Solid& solid = solid_of(next, pose);
-    if (bound_obstacle(item, at, solid.shape, pose) > limits_.margin) continue;
-    for (int k = 0; k < solid.children; ++k) stack_.push_back({next.item, next.other, false, solid.child + k});
+    if (bound_obstacle(item, at, solid.shape, pose) > pair.margin) continue;
+    for (int k = 0; k < solid.children; ++k) stack_.push_back(part_of(next, solid.child + k));
     if (solid.children) continue;
-    if (distance(item.shape, at.pose, solid.shape, pose, limits_.margin, limits_.margin) <= limits_.margin) return true;
+    if (distance(item.shape, at.pose, solid.shape, pose, pair.margin, pair.margin) <= pair.margin) return true;
   }
   return false;
 }
@@ -288,10 +373,11 @@ bool World::upright_fails(bool& left) const {
   return false;
 }
 
-bool World::search(const double* path, int count, const Limits& limits, double* where) {
-  limits_ = limits;
+bool World::search(const double* path, int count, const Margins& margins, double* where) {
+  ask(margins);
   load(path, count);
-  arena_ = roots_;
+  find_bends();
+  arena_ = asked_;
   queue_.clear();
   queue_.push_back({0.0, static_cast<double>(count - 1), 0, arena_.size(), upright.active});
   for (std::size_t i = 0; i < queue_.size(); ++i) {
@@ -310,10 +396,10 @@ bool World::search(const double* path, int count, const Limits& limits, double* 
   return true;
 }
 
-double World::first_hit(const double* path, int count, const Limits& limits) {
+double World::first_hit(const double* path, int count, const Margins& margins) {
   double where = -1.0;
-  if (search(path, count, limits, &where)) return -1.0;
-  arena_ = roots_;
+  if (search(path, count, margins, &where)) return -1.0;
+  arena_ = asked_;
   earliest({0.0, static_cast<double>(count - 1), 0, arena_.size(), upright.active}, where, 0);
   return where;
 }
@@ -340,34 +426,48 @@ bool World::earliest(const Interval& interval, double& where, int depth) {
   return found;
 }
 
-double World::clearance(const double* q, double cap) {
-  load(q, 1);
-  std::fill(spread_.begin(), spread_.end(), 0.0);
-  place_at(0.0);
+// The distance of a pair where the arm is now, a lower bound within 1e-7 m; at most `cap`.
+double World::gap(const Pair& pair, double cap) {
+  const Placed& at = placed(pair.item);
+  const Item& item = *items_[pair.item];
+  if (pair.own) {
+    const Placed& bt = placed(pair.other);
+    if (bound_own(item, at, *items_[pair.other], bt) >= cap) return cap;
+    return std::min(cap, distance(item.shape, at.pose, items_[pair.other]->shape, bt.pose, 0.0, cap));
+  }
   double least = cap;
-  work_ = roots_;
-  for (std::size_t i = 0; i < work_.size(); ++i) {
-    const Pair pair = work_[i];
-    const Placed& at = placed(pair.item);
-    const Item& item = *items_[pair.item];
-    if (pair.own) {
-      const Placed& bt = placed(pair.other);
-      if (bound_own(item, at, *items_[pair.other], bt) >= least) continue;
-      least = std::min(least, distance(item.shape, at.pose, items_[pair.other]->shape, bt.pose, 0.0, least));
-      continue;
-    }
+  stack_.assign(1, pair);
+  while (!stack_.empty()) {
+    const Pair next = stack_.back();
+    stack_.pop_back();
     Transform pose;
-    const Solid& solid = solid_of(pair, pose);
+    const Solid& solid = solid_of(next, pose);
     if (bound_obstacle(item, at, solid.shape, pose) >= least) continue;
-    for (int k = 0; k < solid.children; ++k) work_.push_back({pair.item, pair.other, false, solid.child + k});
-    if (solid.children == 0) {
-      least = std::min(least, distance(item.shape, at.pose, solid.shape, pose, 0.0, least));
-    }
+    for (int k = 0; k < solid.children; ++k) stack_.push_back(part_of(next, solid.child + k));
+    if (solid.children == 0) least = std::min(least, distance(item.shape, at.pose, solid.shape, pose, 0.0, least));
+  }
+  return least;
+}
+
+double World::clearance(const double* q, double cap) {
+  const std::vector<double> all = clearances(q, 1, cap);
+  return all.empty() ? cap : *std::min_element(all.begin(), all.end());
+}
+
+std::vector<double> World::clearances(const double* states, int count, double cap) {
+  std::vector<double> least(roots_.size(), cap);
+  load(states, count);
+  std::fill(spread_.begin(), spread_.end(), 0.0);
+  for (int i = 0; i < count; ++i) {
+    place_at(i);
+    for (std::size_t k = 0; k < roots_.size(); ++k) least[k] = gap(roots_[k], least[k]);
   }
   return least;
 }
 
 namespace {
+
+constexpr double kGain = 0.02;  // share of a path's length that a shortcut must save to be worth a check
 
 using Path = std::vector<std::vector<double>>;
 
@@ -382,7 +482,7 @@ double length_of(const std::vector<double>& a, const std::vector<double>& b, con
 // Leaves out waypoints, then replaces what lies between two random places of the path by the straight edge where that is
 // free and shorter, then leaves out waypoints again. Lengths are Euclidean with `weights` per joint.
 std::vector<double> World::shorten(const double* points, int count, std::uint64_t seed, int tries,
-                                   const Limits& limits, const double* weights) {
+                                   const Margins& margins, const double* weights) {
   const int n = arm_->dof();
   Path path;
   for (int i = 0; i < count; ++i) path.emplace_back(points + i * n, points + (i + 1) * n);
@@ -390,7 +490,7 @@ std::vector<double> World::shorten(const double* points, int count, std::uint64_
   const auto free = [&](const std::vector<double>& a, const std::vector<double>& b) {
     std::copy(a.begin(), a.end(), edge.begin());
     std::copy(b.begin(), b.end(), edge.begin() + n);
-    return path_is_free(edge.data(), 2, limits);
+    return path_is_free(edge.data(), 2, margins);
   };
   const auto skip = [&] {
     for (std::size_t at = 0; at + 2 < path.size(); ++at) {
@@ -404,7 +504,7 @@ std::vector<double> World::shorten(const double* points, int count, std::uint64_
   skip();
   Random random{seed * 0x9e3779b97f4a7c15ULL + 0x1d8e4e27c47d124fULL};
   int idle = 0;
-  for (int turn = 0; turn < tries && path.size() > 2 && idle < 3 * static_cast<int>(path.size()) + 15; ++turn) {
+  for (int turn = 0; turn < tries && path.size() > 2 && idle < 4 * static_cast<int>(path.size()) + 20; ++turn) {
     std::vector<double> ends{0.0};
     for (std::size_t i = 1; i < path.size(); ++i) ends.push_back(ends.back() + length_of(path[i - 1], path[i], weights));
     double first = random.uniform() * ends.back(), second = random.uniform() * ends.back();
@@ -420,7 +520,7 @@ std::vector<double> World::shorten(const double* points, int count, std::uint64_
     std::vector<double> a, b;
     const std::size_t i = locate(first, a), k = locate(second, b);
     ++idle;
-    if (i == k || second - first - length_of(a, b, weights) < 1e-3 || !free(a, b)) continue;
+    if (i == k || second - first - length_of(a, b, weights) < kGain * ends.back() || !free(a, b)) continue;
     idle = 0;
     Path shorter(path.begin(), path.begin() + static_cast<std::ptrdiff_t>(i));
     const auto add = [&](const std::vector<double>& q) {
@@ -436,6 +536,37 @@ std::vector<double> World::shorten(const double* points, int count, std::uint64_
   std::vector<double> result;
   for (const auto& q : path) result.insert(result.end(), q.begin(), q.end());
   return result;
+}
+
+std::vector<double> World::blends(const double* path, int count, double largest, int halvings,
+                                  const Margins& margins) {
+  constexpr int kSamples = 7;
+  const int n = arm_->dof();
+  std::vector<double> found(static_cast<std::size_t>(std::max(0, count - 2)), 0.0), curve(kSamples * n);
+  const auto length = [&](int i) {
+    double sum = 0.0;
+    for (int j = 0; j < n; ++j) sum += (path[(i + 1) * n + j] - path[i * n + j]) * (path[(i + 1) * n + j] - path[i * n + j]);
+    return std::sqrt(sum);
+  };
+  for (int i = 0; i + 2 < count; ++i) {
+    const double before = length(i), after = length(i + 1);
+    double distance = std::min({largest, 0.499 * before, 0.499 * after});
+    for (int turn = 0; turn < halvings; ++turn, distance *= 0.5) {
+      for (int k = 0; k < kSamples; ++k) {
+        const double s = (k + 1.0) / (kSamples + 1.0), turned = s * s * s * (1.0 - 0.5 * s);
+        for (int j = 0; j < n; ++j) {
+          const double corner = path[(i + 1) * n + j];
+          const double u = (corner - path[i * n + j]) / before, w = (path[(i + 2) * n + j] - corner) / after;
+          curve[k * n + j] = corner - distance * u + 2.0 * distance * (u * s + (w - u) * turned);
+        }
+      }
+      if (path_is_free(curve.data(), kSamples, margins)) {
+        found[i] = distance;
+        break;
+      }
+    }
+  }
+  return found;
 }
 
 }  // namespace roboxim

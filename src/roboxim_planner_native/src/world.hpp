@@ -46,10 +46,13 @@ struct Obstacle {
   std::shared_ptr<const Mesh> mesh;  // or none
 };
 
-struct Limits {
+// What a check asks for. A check whose resolution is no larger than its margin proves that a path touches nothing.
+struct Margins {
   double margin = 0.0;        // distance from obstacles at or below which the arm counts as touching [m]
   double self_margin = 0.0;   // the same between its own parts
   double resolution = 1e-3;   // motion below which a free state stands for its interval [m]
+  std::vector<float> pairs;   // or a margin for each pair of `World::clearances`, which is its resolution too, if that is
+                              // larger than `resolution`
 };
 
 // The tool's axis stays within an angle of a direction.
@@ -66,20 +69,24 @@ class World {
         std::vector<Obstacle> obstacles, const std::vector<int>& item_pairs, const std::vector<int>& obstacle_pairs);
 
   // Free along a polyline of `count` states (one: that state), ends included. Looks at far-apart places first.
-  bool path_is_free(const double* path, int count, const Limits& limits) { return search(path, count, limits, nullptr); }
+  bool path_is_free(const double* path, int count, const Margins& margins) { return search(path, count, margins, nullptr); }
 
   // The first place, in units of points, at which the polyline is not free; negative: it is free everywhere.
-  double first_hit(const double* path, int count, const Limits& limits);
+  double first_hit(const double* path, int count, const Margins& margins);
 
   // Random shortcuts of a free polyline; returns one that is no longer. See world.cpp.
-  std::vector<double> shorten(const double* path, int count, std::uint64_t seed, int tries, const Limits& limits,
+  std::vector<double> shorten(const double* path, int count, std::uint64_t seed, int tries, const Margins& margins,
                               const double* weights);
 
   // A free path from a state to one of several that keeps the tool upright, or nothing when the iterations are spent.
   // See upright.cpp. `watch` is called now and then with the iterations spent; it ends the search by throwing.
   std::vector<double> connect_upright(const double* start, const double* goals, int goal_count, std::uint64_t seed,
-                                      int iterations, double step, const Limits& limits,
+                                      int iterations, double step, const Margins& margins,
                                       const std::function<void(int)>& watch);
+
+  // The largest distances from the waypoints of a polyline, at most `largest` [rad], at which blends that touch nothing
+  // may begin and end; one per inner waypoint, 0 where there is none. See `blend_points` in timing.py.
+  std::vector<double> blends(const double* path, int count, double largest, int halvings, const Margins& margins);
 
   // How far the tool is tilted at a state [rad].
   double tilt(const double* q);
@@ -87,8 +94,12 @@ class World {
   // Smallest distance of any pair at a state, a lower bound within 1e-7 m; at most `cap`.
   double clearance(const double* q, double cap);
 
+  // The same for each pair over some states: pairs of the arm's own parts first, as they were given.
+  std::vector<double> clearances(const double* states, int count, double cap);
+
   Upright upright;
   const Arm& arm() const { return *arm_; }
+  int pairs() const { return static_cast<int>(roots_.size()); }
   long long states_checked = 0;
 
  private:
@@ -97,7 +108,9 @@ class World {
     int other;  // item or obstacle
     bool own;   // whether `other` is an item
     int part;   // of the obstacle's mesh
+    float margin, resolution;
   };
+  static Pair part_of(Pair pair, int part);
   struct Interval {
     double from, to;
     std::size_t begin, end;  // pairs in the arena
@@ -111,7 +124,7 @@ class World {
     std::vector<double> travel;  // how far any of its points moves relative to each joint's frame; [0]: the base
   };
 
-  bool search(const double* path, int count, const Limits& limits, double* where);
+  bool search(const double* path, int count, const Margins& margins, double* where);
   bool earliest(const Interval& interval, double& where, int depth);
   bool look(const Interval& interval, bool& upright_left);
   bool touches(const Pair& pair);
@@ -119,7 +132,11 @@ class World {
   double tilt_now() const;
   bool straighten(double* q);
   void load(const double* path, int count);
+  void ask(const Margins& margins);
+  double gap(const Pair& pair, double cap);
   void place_at(double t);
+  void find_bends();
+  void turn_along(const Interval& interval);
   double variation(int joint, double t) const;
   Placed& placed(int item);
   double bound_obstacle(const Item& item, const Placed& at, const Shape& shape, const Transform& pose) const;
@@ -133,16 +150,20 @@ class World {
   std::vector<std::shared_ptr<const Item>> items_;
   std::vector<Obstacle> obstacles_;
   std::vector<Pair> roots_;
+  std::vector<Pair> asked_;  // the same with the margins of the check
 
   // scratch
   std::vector<Placed> placed_;
   std::vector<Transform> frames_;
   std::vector<double> q_, spread_, path_, variation_;
+  std::vector<int> bends_;      // of the path before each of its points
+  std::vector<Vec3> turns_, shifts_;  // on a straight interval: each joint's motion in half of it, if it went on as in its
+                                      // middle: a rotation vector and the motion of the point at the base's origin
+  bool straight_ = false;
   std::vector<Pair> arena_, work_, stack_;
   std::vector<Interval> queue_;
   int points_ = 0;
   long long epoch_ = 0;
-  Limits limits_;
 };
 
 }  // namespace roboxim
