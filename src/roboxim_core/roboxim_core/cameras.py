@@ -42,7 +42,7 @@ class CameraConfig:
     """A YAML file of ``config/cameras``."""
 
     parent: str = "world"
-    """``world``, or the robot link that it is mounted on."""
+    """``world``, the robot link that it is mounted on, or ``gripper``: the hand of any robot."""
     eye: Vec3 | None = None
     """Position in the parent [m], together with ``target``."""
     target: Vec3 | None = None

@@ -129,7 +129,7 @@ class CameraSpec:
     fov_y_rad: float = math.radians(45.0)
     """Vertical field of view [rad]."""
     parent: str = "world"
-    """``world`` or the name of a robot link."""
+    """``world``, the name of a robot link, or ``gripper``: its hand."""
     pose: Pose = IDENTITY
     """Pose of the optical frame (x right, y down, z forward) in the parent."""
     near: float = 0.02

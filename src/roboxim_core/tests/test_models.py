@@ -218,6 +218,8 @@ def test_camera_on_the_hand_moves_with_it_and_an_unknown_parent_is_refused() -> 
     for robot in (state, raised):
         tcp = poses.link_poses(robot)["panda_hand_tcp"]
         assert poses.camera_poses(robot)["wrist"].position == pytest.approx(tcp.position, abs=1e-9)
+        anywhere = (replace(camera, parent="gripper"),)
+        assert poses.camera_poses(robot, anywhere) == poses.camera_poses(robot)
     with pytest.raises(ConfigError, match="panda_hand"):
         ScenePoses(SceneSpec(cameras=(replace(camera, parent="panda_hnd"),)), LIBRARY)
 

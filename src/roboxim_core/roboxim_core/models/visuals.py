@@ -135,7 +135,7 @@ class ScenePoses:
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         self._last: tuple[RobotState, dict[str, Pose]] | None = None
         for camera in scene.cameras:
-            self._check_parent(camera)
+            camera_parent(camera, self._arm)
 
     def link_poses(self, robot: RobotState) -> dict[str, Pose]:
         """Return the pose of every robot link in the world."""
@@ -166,22 +166,32 @@ class ScenePoses:
             cameras: The cameras; none: the scene's.
 
         Raises:
-            ConfigError: When a camera's parent is neither ``world`` nor a link.
+            ConfigError: When a camera's parent is neither ``world``, ``gripper`` nor a link.
         """
         chosen = self._scene.cameras if cameras is None else cameras
         links = self.link_poses(robot) if any(camera.parent != "world" for camera in chosen) else {}
         poses = {}
         for camera in chosen:
-            self._check_parent(camera)
-            poses[camera.name] = camera.pose if camera.parent == "world" else links[camera.parent] @ camera.pose
+            parent = camera_parent(camera, self._arm)
+            poses[camera.name] = camera.pose if parent == "world" else links[parent] @ camera.pose
         return poses
 
-    def _check_parent(self, camera: CameraSpec) -> None:
-        if camera.parent != "world" and camera.parent not in self._arm.link_names:
-            raise ConfigError(
-                f"camera '{camera.name}' is on '{camera.parent}'; expected 'world' or one of the robot's links: "
-                + ", ".join(self._arm.link_names)
-            )
+
+def camera_parent(camera: CameraSpec, arm: ArmKinematics) -> str:
+    """Return ``world`` or the link of a robot that a camera is on; ``gripper`` means the hand, whatever its name.
+
+    Raises:
+        ConfigError: When the robot has no such link.
+    """
+    parent = camera.parent
+    if parent == "gripper" and arm.model.gripper.links:
+        parent = arm.model.gripper.links[0]
+    if parent != "world" and parent not in arm.link_names:
+        raise ConfigError(
+            f"camera '{camera.name}' is on '{parent}'; expected 'world', 'gripper' or one of the robot's links: "
+            + ", ".join(arm.link_names)
+        )
+    return parent
 
 
 def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.cameras import load_camera, with_noise_seed
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.visuals import camera_parent
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
@@ -75,10 +76,7 @@ class CamerasReset(ResetComponent):
         if name in config.views:
             view = str(config.views[name].draw(context.rng(f"{self.name}/{name}/view"), index))
         camera = replace(load_camera(view), name=name)
-        if camera.parent != "world" and camera.parent not in context.arm.link_names:
-            raise ConfigError(
-                f"camera '{name}': no link '{camera.parent}'; {one_of(context.arm.link_names, camera.parent)}"
-            )
+        camera = replace(camera, parent=camera_parent(camera, context.arm))
         rng = context.rng(f"{self.name}/{name}")
         if name in config.shift_m:
             shift = Pose.from_arrays(config.shift_m[name].draw(rng, index))
