@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.rendering import CameraImages, Renderer
@@ -20,6 +21,7 @@ class StateRenderer:
         self.renderer = renderer
         self._library = library
         self._loaded: SceneSpec | None = None
+        self._arms: dict[str, ArmKinematics] = {}
 
     def draw(self, scene: SceneSpec, state: StateRecord) -> dict[str, CameraImages]:
         """Return what each camera of a scene sees of a state; a scene is loaded once for many states and cameras.
@@ -34,7 +36,10 @@ class StateRenderer:
             self._loaded = None
             self.renderer.load(render_world(scene, self._library))
             self._loaded = bodies
-        poses = ScenePoses(scene, self._library)
+        model = scene.robot.model
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        poses = ScenePoses(scene, self._library, self._arms[model])
         cameras = poses.camera_poses(state.robot)
         views = [(camera, cameras[camera.name]) for camera in scene.cameras]
         return draw_frames(self.renderer, state.seq, poses.body_poses(state), views)
