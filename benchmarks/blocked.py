@@ -1,7 +1,7 @@
 """How often scenes whose way is blocked are solved: by the expert, and by one that goes straight from stage to stage.
 
 Both act in the same scenes, through the cores, with the noise that demonstrations have. An episode succeeds when the
-skill's own conditions hold after a second of rest, at the first try, and no distractor was moved by more than 2 cm,
+skill's own conditions hold after a second of rest, at the first try, and no distractor was moved by more than 1 cm,
 as the tasks demand. Why others fail is counted apart: not solved, or a distractor disturbed. To see both of every
 episode it is judged by the skill alone here and goes on after a disturbance.
 """
@@ -36,7 +36,7 @@ from roboxim_tasks.roles import DISTRACTOR
 
 TASKS = ("pick_up_blocked", "place_on_blocked")
 NOISE_M, NOISE_RAD = 0.003, 0.01
-STAY_M, DISTURBED_M = 0.02, 0.01
+DISTURBED_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Ended:
     @property
     def succeeded(self) -> bool:
         """Whether the task as it is shipped counts it."""
-        return self.solved and self.shift_m <= STAY_M
+        return self.solved and self.shift_m <= DISTURBED_M
 
 
 class Watch:

@@ -73,14 +73,14 @@ def test_the_expert_solves_the_new_skill_and_doing_nothing_does_not(kitchen: Pat
     infos = [BagReader(tmp_path / result.bag).info for result in (solved, nothing)]
     assert [info.task.instruction for info in infos] == ["Shake the pepper mill"] * 2
     assert all(info.scene.entity("target").model == "pepper_mill" for info in infos)
-    frictions = [info.scene.table.friction for info in infos]
-    assert all(0.3 <= friction <= 0.6 for friction in frictions)
-    assert frictions[0] != frictions[1]
+    depths_m = [info.scene.table.size[0] for info in infos]
+    assert all(0.8 <= depth_m <= 0.9 for depth_m in depths_m)
+    assert depths_m[0] != depths_m[1]
 
 
 def test_it_leaves_nothing_behind() -> None:
     assert "shake" not in SKILLS
-    assert "table_friction" not in COMPONENTS
+    assert "table_depth" not in COMPONENTS
 
 
 def test_a_plug_in_may_import_the_placement_first() -> None:

@@ -92,7 +92,7 @@ def test_the_direct_solver_goes_straight_from_stage_to_stage(draw, library):
 
 def test_an_episode_has_failed_once_a_distractor_was_moved(draw, library):
     drawn = draw(0, load_task_config("pick_up_blocked"))
-    assert drawn.task.arguments["distractors_stay_m"] == 0.02
+    assert drawn.task.arguments["distractors_stay_m"] == 0.01
     state = replace(state_at_rest(drawn.scene, ArmKinematics(library.robot("panda"))), episode_id="a")
     judge = Judge(drawn.task)
     assert not judge.start(state).failed
@@ -105,9 +105,9 @@ def test_an_episode_has_failed_once_a_distractor_was_moved(draw, library):
         entities = tuple(shifted(e) if e.name == "distractor_2" else e for e in state.entities)
         return replace(state, seq=seq, entities=entities)
 
-    nudged = judge.step(moved(state, 1, 0.015))
+    nudged = judge.step(moved(state, 1, 0.008))
     assert not nudged.failed
-    assert nudged.predicates["distractors_shift_m"] == pytest.approx(0.015)
+    assert nudged.predicates["distractors_shift_m"] == pytest.approx(0.008)
     pushed = judge.step(moved(state, 2, 0.03))
     assert (pushed.failed, pushed.reason) == (True, "disturbed_distractor")
     assert judge.step(moved(state, 3, 0.0)).failed, "it cannot be made good"

@@ -12,7 +12,7 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
+from roboxim_core.specs import EntitySpec, PhysicalObject, RobotSpec, SceneSpec, TaskSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext, register
 from roboxim_tasks.config import load_task_config, parse_task_config
@@ -173,12 +173,17 @@ def test_the_resolved_configuration_travels_with_the_episode(draw):
 @pytest.mark.parametrize("name", sorted(COMPONENTS))
 def test_every_component_has_a_complete_default_and_draws_the_same_twice(name, library):
     config = replace(load_task_config("pick_cube_distractors"), reset={name: COMPONENTS[name].Config()})
-    thing = PhysicalObject(entity="target", model="mug", name="mug")
-    task = TaskSpec(skill="pick_up", instruction="", objects={"target": thing})
-    placed = EntitySpec(name="target", model="mug", pose=Pose(position=(0.5, 0.0, 0.045)))
-    scene = SceneSpec(entities=() if name == "objects" else (placed,))
-    seed = SeedPath(run_seed=1, purpose="test", index=0)
+    things = {role: PhysicalObject(entity=role, model="mug", name="mug") for role in ("target", "distractor_1")}
+    things["distractor_2"] = replace(things["distractor_1"], entity="distractor_2")
+    task = TaskSpec(skill="pick_up", instruction="", objects=things)
+    placed = [
+        EntitySpec(name=role, model="mug", pose=Pose(position=(0.5, y, 0.045)))
+        for role, y in zip(things, (0.4, 0.0, -0.3), strict=True)
+    ]
+    there = {"objects": 0, "distractors": 1}.get(name, len(placed))
     arm = ArmKinematics(library.robot("panda"))
+    scene = SceneSpec(robot=RobotSpec(joint_positions=tuple(arm.model.home)), entities=tuple(placed[:there]))
+    seed = SeedPath(run_seed=1, purpose="test", index=0)
 
     def reset():
         context = ResetContext(seed=seed, config=config, task=task, library=library, arm=arm)
