@@ -122,7 +122,7 @@ def carrot_skin() -> Field:
 def plate_rings() -> Field:
     """A broad blue line under the rim and a thin one around the middle, on white glaze."""
     _, v = grid()
-    lines = sum(np.clip((half - np.abs(v - at)) * SIZE + 0.5, 0, 1) for at, half in ((0.535, 0.0088), (0.693, 0.006)))
+    lines = sum(np.clip((half - np.abs(v - at)) * SIZE + 0.5, 0, 1) for at, half in ((0.535, 0.0105), (0.693, 0.0075)))
     return _mixed([1.0, 1.0, 1.0], [0.022, 0.065, 0.34], np.asarray(lines))
 
 
