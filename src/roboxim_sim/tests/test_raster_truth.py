@@ -255,18 +255,41 @@ def test_a_forked_child_is_refused_instead_of_hanging(raster: RasterRenderer) ->
     assert "bound to the thread that made it" in done.stdout
 
 
+def _body(key: str, solid: trimesh.Trimesh) -> RenderBody:
+    mesh = TriangleMesh(
+        vertices=solid.triangles.reshape(-1, 3).astype(np.float32),
+        normals=solid.face_normals.repeat(3, axis=0).astype(np.float32),
+        faces=np.arange(3 * len(solid.faces), dtype=np.uint32).reshape(-1, 3),
+    )
+    return RenderBody(key=key, entity=key, parts=(VisualPart(mesh=mesh, material=MaterialSpec()),))
+
+
+def test_what_stands_on_the_table_darkens_it_all_round_and_what_hangs_high_does_not(raster: RasterRenderer) -> None:
+    bodies = (
+        _body("ball", trimesh.creation.icosphere(subdivisions=2, radius=0.04)),
+        _body("table", trimesh.creation.box((1.5, 1.5, 0.02))),
+    )
+    raster.load(RenderWorld(bodies=bodies, look=LookSpec(lights=())))
+    above = look_at((0.0, 0.0, 1.5), (0.0, 1e-4, 0.0), up=(1.0, 0.0, 0.0))
+    camera = replace(CAMERA, width=200, height=200, fov_y_rad=0.2)  # 1.5 mm a pixel
+
+    def around(height: float, distance: int) -> list[float]:
+        poses = {"ball": Pose(position=(0.0, 0.0, height)), "table": Pose(position=(0.0, 0.0, -0.01))}
+        rgb = raster.render(poses, [(camera, above)])["eye"].rgb.astype(float).mean(axis=2)
+        steps = ((0, distance), (0, -distance), (distance, 0), (-distance, 0))
+        return [rgb[100 + y, 100 + x] for x, y in steps]
+
+    beside, away, high = around(0.04, 32), around(0.04, 95), around(0.5, 95)
+    assert max(beside) < 0.93 * min(away)
+    assert np.ptp(beside) < 8.0
+    assert np.ptp(high) < 2.0
+    assert high == pytest.approx(away, abs=3.0)
+
+
 @pytest.mark.parametrize(("kind", "edge"), [("sun", 0.35), ("lamp", 0.467)])
 def test_a_larger_light_makes_softer_edges(raster: RasterRenderer, kind: str, edge: float) -> None:
     plate = trimesh.creation.box((0.2, 0.2, 0.01))
-    ground = trimesh.creation.box((1.5, 1.5, 0.02))
-    bodies = []
-    for key, solid in (("plate", plate), ("table", ground)):
-        mesh = TriangleMesh(
-            vertices=solid.triangles.reshape(-1, 3).astype(np.float32),
-            normals=solid.face_normals.repeat(3, axis=0).astype(np.float32),
-            faces=np.arange(3 * len(solid.faces), dtype=np.uint32).reshape(-1, 3),
-        )
-        bodies.append(RenderBody(key=key, entity=key, parts=(VisualPart(mesh=mesh, material=MaterialSpec()),)))
+    bodies = [_body("plate", plate), _body("table", trimesh.creation.box((1.5, 1.5, 0.02)))]
     widths = []
     for radius in (0.01, 0.06):
         light = LightSpec(kind=kind, direction=(0.0, 1.0, -1.0), position=(0.0, -1.0, 1.0), radius=radius)
