@@ -132,7 +132,10 @@ def options_from_msg(msg: Any) -> MotionOptions:
     padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
     named = {"planner": msg.planner_id} if msg.planner_id else {}
     upright = upright_from_msg(msg.path_constraints)
-    return MotionOptions(**values, **named, padding_m=padding, upright=upright, seed=int(msg.seed))
+    improve = int(msg.improve_iterations) or None
+    return MotionOptions(
+        **values, **named, padding_m=padding, upright=upright, improve_iterations=improve, seed=int(msg.seed)
+    )
 
 
 def upright_from_msg(msg: Any) -> Upright | None:

@@ -543,6 +543,16 @@ def test_what_cannot_be_done_is_refused_with_the_reason(graph: Graph, name: str)
     assert words in str(error)
 
 
+def test_an_anytime_planner_takes_the_iterations_it_is_given(graph: Graph) -> None:
+    request = PlanToJoints.Request(target=JointState(position=[-1.2, *FOLDED]))
+    request.request.start_state = JointState(position=[1.2, *FOLDED])
+    request.request.scene.objects = divided()[:1]
+    request.request.planner_id, request.request.improve_iterations = "BITstar", 20
+    assert graph.call(PlanToJoints, "plan_to_joints", request).plan.trajectory.points
+    request.request.improve_iterations, request.request.timeout = 2**31, 0.3
+    assert graph.refused(PlanToJoints, "plan_to_joints", request).code == ErrorCode.TIMEOUT
+
+
 def test_the_wrong_part_of_a_request_is_named(graph: Graph) -> None:
     asked = _requests()
     nan = float("nan")
