@@ -121,7 +121,7 @@ def search(
         )
         return found if len(found) else None
     with _OMPL_LOCK:
-        ou.RNG.setSeed(seed % (2**31 - 1) + 1)
+        _seed(world, seed)
         for name, iterations in config.planners:
             path = _solve(name, world, start, goals, iterations, config, watch)
             if path is not None:
@@ -147,12 +147,18 @@ def improve(
         The shorter of the path given and that found.
     """
     with _OMPL_LOCK:
-        ou.RNG.setSeed(seed % (2**31 - 1) + 1)
+        _seed(world, seed)
         found = _solve(planner, world, path[0], path[-1:], iterations, config, watch)
     if found is None:
         return path
     found = shorten(world, without_repeats(found), seed=seed, config=config, watch=watch)
     return min(path, found, key=lambda points: _length(world, points))
+
+
+def _seed(world: CollisionWorld, seed: int) -> None:
+    """Start OMPL's random numbers anew, after all that draws from them only once has done so."""
+    _space(tuple(world.robot.lower.tolist()), tuple(world.robot.upper.tolist()))
+    ou.RNG.setSeed(seed % (2**31 - 1) + 1)
 
 
 def _length(world: CollisionWorld, path: Array) -> float:
@@ -163,14 +169,10 @@ def _solve(
     name: str, world: CollisionWorld, start: Array, goals: Array, iterations: int, config: SearchConfig, watch: Watch
 ) -> Array | None:
     robot = world.robot
-    space = ob.RealVectorStateSpace(robot.dof)
-    bounds = ob.RealVectorBounds(robot.dof)
-    for i in range(robot.dof):
-        bounds.setLow(i, float(robot.lower[i]))
-        bounds.setHigh(i, float(robot.upper[i]))
-    space.setBounds(bounds)
-    info = ob.SpaceInformation(space)
-    info.setStateValidityChecker(lambda state: world.is_free(state[0 : robot.dof]))
+    info = ob.SpaceInformation(_space(tuple(robot.lower.tolist()), tuple(robot.upper.tolist())))
+    # RRTConnect never keeps a state without the edge to it, whose check includes its ends
+    by_edges = name == "RRTConnect"
+    info.setStateValidityChecker(lambda state: by_edges or world.is_free(state[0 : robot.dof]))
     info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
     info.setup()
     problem = ob.ProblemDefinition(info)
@@ -199,6 +201,22 @@ def _solve(
         return None
     states = problem.getSolutionPath().getStates()
     return np.array([state[0 : robot.dof] for state in states])
+
+
+@lru_cache(maxsize=8)
+def _space(lower: tuple[float, ...], upper: tuple[float, ...]) -> ob.RealVectorStateSpace:
+    """Return the space of configurations within limits [rad]; to make it takes a third of a short search.
+
+    It is set up once here, because its first setup draws other random numbers than the following ones.
+    """
+    space = ob.RealVectorStateSpace(len(lower))
+    bounds = ob.RealVectorBounds(len(lower))
+    for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
+        bounds.setLow(i, low)
+        bounds.setHigh(i, high)
+    space.setBounds(bounds)
+    space.setup()
+    return space
 
 
 @lru_cache(maxsize=8)

@@ -20,7 +20,7 @@ from roboxim_planner.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
 LIMIT_PERIOD_S = 1e-3
-WITNESSED_STATES = 32
+WITNESSED_STATES = 24
 _SPREAD = np.linspace(0.0, 1.0, WITNESSED_STATES)
 _SLACK = 1.0 + 1e-3
 _COLLIDES = "the motion collides"
