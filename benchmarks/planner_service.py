@@ -23,7 +23,7 @@ from roboxim_core.poses import Pose
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.node import PlannerNode
 from roboxim_planner.pipeline import Planner
-from roboxim_planner.scene import PlanningScene, box
+from roboxim_planner.scene import Body, PlanningScene, box, model_shapes
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_pose
 from roboxim_ros.host import NodeHost
@@ -59,10 +59,11 @@ def moved(step: int) -> Callable[[], PlanningScene]:
 
 
 def held(step: int) -> Callable[[], PlanningScene]:
-    """Return what makes the scene with its first box in the gripper."""
-    scene = crowded()
-    tcp = Pose(position=(0.3, 0.4, 0.03 + 1e-4 * step), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
-    return lambda: scene.attach("box0", tcp)
+    """Return what makes the scene with a mug of 20 parts in the gripper."""
+    mug = Body(name="mug", shapes=model_shapes(ModelLibrary().object("mug"), {}), pose=Pose(position=(0.3, 0.0, 0.05)))
+    scene = crowded().with_bodies([mug])
+    tcp = Pose(position=(0.3, 0.0, 0.1 + 1e-4 * step), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
+    return lambda: scene.attach("mug", tcp)
 
 
 def main() -> None:
@@ -88,7 +89,7 @@ def main() -> None:
         ("check_state", CheckState, check, lambda: planner.check_state(scene, home)),
         ("compute_ik", ComputeIK, ik, lambda: planner.inverse_kinematics(GOAL, home)),
     ]
-    for name, change in (("a body's pose changes", moved), ("a body is attached", held)):
+    for name, change in (("a body's pose changes", moved), ("a mug is attached", held)):
         snapshots = iter([change(k) for k in range(repeats + 3)])
         cost = time_ms(lambda made=snapshots: CollisionWorld(planner.robot, next(made)()).is_free(home), repeats)
         bench.row(what=name, core_ms=round(cost, 2))
