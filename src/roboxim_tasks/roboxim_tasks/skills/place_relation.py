@@ -35,7 +35,7 @@ from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, offset, shift, table_force
 from roboxim_tasks.reach import downward_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, raised, upright
+from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, upright
 
 VIEWPOINTS = ("robot", "facing")
 GAPS_M = (0.05, 0.08, 0.03, 0.12, 0.16)
@@ -174,18 +174,18 @@ def free_goals(
     side = np.array([-direction[1], direction[0]])
     room = Room.of(others, library, FREE_GAP_M)
     height = scene.table.center[2] + model.rest_height
+    turns = [upright(spec.pose, (0.0, 0.0, 0.0), yaw) for yaw in GOAL_YAWS[:3]]
+    reaches = [half_extent(model, turn.rotation, direction) for turn in turns]
+    edge = half_extent(other_model, other.pose.rotation, direction)
     found = []
     for gap_m in GAPS_M:
         for slope in SLOPES:
-            for yaw in GOAL_YAWS[:3]:
-                rotation = upright(spec.pose, (0.0, 0.0, 0.0), yaw).rotation
-                along = half_extent(model, rotation, direction) + gap_m
-                along += half_extent(other_model, other.pose.rotation, direction)
-                along = max(along, parameters.along_m + 0.02)
+            for turn, reach in zip(turns, reaches, strict=True):
+                along = max(reach + gap_m + edge, parameters.along_m + 0.02)
                 if along > parameters.farthest_m - 0.02 or abs(slope) > parameters.lateral_ratio - 0.15:
                     continue
-                xy = np.array(other.pose.position[:2]) + direction * along + side * slope * along
-                goal = raised(upright(spec.pose, (*xy, 0.0), yaw), height)
+                x, y = (np.array(other.pose.position[:2]) + direction * along + side * slope * along).tolist()
+                goal = replace(turn, position=(x, y, height))
                 if comfortable(scene, goal) and not room.refusal(replace(spec, pose=goal)):
                     found.append(goal)
                     if len(found) == GOALS:
