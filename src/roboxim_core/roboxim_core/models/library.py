@@ -69,6 +69,10 @@ class RobotConfig:
                 raise ConfigError(f"{name} must have {len(self.joint_names)} numbers, one per joint, got {len(values)}")
 
 
+MAX_MODIFIED = 512
+"""Modified objects that a library keeps, the newest: where a factor is drawn of a range, every episode has its own."""
+
+
 class ModelLibrary:
     """The robots and objects of a config directory. Answers are frozen and cached."""
 
@@ -131,6 +135,8 @@ class ModelLibrary:
         config = self._object_config(object_id)
         key = (object_id, tuple(sorted((modifiers or {}).items())))
         if key not in self._modified:
+            if len(self._modified) >= MAX_MODIFIED:
+                self._modified.pop(next(iter(self._modified)), None)
             model = config.model(object_id, self.path("objects", object_id).parent)
             self._modified[key] = modified(model, config.modifiers, modifiers or {}, f"object '{object_id}'")
         return self._modified[key]

@@ -57,7 +57,7 @@ class BodyConfig:
 class PhysicsResetConfig:
     """What varies."""
 
-    table_friction: Choice = Choice(lower=0.4, upper=1.2)
+    table_friction: Choice = Choice(lower=0.4, upper=1.0)
     """Lateral friction coefficient of the table, 0..2."""
     objects: BodyConfig = BodyConfig(mass=Choice(lower=0.5, upper=2.0), friction=Choice(lower=0.7, upper=1.25))
     """The objects that the instruction speaks of."""
