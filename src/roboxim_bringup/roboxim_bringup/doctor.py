@@ -131,7 +131,7 @@ def _renderers() -> Finding:
         state="missing" if len(absent) == len(found) else "warning" if {*absent} - OPTIONAL_RENDERERS else "ok",
         detail=detail,
         remedy="on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri",
-        without="use -p sim:renderer:=tiny: PyBullet's own renderer, slower and plainer",
+        without="use -p sim:renderer:=tiny -p tasks:visible_renderer:=tiny: PyBullet's own, slower and plainer",
     )
 
 

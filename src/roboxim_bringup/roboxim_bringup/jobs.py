@@ -40,6 +40,14 @@ class Job:
     """Policies that every worker serves."""
 
     @property
+    def looking_renderer(self) -> str:
+        """Renderer by which scenes are found to show their objects: ``raster`` for all but a machine without GL.
+
+        So a run has the same scenes whatever draws its images, unless that is ``tiny``.
+        """
+        return "tiny" if self.renderer == "tiny" else "raster"
+
+    @property
     def identity(self) -> dict[str, Any]:
         """What the results depend on, as plain data."""
         config = to_plain(self.config)
@@ -95,7 +103,10 @@ def run_job(
                 ProgressLine(title, job.episodes, len(done)) as bar,
                 WorkerPool(
                     min(job.workers, len(missing)),
-                    parameters={"sim": {"renderer": job.renderer, "scene": ""}},
+                    parameters={
+                        "sim": {"renderer": job.renderer, "scene": ""},
+                        "tasks": {"visible_renderer": job.looking_renderer},
+                    },
                     policies=job.policies,
                     log_dir=folder.path / "logs",
                 ) as pool,

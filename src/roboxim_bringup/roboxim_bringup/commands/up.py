@@ -44,7 +44,7 @@ def command(
 
     \b
     roboxim up
-    roboxim up --processes -p sim:renderer:=tiny
+    roboxim up --processes -p sim:renderer:=tiny -p tasks:visible_renderer:=tiny
 
     The run registers itself, so that every other roboxim command on this machine finds it.
     """
