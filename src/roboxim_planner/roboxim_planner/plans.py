@@ -28,7 +28,7 @@ class MotionOptions:
     max_tcp_rot_speed_rad_s: float = np.inf
     """Limit of the tcp's angular speed [rad/s]."""
     padding_m: float | None = None
-    """Distance kept from obstacles [m]; none: the planner's."""
+    """Distance that searches keep from obstacles where start and goal do, at least 1 mm [m]; none: the planner's."""
     upright: Upright | None = None
     """Path constraint; none: the tool may turn as it likes."""
     planner: str = "RRTConnect"
