@@ -43,7 +43,9 @@ class Outcome:
     contender: str
     """Who."""
     ms: float
-    """Time of the request."""
+    """Time of the request; ours with setting up the scene, a peer's without."""
+    scene_ms: float = 0.0
+    """Time in which a peer sets up the scene; 0: it is part of ``ms``."""
     error: str = ""
     """Why there is no motion; empty when there is one."""
     faults: str = ""
@@ -143,6 +145,7 @@ class Contender:
         """Have a problem solved and judged."""
         answer = self.ask({"problem": problem.plain(), "seed": seed, "limit_s": LIMIT_S}, 6.0 * LIMIT_S)
         common: dict[str, Any] = {"problem": problem.name, "contender": self.name, "detour": problem.detour}
+        common["scene_ms"] = answer.get("setup_ms", 0.0)
         if answer["error"]:
             return Outcome(**common, ms=answer["ms"], error=answer["error"])
         positions = unpack(answer["positions"])

@@ -168,6 +168,8 @@ def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[
         theirs = {o.problem for o in mine}
         ours = [o.ms for o in outcomes if o.contender == OURS and o.problem in theirs]
         row["our_p95_by_theirs"] = round(float(np.percentile(ours, 95) / np.percentile(times, 95)), 3)
+        whole = [o.ms + o.scene_ms for o in mine]
+        row["with_scene"] = round(float(np.percentile(ours, 95) / np.percentile(whole, 95)), 3)
     if ratios:
         row["duration_vs_toppra"] = round(float(np.median(ratios)), 3)
     return row

@@ -3,7 +3,9 @@
 A motion is valid when the referee (``_referee.py``), which shares no code with the planner, finds neither a collision
 at a kilohertz on the original collision meshes nor a goal missed; limits of velocity, acceleration and jerk are counted
 apart for everybody, and for ours a broken limit is a failure too. An unsolved problem is a failure unless a search of
-60 s with the referee's own collision checks fails as well; all are listed by seed. Contenders are processes of their
+60 s with the referee's own collision checks fails as well; all are listed by seed. Our time begins with a scene of
+plain values; ``our_p95_by_theirs`` compares it with a peer's time once its scene is set up, ``with_scene`` with the
+whole of a peer's time. Contenders are processes of their
 own, asked in turn with the same problem; peers come with ``make planner-peers``. Rows:
 
 tabletop   3 to 10 obstacles on a table, every third with a stick in the hand, more than half detours
