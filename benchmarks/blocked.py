@@ -9,6 +9,7 @@ episode it is judged by the skill alone here and goes on after a disturbance.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -108,7 +109,7 @@ def main() -> None:
             together.append(
                 float(np.mean([a.succeeded and not b.succeeded for a, b in zip(ours, straight, strict=True)]))
             )
-    print(f"{len(TASKS) * scenes} scenes, {time.perf_counter() - start:.0f} s")  # noqa: T201
+    sys.stdout.write(f"{len(TASKS) * scenes} scenes, {time.perf_counter() - start:.0f} s\n")
     bench.finish(
         "scenes that the expert solves and straight lines do not, lowest of the tasks", min(together), "", at_least=0.95
     )
