@@ -134,6 +134,11 @@ def test_drawer_moves_with_its_joint_and_scale(own_library: ModelLibrary) -> Non
         ("sphere", (0.03,), 4 / 3 * np.pi * 0.03**3),
         ("cylinder", (0.03, 0.1), np.pi * 0.03**2 * 0.1),
         ("capsule", (0.02, 0.1), np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3),
+        (
+            "slotted_board",
+            (0.2, 0.008, 0.035, 0.075, 0.014, 0.004),
+            0.008 * (0.2 * 0.035 - 0.061 * 0.014 - np.pi * 0.007**2),
+        ),
     ],
 )
 def test_primitive_meshes_are_closed_and_face_outwards(kind: str, size: tuple[float, ...], volume: float) -> None:
@@ -184,6 +189,24 @@ def test_a_mesh_file_is_shaded_with_its_own_normals(tmp_path: Path) -> None:
     (part,) = visual_parts(Visual(kind="mesh", mesh=str(tmp_path / "bent.glb")))
 
     assert part.mesh.normals == pytest.approx(bent, abs=1e-5)
+
+
+def test_one_sees_through_a_board_where_its_slot_is() -> None:
+    mesh = visual_generators["slotted_board"]((0.2, 0.008, 0.035, 0.075, 0.014, 0.004))
+    front = mesh.vertices[mesh.faces[(mesh.normals[mesh.faces][..., 1] > 0.9).all(axis=1)]][..., [0, 2]]
+
+    def covered(x: float, z: float) -> bool:
+        to = front - [x, z]
+        then = np.roll(to, -1, axis=1)
+        turns = to[..., 0] * then[..., 1] - to[..., 1] * then[..., 0]
+        return bool(((turns > 0).all(axis=1) | (turns < 0).all(axis=1)).any())
+
+    assert not covered(0.001, 0.004)
+    assert not covered(0.036, 0.0041)
+    assert covered(0.001, 0.012)
+    assert covered(0.037, 0.010)
+    with pytest.raises(ValueError, match="slot must be longer than high"):
+        visual_generators["slotted_board"]((0.2, 0.008, 0.035, 0.075, 0.014, 0.015))
 
 
 def test_a_rounded_box_stretches_no_texture() -> None:

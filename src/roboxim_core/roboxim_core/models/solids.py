@@ -9,6 +9,9 @@ from roboxim_core.models.meshes import triangles, visual_generators
 from roboxim_core.poses import Array
 from roboxim_core.rendering import TriangleMesh
 
+SLOT_STEPS = 4
+"""Straight pieces of a quarter of a slot's round end."""
+
 
 @visual_generators.register("rounded_box")
 def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
@@ -84,6 +87,67 @@ def convex(size: tuple[float, ...]) -> TriangleMesh:
     )
 
 
+@visual_generators.register("panel")
+def panel(size: tuple[float, ...]) -> TriangleMesh:
+    """Return a rectangle that faces +x: extents y, z [m]; ``uv`` runs from 0 to 1, u along y, v along z.
+
+    Raises:
+        ValueError: On another number of values.
+    """
+    wide, high = size
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    vertices = np.insert((uv - 0.5) * [wide, high], 0, 0.0, axis=1)
+    return triangles(vertices, np.tile([1.0, 0.0, 0.0], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), uv)
+
+
+@visual_generators.register("slotted_board")
+def slotted_board(size: tuple[float, ...]) -> TriangleMesh:
+    """Return an upright board with a slot that has round ends, cut through along y.
+
+    Args:
+        size: Extents x, y, z of the board; length and height of the slot, height of its middle above the board's [m].
+            On the board's sides u runs along x and v along z, each from 0 to 1.
+
+    Raises:
+        ValueError: On another number of values, or when the slot does not fit.
+    """
+    wide, thick, high, slot_wide, slot_high, slot_z = size
+    x, y, z, radius = wide / 2, thick / 2, high / 2, slot_high / 2
+    if not 0 < slot_high <= slot_wide < wide or abs(slot_z) + radius >= z:
+        raise ValueError("the slot must be longer than high and end within the board")
+    angle = np.linspace(np.pi / 2, 3 * np.pi / 2, 2 * SLOT_STEPS + 1)
+    end = np.stack([np.cos(angle) * radius - (slot_wide / 2 - radius), np.sin(angle) * radius + slot_z], axis=1)
+    hole = np.concatenate([end, end[::-1] * [-1.0, 1.0]])  # anticlockwise, seen along -y: left end, then the right one
+    rim = np.array([[-x, z], [-x, -z], [x, -z], [x, z]])
+    half, count = SLOT_STEPS, 4 * SLOT_STEPS + 2
+    corner = [count + k for k in (0, 1, 2, 3)]
+    flat = []
+    for first, above, below in ((0, corner[0], corner[1]), (count // 2, corner[2], corner[3])):
+        flat += [[first + k, above, first + k + 1] for k in range(half)]
+        flat += [[first + half, above, below]]
+        flat += [[first + half + k, below, first + half + k + 1] for k in range(half)]
+    last, low = 2 * half, count // 2
+    flat += [[last, corner[1], corner[2]], [last, corner[2], low], [count - 1, corner[3], corner[0]]]
+    flat += [[count - 1, corner[0], 0]]
+    points, faces = np.concatenate([hole, rim]), np.array(flat)
+    uv = points / [wide, high] + 0.5
+    pieces = []
+    for side in (-1.0, 1.0):
+        vertices = np.insert(points, 1, side * y, axis=1)
+        normals = np.tile([0.0, side, 0.0], (len(points), 1))
+        pieces.append((vertices, normals, faces, uv))
+    for outline, inwards in ((hole, True), (rim, False)):
+        near = np.concatenate([outline, outline[:1]])
+        for a, b in zip(near[:-1], near[1:], strict=True):
+            along = (b - a) / np.linalg.norm(b - a)
+            across = np.array([-along[1], along[0]]) * (1.0 if inwards else -1.0)
+            normal = np.array([across[0], 0.0, across[1]])
+            vertices = np.array([[a[0], -y, a[1]], [b[0], -y, b[1]], [b[0], y, b[1]], [a[0], y, a[1]]])
+            ends = np.array([a, b, b, a]) / [wide, high] + 0.5
+            pieces.append((vertices, np.tile(normal, (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), ends))
+    return _facing(pieces)
+
+
 @visual_generators.register("blade")
 def blade(size: tuple[float, ...]) -> TriangleMesh:
     """Return a blade in the xy plane, thick at its back and sharp at its edge.
@@ -112,6 +176,17 @@ def blade(size: tuple[float, ...]) -> TriangleMesh:
         np.concatenate([part[2] + offset for part, offset in zip(parts, offsets, strict=False)]),
         np.concatenate([part[3] for part in parts]),
     )
+
+
+def _facing(pieces: list[tuple[Array, Array, Array, Array]]) -> TriangleMesh:
+    """Join pieces (vertices, normals, faces, uv), each triangle turned so that it faces where its normals point."""
+    offsets = np.cumsum([0, *[len(piece[0]) for piece in pieces]])
+    vertices, normals, uv = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1, 3))
+    faces = np.concatenate([piece[2] + offset for piece, offset in zip(pieces, offsets, strict=False)])
+    p, q, r = (vertices[faces[:, k]] for k in range(3))
+    wrong = np.einsum("ij,ij->i", np.cross(q - p, r - p), normals[faces[:, 0]]) < 0
+    faces[wrong] = faces[wrong][:, ::-1]
+    return triangles(vertices, normals, faces, uv)
 
 
 def _strip(first: Array, second: Array, u: Array, facing: tuple[int, int, int]) -> tuple[Array, Array, Array, Array]:

@@ -12,6 +12,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise
 
+PLATE_LINES = ((0.538, 0.010), (0.561, 0.0035))
+"""Where along a plate's profile its painted lines are, and half their widths."""
+PLATE_COVE = 0.664
+"""Where along a plate's profile the rim falls to the well."""
+
 
 def _mixed(first: npt.ArrayLike, second: npt.ArrayLike, share: Field) -> Field:
     """Blend two linear colours by a share of the second, shape (SIZE, SIZE)."""
@@ -120,10 +125,12 @@ def carrot_skin() -> Field:
 
 @TEXTURES.register("plate_rings")
 def plate_rings() -> Field:
-    """A broad blue line under the rim and a thin one around the middle, on white glaze."""
+    """A broad blue line and a thin one under the rim, on white glaze that is shaded where the well begins."""
     _, v = grid()
-    lines = sum(np.clip((half - np.abs(v - at)) * SIZE + 0.5, 0, 1) for at, half in ((0.535, 0.0105), (0.693, 0.0075)))
-    return _mixed([1.0, 1.0, 1.0], [0.022, 0.065, 0.34], np.asarray(lines))
+    lines = sum(np.clip((half - np.abs(v - at)) * SIZE + 0.5, 0, 1) for at, half in PLATE_LINES)
+    cove = np.exp(-(((v - PLATE_COVE) / 0.014) ** 2))
+    glaze = _mixed([1.0, 1.0, 1.0], [0.66, 0.66, 0.68], cove)
+    return _mixed(glaze, [0.022, 0.065, 0.34], np.asarray(lines))
 
 
 @TEXTURES.register("sponge_pores")
@@ -141,18 +148,34 @@ def scouring_pad() -> Field:
     return np.clip(0.72 + 0.14 * noise(181, 90.0, 30.0) + 0.14 * noise(182, 30.0, 90.0), 0.2, 1.0)
 
 
+def _sheen(place: Field) -> Field:
+    """Return 0..1: the broad bright and dark bands that scratched metal stretches reflections to, once per unit."""
+    turn = 2 * np.pi * place
+    return np.asarray(np.clip(0.5 + 0.34 * np.cos(turn) + 0.22 * np.cos(2 * turn + 0.9), 0.0, 1.0))
+
+
 @TEXTURES.register("brushed_metal")
 def brushed_metal() -> Field:
-    """Fine scratches along u."""
-    return np.clip(0.90 + 0.04 * noise(191, 3.0, 160.0) + 0.02 * noise(192, 2.0, 12.0), 0.0, 1.0)
+    """Fine scratches along u, and what they stretch reflections to."""
+    u, _ = grid()
+    scratches = 0.04 * noise(191, 3.0, 160.0) + 0.02 * noise(192, 2.0, 12.0)
+    return np.clip(0.74 + 0.24 * _sheen(2 * u) + 0.7 * scratches, 0.0, 1.0)
+
+
+@TEXTURES.register("spun_metal")
+def spun_metal() -> Field:
+    """Metal turned on a lathe: fine circles, and the rays that they show in any light."""
+    u, _ = grid()
+    return np.clip(0.58 + 0.40 * _sheen(2 * u + 0.1) + 0.03 * noise(193, 2.0, 120.0), 0.0, 1.0)
 
 
 @TEXTURES.register("blade_steel")
 def blade_steel() -> Field:
-    """Brushed steel with a brighter ground edge at v = 0."""
-    _, v = grid()
-    steel = brushed_metal() * 0.88
-    return np.where(v < 0.2, 1.0, np.where(v < 0.225, 0.6, steel))
+    """Polished steel, its back darker, with two slanting streaks of light, and a brighter ground edge at v = 0."""
+    u, v = grid()
+    streaks = np.exp(-(((u - 0.30 - 0.10 * v) / 0.11) ** 2)) + 0.8 * np.exp(-(((u - 0.72 - 0.10 * v) / 0.06) ** 2))
+    steel = np.clip(0.62 - 0.16 * v + 0.42 * streaks + 0.025 * noise(191, 3.0, 160.0), 0.0, 1.0)
+    return np.where(v < 0.2, 1.0, np.where(v < 0.225, 0.5, steel))
 
 
 @TEXTURES.register("soda_print")

@@ -16,7 +16,7 @@ from roboxim_core.rendering import TriangleMesh
 CREASE_RAD = np.radians(35.0)
 """Where a profile turns by more, the surface has an edge."""
 AROUND_M, ALONG_M = 0.008, 0.004
-"""Length of a facet around the widest place, unless that gives fewer than 10 or more than 36, and along a curve."""
+"""Length of a facet around the widest place, unless that gives fewer than 12 or more than 36, and along a curve."""
 
 
 @visual_generators.register("lathe")
@@ -59,7 +59,7 @@ def tube(size: tuple[float, ...]) -> TriangleMesh:
     path, radius = curve[:, :3], np.maximum(curve[:, 3], 0.0)
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    sections = int(np.clip(round(2 * np.pi * radius.max() / AROUND_M), 8, 18))
+    sections = int(np.clip(round(2 * np.pi * radius.max() / AROUND_M), 10, 18))
     angle = np.linspace(0.0, 2 * np.pi, sections + 1)
     side = np.cross(tangent[0], [0.0, 0.0, 1.0] if abs(tangent[0, 2]) < 0.9 else [1.0, 0.0, 0.0])
     along = _fraction(path)
@@ -127,7 +127,7 @@ def _length(path: Array) -> float:
 
 
 def _revolved(profile: Array, crease_rad: float = CREASE_RAD) -> TriangleMesh:
-    segments = int(np.clip(round(2 * np.pi * profile[:, 0].max() / AROUND_M), 10, 36))
+    segments = int(np.clip(round(2 * np.pi * profile[:, 0].max() / AROUND_M), 12, 36))
     steps = np.diff(profile, axis=0)
     facing = np.stack([steps[:, 1], -steps[:, 0]], axis=1) / np.linalg.norm(steps, axis=1, keepdims=True)
     v = _fraction(profile)
@@ -173,7 +173,7 @@ def _cap(ring: Array, normal: Array, center: Array, v: float) -> TriangleMesh:
     faces = np.stack([index, index + 1, np.full(count - 1, count)], axis=1)
     if np.cross(ring[1] - ring[0], center - ring[0]) @ normal < 0:
         faces = faces[:, ::-1]
-    uv = np.stack([np.linspace(0.0, 1.0, count + 1), np.full(count + 1, v)], axis=1)
+    uv = np.tile([0.5, v], (count + 1, 1))  # one place: going round in so little space would fetch the whole's mean
     return triangles(vertices, np.tile(normal, (count + 1, 1)), faces, uv)
 
 
