@@ -56,7 +56,7 @@ FINISHES: Mapping[str, Finish] = MappingProxyType(
             friction=0.8,
         ),
         "metal": Finish(
-            surface=MaterialSpec(color=(0.80, 0.80, 0.79), metallic=1.0, roughness=0.25, texture="brushed_metal"),
+            surface=MaterialSpec(color=(0.90, 0.90, 0.89), metallic=1.0, roughness=0.25, texture="brushed_metal"),
             density=2.0,
             friction=0.7,
         ),

@@ -162,20 +162,13 @@ def brushed_metal() -> Field:
     return np.clip(0.74 + 0.24 * _sheen(2 * u) + 0.7 * scratches, 0.0, 1.0)
 
 
-@TEXTURES.register("spun_metal")
-def spun_metal() -> Field:
-    """Metal turned on a lathe: fine circles, and the rays that they show in any light."""
-    u, _ = grid()
-    return np.clip(0.58 + 0.40 * _sheen(2 * u + 0.1) + 0.03 * noise(193, 2.0, 120.0), 0.0, 1.0)
-
-
 @TEXTURES.register("blade_steel")
 def blade_steel() -> Field:
-    """Polished steel, its back darker, with two slanting streaks of light, and a brighter ground edge at v = 0."""
+    """Polished steel, darker towards v = 1, with two slanting streaks of light, and a brighter ground edge at v = 0."""
     u, v = grid()
     streaks = np.exp(-(((u - 0.30 - 0.10 * v) / 0.11) ** 2)) + 0.8 * np.exp(-(((u - 0.72 - 0.10 * v) / 0.06) ** 2))
-    steel = np.clip(0.62 - 0.16 * v + 0.42 * streaks + 0.025 * noise(191, 3.0, 160.0), 0.0, 1.0)
-    return np.where(v < 0.2, 1.0, np.where(v < 0.225, 0.5, steel))
+    steel = np.clip(0.66 - 0.14 * v + 0.40 * streaks + 0.025 * noise(191, 3.0, 160.0), 0.0, 1.0)
+    return np.where(v < 0.2, 1.0, np.where(v < 0.225, 0.6, steel))
 
 
 @TEXTURES.register("soda_print")

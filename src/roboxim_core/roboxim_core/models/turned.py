@@ -59,7 +59,7 @@ def tube(size: tuple[float, ...]) -> TriangleMesh:
     path, radius = curve[:, :3], np.maximum(curve[:, 3], 0.0)
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    sections = int(np.clip(round(2 * np.pi * radius.max() / AROUND_M), 10, 18))
+    sections = int(np.clip(round(2 * np.pi * radius.max() / AROUND_M), 12, 18))
     angle = np.linspace(0.0, 2 * np.pi, sections + 1)
     side = np.cross(tangent[0], [0.0, 0.0, 1.0] if abs(tangent[0, 2]) < 0.9 else [1.0, 0.0, 0.0])
     along = _fraction(path)
