@@ -21,6 +21,8 @@ FINGER_Z_M = 0.0584
 TIP = ((0.0175, 0.0152, 0.0185), (0.0, 0.00758, 0.04525))
 """Extents and middle of a fingertip's box in its finger's frame; the other finger's is its mirror image [m]."""
 LIFT_M = 0.12
+WIDE_M = 0.12
+"""What is wider on its shorter side has to hang level: its far edge would tip over what it passes."""
 
 
 def cases() -> list[tuple[str, str, str, int]]:
@@ -142,7 +144,8 @@ def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client:
     rose = end.position[2] - pose.position[2]
     turned = distance(Pose(quat_xyzw=pose.quat_xyzw), Pose(quat_xyzw=end.quat_xyzw))[1]
     assert rose > 0.6 * LIFT_M, f"it rose by {rose:.3f} m only"
-    assert turned < math.radians(30), f"it turned by {math.degrees(turned):.0f} deg in the hand"
+    most_deg = 12 if min(model.size[:2]) > WIDE_M else 30
+    assert turned < math.radians(most_deg), f"it turned by {math.degrees(turned):.0f} deg in the hand"
     assert np.hypot(end.position[0] - 0.5, end.position[1]) < 0.03
 
 

@@ -8,6 +8,8 @@ from roboxim_core.specs import EntitySpec
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.placement import centre, footprint, grown, nearest_distance, overlap
 from roboxim_tasks.roles import task_distractors
+from roboxim_tasks.skills.place_relation import aligning_yaws, half_extent
+from roboxim_tasks.skills.placing import upright
 
 QUAT = (0.18257418583505536, 0.3651483716701107, 0.5477225575051661, 0.7302967433402214)
 
@@ -78,13 +80,31 @@ def near_target(drawn, library):
     return min(nearest_distance(thing, middle, library) for thing in things) <= 0.10
 
 
-def test_wide_targets_get_a_distractor_as_near_as_the_gap_allows(draw, library):
-    config = parse_task_config(
-        "skill: push_object\nobjects: {target: {models: {values: [bowl]}}}\n" + THREE + NEAR % 1.0
-    )
-    drawn = draw(0, config)
-    things = [drawn.scene.entity(thing.entity) for thing in task_distractors(drawn.task)]
-    assert min(nearest_distance(t, centre(drawn.scene.entity("target"), library), library) for t in things) <= 0.1151
+@pytest.mark.parametrize("model", ["bowl", "tray"])
+def test_what_is_near_a_wide_target_is_near_its_edge(draw, library, model):
+    wide = f"skill: pick_up\nobjects: {{target: {{models: {{values: [{model}]}}}}}}\n" + THREE + NEAR % 0.5
+    config = parse_task_config(wide)
+    near = []
+    for index in range(20):
+        drawn = draw(index, config)
+        target = drawn.scene.entity("target")
+        things = [drawn.scene.entity(thing.entity) for thing in task_distractors(drawn.task)]
+        near.append(min(nearest_distance(target, centre(thing, library), library) for thing in things) <= 0.10)
+        corners = footprint(target, library)
+        assert not any(overlap(grown(footprint(thing, library), 0.0299), corners) for thing in things)
+    assert sum(near) == 10
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
+@pytest.mark.parametrize("direction", [(0.0, 1.0), (-1.0, 0.0)])
+def test_a_wide_object_is_put_down_where_it_needs_least_room(library, yaw, direction):
+    lying = Pose(quat_xyzw=(0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
+    tray, along = library.object("tray"), np.array(direction)
+    turns = aligning_yaws(tray, lying, along)
+    reach = [half_extent(tray, upright(lying, (0.0, 0.0, 0.0), turn).rotation, along) for turn in turns]
+    assert reach == pytest.approx([0.10, 0.14])
+    assert max(map(abs, turns)) <= np.pi / 2 + 1e-9
+    assert not aligning_yaws(library.object("cucumber"), lying, along)
 
 
 def test_distractors_leave_the_room_that_the_skill_needs(draw, generator):

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
-from roboxim_tasks.placement import Demand, PlacementConfig, centre, nearest_distance, place
+from roboxim_tasks.placement import Demand, PlacementConfig, centre, footprint, grown, nearest_distance, place
 from roboxim_tasks.roles import task_distractors
 
 TARGET = "target"
 BLOCK = 20
 """Episodes of which the exact share has a distractor close to the target."""
 ROOM_M = 0.01
-"""Least width of the ring around a wide target in which the nearest point of a distractor may be."""
+"""Least width of the ring around a target in which the nearest point of a distractor may be; else it is wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +31,8 @@ class NearConfig:
     share: float = 0.5
     """Share of the episodes in which the first distractor does; in the others none does."""
     distance_m: float = 0.10
-    """Largest distance from the middle of the target to the nearest point of the distractor [m]; more where the target
-    itself and the gap take it up."""
+    """Largest distance from the middle of the target to the nearest point of the distractor [m]; where the target
+    itself and the gap take that up, from the nearest point of the target to the middle of the distractor."""
     gap_m: float = 0.03
     """Free space between the two, so that a finger fits in between [m]."""
 
@@ -96,32 +98,55 @@ class DistractorsReset(ResetComponent):
         return float((rng.permutation(BLOCK)[place] + rng.random()) / BLOCK)
 
     def _away(self, near: NearConfig, target: EntitySpec, context: ResetContext) -> Demand:
-        middle = centre(target, context.library)
-        return Demand(
-            name="beside_target",
-            holds=lambda entity: nearest_distance(entity, middle, context.library) > near.distance_m,
-        )
+        distance = distance_to(target, near, context.library)
+        return Demand(name="beside_target", holds=lambda entity: distance(entity) > near.distance_m)
 
     def _beside(
         self, near: NearConfig, scene: SceneSpec, target: EntitySpec, thing: PhysicalObject, context: ResetContext
     ) -> Demand:
         middle, size = centre(target, context.library), context.library.entity_model(target).size
-        half = min(size[:2]) / 2
-        limit = max(near.distance_m, half + near.gap_m + ROOM_M)
         reach = math.hypot(*context.library.object(thing.model, thing.modifiers).size[:2]) / 2
+        least = min(size[:2]) / 2 + near.gap_m
         x, y, _ = scene.robot.pose.inverse().apply(middle)
+        distance = distance_to(target, near, context.library)
+        outline = footprint(target, context.library)
 
-        def position(rng: np.random.Generator) -> Array:
-            angle, radius = rng.uniform(-math.pi, math.pi), rng.uniform(half + near.gap_m, limit + reach)
+        def around(rng: np.random.Generator) -> Array:
+            angle, radius = rng.uniform(-math.pi, math.pi), rng.uniform(least, near.distance_m + reach)
             return np.array([x + radius * math.cos(angle), y + radius * math.sin(angle)])
+
+        def along(rng: np.random.Generator) -> Array:
+            corners = grown(outline, rng.uniform(near.gap_m, near.distance_m))
+            begin, share = rng.choice(4, p=_side_shares(corners)), rng.random()
+            at = (1 - share) * corners[begin] + share * corners[(begin + 1) % 4]
+            return scene.robot.pose.inverse().apply((*at, 0.0))[:2]
 
         def holds(entity: EntitySpec) -> bool:
             at = scene.robot.pose.inverse().apply(entity.pose.position)[:2]
             area = self.config.area
             inside = area.lower is None or bool(np.all(at >= area.lower) and np.all(at <= area.upper))
-            return inside and nearest_distance(entity, middle, context.library) <= limit
+            return inside and distance(entity) <= near.distance_m
 
+        position = along if _is_wide(target, near, context.library) else around
         return Demand(name="away_from_target", holds=holds, position=position, gaps={TARGET: near.gap_m})
+
+
+def distance_to(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> Callable[[EntitySpec], float]:
+    """Return the function of an object that tells how far it is from a target, as `NearConfig` measures it [m]."""
+    if _is_wide(target, near, library):
+        return lambda entity: nearest_distance(target, centre(entity, library), library)
+    middle = centre(target, library)
+    return lambda entity: nearest_distance(entity, middle, library)
+
+
+def _is_wide(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> bool:
+    """Tell whether a target is too wide for anything to be close to its middle."""
+    return min(library.entity_model(target).size[:2]) / 2 + near.gap_m + ROOM_M > near.distance_m
+
+
+def _side_shares(corners: Array) -> Array:
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    return np.asarray(lengths / lengths.sum())
 
 
 def _no_room_for(context: ResetContext, scene: SceneSpec) -> str:

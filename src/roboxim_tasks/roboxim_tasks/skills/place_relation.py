@@ -42,6 +42,9 @@ GAPS_M = (0.05, 0.08, 0.03, 0.12, 0.16)
 SLOPES = (0.0, 0.25, -0.25, 0.45, -0.45)
 FREE_GAP_M = 0.012
 GOALS = 10
+WIDE_M = 0.12
+"""An object whose shorter side is longer than this is put down with a side along the direction first: it needs least
+room."""
 BORDER_M = 0.05
 NEAREST_M, FARTHEST_M = 0.32, 0.74
 """Distances from the robot's axis at which it puts things down from above at any yaw."""
@@ -174,7 +177,8 @@ def free_goals(
     side = np.array([-direction[1], direction[0]])
     room = Room.of(others, library, FREE_GAP_M)
     height = scene.table.center[2] + model.rest_height
-    turns = [upright(spec.pose, (0.0, 0.0, 0.0), yaw) for yaw in GOAL_YAWS[:3]]
+    yaws = (*aligning_yaws(model, spec.pose, direction), *GOAL_YAWS[:3])
+    turns = [upright(spec.pose, (0.0, 0.0, 0.0), yaw) for yaw in yaws]
     reaches = [half_extent(model, turn.rotation, direction) for turn in turns]
     edge = half_extent(other_model, other.pose.rotation, direction)
     found = []
@@ -191,6 +195,15 @@ def free_goals(
                     if len(found) == GOALS:
                         return found
     return found
+
+
+def aligning_yaws(model: ObjectModel, pose: Pose, direction: Array) -> tuple[float, ...]:
+    """Return the turns that put a wide object's shorter or longer side along a direction, none of others [rad]."""
+    if min(model.size[:2]) <= WIDE_M:
+        return ()
+    x, y, _ = pose.rotation.apply((1.0, 0.0, 0.0) if model.size[0] <= model.size[1] else (0.0, 1.0, 0.0))
+    turn = math.atan2(direction[1], direction[0]) - math.atan2(y, x)
+    return tuple(math.remainder(turn + more, math.pi) for more in (0.0, math.pi / 2))
 
 
 def comfortable(scene: SceneSpec, goal: Pose) -> bool:
