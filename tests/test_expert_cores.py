@@ -166,3 +166,30 @@ def test_what_the_expert_cannot_do_fails_the_episode_by_reason(world, generator,
     start(expert, drawn, "another")
     with pytest.raises(TaskError, match="not reset for episode 'e'"):
         run(world, drawn, expert_act(expert))
+
+
+HEAVY_TRAY = """
+skill: place_left_of
+objects:
+  reference: {models: {values: [cube]}}
+  target: {models: {values: [tray]}, modifiers: {mass: {values: [1.8]}}}
+distractors: {minimum: 0, maximum: 0}
+reset:
+  objects:
+    roles: {reference: {area: {values: [[0.48, 0.05]]}}, target: {area: {values: [[0.5, -0.2]]}}}
+    yaw_rad: {values: [1.2]}
+"""
+
+
+def test_what_sags_in_the_hand_is_carried_as_it_hangs_and_put_down_level(world, generator, expert):
+    seed = SeedPath(run_seed=11, purpose="test", index=0)
+    drawn = generator.draw(seed, parse_task_config(HEAVY_TRAY))
+    start(expert, drawn, "e")
+    verdict, records = run(world, drawn, expert_act(expert))
+    assert verdict.success, verdict
+    tilts = [np.arccos(min(1.0, record.entity("target").pose.rotation.as_matrix()[2, 2])) for record in records]
+    release = next(i for i in range(len(records) - 1, 0, -1) if records[i].robot.gripper_command < 0.1)
+    assert max(tilts) > np.radians(6)
+    assert max(tilts[release - 3 : release]) < np.radians(3)
+    moved = np.subtract(records[-1].entity("reference").pose.position, records[0].entity("reference").pose.position)
+    assert np.linalg.norm(moved) < 0.002

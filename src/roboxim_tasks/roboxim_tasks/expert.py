@@ -3,9 +3,10 @@
 It plans once, at its first request, and then answers each request with the delta from the *commanded* pose to the
 reference's next pose, so injected noise is corrected and never accumulates.
 
-It looks at what it holds: when the grasp turned out a little different from the plan it plans the rest again from the
-object's true pose in the hand, which costs no tick; when it holds nothing it lets go, withdraws and tries again, and
-marks those actions as ``recovery``, so that the episode counts as recovered and not as a first-try success.
+It looks at what it holds: when the grasp turned out a little different from the plan, or what was lifted sags, it
+plans the rest again from the object's true pose in the hand, which costs no tick; when it holds nothing it lets go,
+withdraws and tries again, and marks those actions as ``recovery``, so that the episode counts as recovered and not as a
+first-try success.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from roboxim_core.errors import ErrorCode, PolicyError, TaskError
 from roboxim_core.kinematics import delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import RECOVERY, ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
-from roboxim_core.poses import Pose, distance
+from roboxim_core.poses import distance
 from roboxim_core.state import StateRecord
-from roboxim_tasks.motion import ROBOT, ExpertScene
+from roboxim_tasks.motion import ROBOT, ExpertScene, Stage
 from roboxim_tasks.planning import PlannerPort
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.skills import SKILLS
@@ -28,6 +29,8 @@ from roboxim_tasks.solver import Solution, Solver
 MAX_RECOVERIES = 2
 HELD_TOLERANCE_M = 0.003
 HELD_TOLERANCE_RAD = 0.035
+SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
+"""How far what was lifted may have shifted or turned in the hand before the rest is planned again."""
 
 
 class Expert:
@@ -136,7 +139,11 @@ class Expert:
         if not _touched(view.state, now.held):
             self._recoveries += 1
             view = replace(view, recovering=True)
-        elif before.held or not _held_elsewhere(view, now.held, now.held_in_tcp):
+        elif before.lifts and not now.lifts:
+            if not _held_elsewhere(view, now, SAG_TOLERANCE_M, SAG_TOLERANCE_RAD):
+                return
+            view = replace(view, held=now.held, lifted=True)
+        elif before.held or not _held_elsewhere(view, now, HELD_TOLERANCE_M, HELD_TOLERANCE_RAD):
             return
         else:
             view = replace(view, held=now.held)
@@ -151,7 +158,7 @@ def _touched(state: StateRecord, entity: str) -> bool:
     return any(contact.force_max > 0.0 for contact in state.contacts_between(ROBOT, entity))
 
 
-def _held_elsewhere(view: ExpertScene, entity: str, held_in_tcp: Pose) -> bool:
-    measured = view.in_base(view.state.robot.pose_tcp_measured).inverse() @ view.pose_of(entity)
-    shift_m, angle_rad = distance(measured, held_in_tcp)
-    return shift_m > HELD_TOLERANCE_M or angle_rad > HELD_TOLERANCE_RAD
+def _held_elsewhere(view: ExpertScene, stage: Stage, most_m: float, most_rad: float) -> bool:
+    measured = view.in_base(view.state.robot.pose_tcp_measured).inverse() @ view.pose_of(stage.held)
+    shift_m, angle_rad = distance(measured, stage.held_in_tcp)
+    return shift_m > most_m or angle_rad > most_rad

@@ -36,6 +36,8 @@ class Stage:
     """Fraction of the largest speed of the tool centre point."""
     duration_s: float = 0.0
     """How long to stay, when there is no pose [s]."""
+    lifts: bool = False
+    """Whether it takes what is held off what it lay on: then it may sag in the hand, and the expert looks again."""
     touching: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that may touch: entities, ``table``, ``gripper``."""
     held: str = ""
@@ -60,6 +62,8 @@ class ExpertScene:
     """Robots and objects."""
     held: str = ""
     """Entity that the gripper holds already; empty: none."""
+    lifted: bool = False
+    """Whether what the gripper holds is off what it lay on."""
     recovering: bool = False
     """Whether a try went wrong before, so that the gripper may be anywhere, closed."""
     direct: bool = False

@@ -21,6 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.poses import Pose, Vec3
 from roboxim_tasks.motion import (
     ANYTHING,
@@ -93,7 +94,16 @@ class Script:
         )
         self._moved = tuple(dict.fromkeys((*self._moved, entity)))
 
-    def move(self, pose: Pose, *, name: str, free: bool = False, speed: float = 1.0, touching: Touching = ()) -> None:
+    def move(
+        self,
+        pose: Pose,
+        *,
+        name: str,
+        free: bool = False,
+        speed: float = 1.0,
+        touching: Touching = (),
+        lifts: bool = False,
+    ) -> None:
         """Go to a pose in a straight line.
 
         Args:
@@ -102,8 +112,9 @@ class Script:
             free: Whether another way is as good: then the expert plans around what blocks the line.
             speed: Fraction of the largest speed.
             touching: Pairs of bodies that may touch.
+            lifts: Whether what is held is taken off what it lay on.
         """
-        self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching))
+        self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching, lifts=lifts))
         self.pose = pose
 
     def shift(self, vector: Vec3, *, name: str, speed: float = 1.0, touching: Touching = ()) -> None:
@@ -121,7 +132,7 @@ class Script:
         self._add(Stage(name=name, duration_s=duration_s))
 
     def pick(self, entity: str, grasp: Grasp | None, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
-        """Approach, descend, close, lift. If the gripper holds the entity already only the lift is left.
+        """Approach, descend, close, lift. What the gripper holds already is only lifted, unless it was.
 
         Args:
             entity: What to grasp.
@@ -136,8 +147,9 @@ class Script:
             self.grip(0.0, name="close")
             self.held_in_tcp = grasp.pose.inverse() @ self.pose_of(entity)
             self.held = entity
-        if lift_m:
-            self.shift((0.0, 0.0, lift_m), name="lift", speed=SLOW, touching=((entity, on),))
+        if lift_m and not self.scene.lifted:
+            lifted = shifted(self.pose, lift_m)
+            self.move(lifted, name="lift", speed=SLOW, touching=((entity, on),), lifts=True)
 
     def place(self, pose_object: Pose, *, onto: str = TABLE, drop_m: float = 0.002) -> None:
         """Carry what is held above a pose, lower it, let go, retreat.
@@ -177,6 +189,8 @@ class Script:
         if self.held:
             model = self.scene.model_of(self.held)
             below = self.pose.position[2] - self.pose_of(self.held).position[2] + model.rest_height
+            if self.scene.lifted:
+                below += _sag(self.pose_of(self.held), model)
             radius = float(np.hypot(*model.size[:2])) / 2
         start, end = np.array(self.pose.position[:2]), np.array(goal.position[:2])
         highest = 0.0
@@ -194,6 +208,14 @@ class Script:
         self._stages.append(
             replace(stage, opening=self.opening, held=self.held, held_in_tcp=self.held_in_tcp, moved=moved)
         )
+
+
+def _sag(pose: Pose, model: ObjectModel) -> float:
+    """Return how much lower the lowest corner of a tilted object is than its bottom would be if it were upright [m]."""
+    width, depth, _ = model.size
+    corners = [(x * width / 2, y * depth / 2, -model.rest_height) for x in (-1, 1) for y in (-1, 1)]
+    lowest = float(pose.rotation.apply(corners)[:, 2].min())
+    return max(0.0, -lowest - model.rest_height)
 
 
 def _distance_to_segment(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
@@ -55,6 +56,17 @@ def upright(pose: Pose, position: Sequence[float], yaw_rad: float) -> Pose:
     return Pose.from_arrays(position, Rotation.from_euler("z", yaw_rad) * pose.rotation)
 
 
+def levelled(pose: Pose) -> Pose:
+    """Return a pose turned as little as possible so that its most upright axis is vertical: what sagged in the hand."""
+    axes = pose.quaternion.matrix().T
+    up = max(axes, key=lambda axis: abs(axis[2]))
+    up = up * np.sign(up[2])
+    away = np.cross(up, (0.0, 0.0, 1.0))
+    sine = float(np.linalg.norm(away))
+    turn = away * (math.asin(min(1.0, sine)) / sine if sine > 1e-9 else 1.0)
+    return Pose.from_arrays(pose.position, Rotation.from_rotvec(turn) * pose.rotation)
+
+
 def put(
     scene: ExpertScene, target: str, goals: Iterable[Pose], *, onto: str = TABLE, drops_m: Sequence[float] = (0.002,)
 ) -> Iterator[tuple[Stage, ...]]:
@@ -67,7 +79,7 @@ def put(
         onto: What it may touch when it gets there.
         drops_m: Heights above the pose at which it is let go, best first [m].
     """
-    wanted = list(goals)
+    wanted = [levelled(goal) for goal in goals] if scene.lifted else list(goals)
     grasps: list[Grasp | None] = [None] if scene.held == target else list(grasps_of(scene, target))
     for grasp in grasps[: GRASPS_TRIED * 2]:
         for goal in wanted:
