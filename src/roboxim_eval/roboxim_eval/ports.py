@@ -314,7 +314,7 @@ class RecorderClient:
         self._publisher.publish(to_msg(step, EpisodeStepMsg))
         with self._acknowledged:
             done = self._acknowledged.wait_for(
-                lambda: (self._last.episode_id, self._last.seq) == (step.episode_id, step.seq),
+                lambda: self._last.episode_id == step.episode_id and self._last.seq >= step.seq,
                 timeout=MESSAGE_TIMEOUT_S,
             )
             last = self._last

@@ -66,6 +66,7 @@ class EpisodeRecording:
         self._kinds = kinds
         self._next = 0
         self._last_stamp_ns = 0
+        self._due = False
         self._notices: dict[int, tuple[Any, bytes]] = {}
         self._steps: dict[int, bytes] = {}
         self._arrived: dict[tuple[str, int], bytes] = {}
@@ -129,6 +130,19 @@ class EpisodeRecording:
                 self._arrived[topic, stamp] = cdr
         return self._write_whole_ticks()
 
+    def flush(self) -> None:
+        """Compress the ticks since the last chunk and write them to the file, if they are enough for one.
+
+        Apart from `message`, so that who waits for a tick need not wait for this. A process that is killed loses what
+        was not flushed.
+
+        Raises:
+            RecorderError: ``DISK`` when it cannot be written.
+        """
+        if self._due:
+            self._due = False
+            self._writer.flush()
+
     def _decode(self, topic: str, cdr: bytes) -> tuple[Any, bytes]:
         try:
             return decode(self._store, cdr, self._kinds[topic])
@@ -154,22 +168,19 @@ class EpisodeRecording:
             return [topics.NOTICE, *missing]
         notice = self._notices[seq][0]
         stamp = stamp_to_ns(notice.stamp)
-        for name, crc32 in zip(notice.topics, notice.image_crc32, strict=True):
-            topic = topics.absolute(name)
-            if not self._has(topic, stamp, int(crc32)):
-                missing.append(topic)
-        return missing
+        wanted = {topics.absolute(name): int(crc) for name, crc in zip(notice.topics, notice.image_crc32, strict=True)}
+        missing += [topic for topic in wanted if (topic, stamp) not in self._arrived]
+        if missing:
+            return missing  # images are looked at once, when all else is there
+        return [topic for topic, crc32 in wanted.items() if crc32 and not self._is_image(topic, stamp, crc32)]
 
-    def _has(self, topic: str, stamp: int, crc32: int) -> bool:
-        cdr = self._arrived.get((topic, stamp))
-        if cdr is None:
-            return False
-        if crc32:
-            image, _ = self._decode(topic, cdr)
-            if zlib.crc32(image.data) != crc32:  # a frame of another scene with the same stamp; the right one follows
-                del self._arrived[topic, stamp]
-                return False
-        return True
+    def _is_image(self, topic: str, stamp: int, crc32: int) -> bool:
+        """Tell whether an image is the tick's; forget it if not: it is of another scene, and the right one follows."""
+        image, _ = self._decode(topic, self._arrived[topic, stamp])
+        if zlib.crc32(image.data) == crc32:
+            return True
+        del self._arrived[topic, stamp]
+        return False
 
     def _write_whole_ticks(self) -> list[int]:
         written = []
@@ -188,8 +199,7 @@ class EpisodeRecording:
         self._writer.write(topics.STEP, self._steps.pop(seq), stamp)
         self._write_extras()
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
-        if seq % FLUSH_TICKS == 0:
-            self._writer.flush()
+        self._due = self._due or seq % FLUSH_TICKS == 0
 
     def _write_extras(self) -> None:
         for topic, cdr in self._extras:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import queue
 import time
 
@@ -13,6 +14,7 @@ from std_msgs.msg import String
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_recorder.bag import BagReader
+from roboxim_recorder.bag_writer import McapFile
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.node import RecorderNode
 from roboxim_ros import qos
@@ -132,6 +134,20 @@ def test_a_tick_that_cannot_be_recorded_is_answered(graph, tmp_path, fake):
     assert "camera/third/image" in answer.error_msg
     assert graph.close(episode, keep="drop") == ""
     assert list(tmp_path.rglob("*.mcap")) == []
+
+
+def test_a_disk_that_fills_up_between_ticks_is_answered(graph, tmp_path, fake, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    episode = fake()
+    graph.open(episode, tmp_path)
+    monkeypatch.setattr(McapFile, "flush", full)
+    graph.tick(episode, 0)  # is a tick with which a chunk is written
+    answers = [graph.acknowledgement(), graph.acknowledgement()]
+    assert [(answer.seq, answer.error_code) for answer in answers] == [(0, 0), (1, int(ErrorCode.DISK))]
+    assert "No space left" in answers[1].error_msg
+    wait_until(lambda: not list(tmp_path.rglob("*.mcap")))
 
 
 def test_bad_requests_are_refused(graph, tmp_path, fake):
