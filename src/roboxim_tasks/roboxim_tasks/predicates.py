@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.poses import Array
+from roboxim_core.poses import Array, distance
 from roboxim_core.state import StateRecord
 from roboxim_tasks.motion import ROBOT, TABLE
 
@@ -203,13 +203,44 @@ def table_force(entity: str) -> Measure:
 
 
 def speed(entity: str) -> Measure:
-    """Speed of an object [m/s]."""
-    return Measure(name="speed_m_s", of=lambda state: math.hypot(*state.entity(entity).linear_velocity))
+    """Mean speed of an object over the last tick [m/s]; at the first, that of the moment."""
+
+    def of(state: StateRecord, before: StateRecord | None) -> float:
+        now = state.entity(entity)
+        if before is None:
+            return math.hypot(*now.linear_velocity)
+        return math.dist(now.pose.position, before.entity(entity).pose.position) / _seconds(before, state)
+
+    return Measure(name="speed_m_s", of=_with_last(of))
 
 
 def spin(entity: str) -> Measure:
-    """Angular speed of an object [rad/s]."""
-    return Measure(name="spin_rad_s", of=lambda state: math.hypot(*state.entity(entity).angular_velocity))
+    """Mean angular speed of an object over the last tick [rad/s]; at the first, that of the moment.
+
+    The mean, because contacts of a light thing on a thin edge chatter within a tick without turning it.
+    """
+
+    def of(state: StateRecord, before: StateRecord | None) -> float:
+        now = state.entity(entity)
+        if before is None:
+            return math.hypot(*now.angular_velocity)
+        return distance(now.pose, before.entity(entity).pose)[1] / _seconds(before, state)
+
+    return Measure(name="spin_rad_s", of=_with_last(of))
+
+
+def _with_last(of: Callable[[StateRecord, StateRecord | None], float]) -> Callable[[StateRecord], float]:
+    last: list[StateRecord | None] = [None]
+
+    def measured(state: StateRecord) -> float:
+        before, last[0] = last[0], state
+        return of(state, before)
+
+    return measured
+
+
+def _seconds(before: StateRecord, after: StateRecord) -> float:
+    return max((after.stamp_ns - before.stamp_ns) / 1e9, 1e-9)
 
 
 def shift(entity: str, initial: StateRecord, name: str = "shift_m") -> Measure:

@@ -17,7 +17,7 @@ from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_betwee
 from roboxim_core.kinematics.delta import ControllerState
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
-from roboxim_tasks.motion import ANYTHING, TABLE, ExpertScene, Stage
+from roboxim_tasks.motion import GRIPPER, TABLE, ExpertScene, Stage
 from roboxim_tasks.planning import PlannerPort, Surroundings
 from roboxim_tasks.reference import Leg, ReferencePoint, SpeedConfig, make_reference
 from roboxim_tasks.roles import task_distractors
@@ -26,7 +26,10 @@ MAX_TRACKING_ERROR_M = 2e-3
 PLANNED_VIA_STEP_M = 0.02
 MAX_CANDIDATES = 48
 CLEARANCE_M = 0.004
-"""Distance that a motion keeps from distractors: noise and the controller's lag take it off the verified path."""
+"""Distance that a motion keeps from distractors, and the arm from everything.
+
+Noise and the controller's lag take it off the verified path.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +205,7 @@ class Solver:
         path: Sequence[tuple[float, ...]],
         clearance_m: float = 0.0,
     ) -> _Blocked | None:
-        """Check what was rolled out of each stage that moves, and its distance from distractors."""
+        """Check what was rolled out of each stage that moves, and the distance that it keeps."""
         period_s = 1.0 / view.scene.control_rate_hz
         for index, stage in enumerate(stages):
             ticks = [i for i, point in enumerate(points) if point.stage == index]
@@ -211,7 +214,7 @@ class Solver:
             joints = np.array(path[ticks[0] : ticks[-1] + 2])
             around = _around(view, stage)
             problem = self._planner.check_path(joints, period_s, around)
-            if not problem and clearance_m and (wider := _clear_of_distractors(view, around, clearance_m)):
+            if not problem and clearance_m and (wider := _with_clearance(view, around, clearance_m)):
                 problem = self._planner.check_path(joints, period_s, wider)
             if problem:
                 return _Blocked(stage=index, reason=problem)
@@ -262,16 +265,19 @@ def _around(view: ExpertScene, stage: Stage) -> Surroundings:
     )
 
 
-def _clear_of_distractors(view: ExpertScene, around: Surroundings, clearance_m: float) -> Surroundings | None:
-    """Return surroundings in which distractors alone count, and from afar; none: there are none to keep clear of.
+def _with_clearance(view: ExpertScene, around: Surroundings, clearance_m: float) -> Surroundings | None:
+    """Return surroundings in which everything is kept clear of distractors, and the arm clear of all.
 
-    After a failed try the gripper may be next to one, so that nothing is demanded.
+    The hand and what it holds come close to what the task is about. None: there is nothing that an arm which deviates
+    a little from its path would disturb. After a failed try the gripper may be next to a distractor, so that nothing
+    is demanded.
     """
     distractors = {thing.entity for thing in task_distractors(view.task)}
-    if view.recovering or not distractors:
+    if view.recovering or not (distractors or any(entity.fixed for entity in view.scene.entities)):
         return None
-    others = [entity.name for entity in view.scene.entities if entity.name not in distractors]
-    may_touch = tuple((ANYTHING, name) for name in (TABLE, *others))
+    others = (TABLE, *(entity.name for entity in view.scene.entities if entity.name not in distractors))
+    close = (GRIPPER, around.held) if around.held else (GRIPPER,)
+    may_touch = tuple((part, name) for part in close for name in others if part != name)
     return replace(around, touching=around.touching + may_touch, padding_m=clearance_m)
 
 

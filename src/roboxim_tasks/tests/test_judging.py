@@ -1,12 +1,14 @@
 from dataclasses import replace
 
 import pytest
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_core.state import Contact, EntityState, RobotState, StateRecord
 from roboxim_tasks.judging import Judge
+from roboxim_tasks.predicates import at_rest
 
 TASK = TaskSpec(
     skill="pick_up",
@@ -82,6 +84,23 @@ def test_each_predicate_can_refuse(tick, reason):
     assert verdict.reason == reason
     assert not verdict.success
     assert not verdict.failed
+
+
+def test_what_chatters_is_at_rest_and_what_rolls_or_slides_is_not():
+    def at(seq, x=0.5, yaw=0.0, spin=0.0):
+        state = record(seq)
+        pose = Pose.from_arrays((x, 0.0, 0.0225), Rotation.from_euler("z", yaw))
+        thing = EntityState(name="target", pose=pose, angular_velocity=(0.0, spin, 0.0))
+        return replace(state, entities=(thing, *state.entities[1:]))
+
+    def still(states):
+        speeds = [condition.measure.of for condition in at_rest("target")]
+        limits = [condition.most for condition in at_rest("target")]
+        return [all(of(state) <= most for of, most in zip(speeds, limits, strict=True)) for state in states]
+
+    assert still([at(0, spin=0.5), at(1, spin=0.5), at(2)]) == [False, True, True]  # tick 0 knows of no motion before
+    assert still([at(0), at(1, x=0.5005), at(2, x=0.503)]) == [True, True, False]  # 5 mm/s, 25 mm/s
+    assert still([at(0), at(1, yaw=0.01), at(2, yaw=0.04)]) == [True, True, False]  # 0.1 rad/s, 0.3 rad/s
 
 
 def test_a_target_that_fell_off_the_table_is_final():
