@@ -303,6 +303,8 @@ class RecorderClient:
         """Open the episode's bag."""
         request = OpenEpisode.Request(info=to_msg(info, EpisodeInfoMsg), output_dir=self._output_dir)
         self._clients.call(OpenEpisode, "recorder/open_episode", request, timeout_s=SERVICE_TIMEOUT_S)
+        with self._acknowledged:
+            self._last = RecordedTick()  # what was said of an earlier try of the episode is over
         self._open = info.episode_id
 
     def step(self, step: EpisodeStep) -> None:
