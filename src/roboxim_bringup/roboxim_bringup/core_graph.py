@@ -228,7 +228,6 @@ class CoreRecorder:
         for topic, message in self._sim.messages.items():
             self._recording.message(f"/{topic}", self._serialize(message))
         self._recording.message("/evaluator/step", self._serialize(to_msg(step, EpisodeStepMsg)))
-        self._recording.flush()
 
     def close(self, result: EpisodeResult, keep: str) -> str:
         """Close the bag."""

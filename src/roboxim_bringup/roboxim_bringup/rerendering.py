@@ -218,7 +218,6 @@ class Rerenderer:
                 tick[topic] = reader.decode(topic, cdr)
             if topic not in of_cameras and topic not in topics.OWN and topic not in (topics.NOTICE, "/tf"):
                 recording.message(topic, cdr)
-            recording.flush()
 
 
 def _cdr(message: Any) -> bytes:

@@ -303,8 +303,6 @@ class RecorderClient:
         """Open the episode's bag."""
         request = OpenEpisode.Request(info=to_msg(info, EpisodeInfoMsg), output_dir=self._output_dir)
         self._clients.call(OpenEpisode, "recorder/open_episode", request, timeout_s=SERVICE_TIMEOUT_S)
-        with self._acknowledged:
-            self._last = RecordedTick()  # what was said of an earlier try of the episode is over
         self._open = info.episode_id
 
     def step(self, step: EpisodeStep) -> None:
@@ -316,7 +314,7 @@ class RecorderClient:
         self._publisher.publish(to_msg(step, EpisodeStepMsg))
         with self._acknowledged:
             done = self._acknowledged.wait_for(
-                lambda: self._last.episode_id == step.episode_id and self._last.seq >= step.seq,
+                lambda: (self._last.episode_id, self._last.seq) == (step.episode_id, step.seq),
                 timeout=MESSAGE_TIMEOUT_S,
             )
             last = self._last

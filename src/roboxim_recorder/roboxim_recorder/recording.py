@@ -66,7 +66,6 @@ class EpisodeRecording:
         self._kinds = kinds
         self._next = 0
         self._last_stamp_ns = 0
-        self._due = False
         self._notices: dict[int, tuple[Any, bytes]] = {}
         self._steps: dict[int, bytes] = {}
         self._arrived: dict[tuple[str, int], bytes] = {}
@@ -130,19 +129,6 @@ class EpisodeRecording:
                 self._arrived[topic, stamp] = cdr
         return self._write_whole_ticks()
 
-    def flush(self) -> None:
-        """Compress the ticks since the last chunk and write them to the file, if they are enough for one.
-
-        Apart from `message`, so that who waits for a tick need not wait for this. A process that is killed loses what
-        was not flushed.
-
-        Raises:
-            RecorderError: ``DISK`` when it cannot be written.
-        """
-        if self._due:
-            self._due = False
-            self._writer.flush()
-
     def _decode(self, topic: str, cdr: bytes) -> tuple[Any, bytes]:
         try:
             return decode(self._store, cdr, self._kinds[topic])
@@ -199,7 +185,8 @@ class EpisodeRecording:
         self._writer.write(topics.STEP, self._steps.pop(seq), stamp)
         self._write_extras()
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
-        self._due = self._due or seq % FLUSH_TICKS == 0
+        if seq % FLUSH_TICKS == 0:
+            self._writer.flush()
 
     def _write_extras(self) -> None:
         for topic, cdr in self._extras:

@@ -151,7 +151,6 @@ class FakeEpisode:
         recording = self.open(out)
         for topic, message in self.messages():
             recording.message(topic, serialize_message(message))
-            recording.flush()
         return out / self.close(recording, keep, **changes)
 
 
