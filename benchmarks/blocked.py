@@ -21,6 +21,7 @@ import numpy as np
 import yaml
 from tqdm import tqdm
 
+from _expert_run import DISTURBED_M, NOISE_M, NOISE_RAD
 from _harness import Bench
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_bringup.cores import CorePlanner
@@ -36,8 +37,6 @@ from roboxim_tasks.expert import Expert
 from roboxim_tasks.roles import DISTRACTOR
 
 TASKS = ("pick_up_blocked", "place_on_blocked")
-NOISE_M, NOISE_RAD = 0.003, 0.01
-DISTURBED_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)

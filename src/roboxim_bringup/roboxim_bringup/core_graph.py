@@ -163,10 +163,10 @@ class CoreSim:
     def messages(self) -> dict[str, Any]:
         """The newest tick's messages, by topic."""
         if not self._messages:
-            self._messages = self._publish(self.world.record)
+            self._messages = self._made_messages(self.world.record)
         return self._messages
 
-    def _publish(self, record: StateRecord) -> dict[str, Any]:
+    def _made_messages(self, record: StateRecord) -> dict[str, Any]:
         world, stamp_ns = self.world, record.stamp_ns
         cameras = world.camera_poses()
         frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}

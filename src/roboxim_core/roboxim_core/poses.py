@@ -71,8 +71,8 @@ class Pose:
 
     @property
     def quaternion(self) -> pin.Quaternion:
-        """The rotation as a pinocchio quaternion, which composes single rotations about ten times faster than scipy."""
-        import pinocchio  # half a second and 46 MiB, which a process that only draws does without
+        """The rotation as a pinocchio quaternion, which composes single rotations faster than scipy."""
+        import pinocchio  # here, so that a process that only draws does without it
 
         x, y, z, w = self.quat_xyzw
         return pinocchio.Quaternion(w, x, y, z).normalized()

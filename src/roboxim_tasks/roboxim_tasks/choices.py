@@ -52,6 +52,15 @@ class Choice:
             if self.order == "in_order":
                 raise ConfigError("values come either in_order or with weights, not both")
 
+    @property
+    def ends(self) -> tuple[Scalar, ...]:
+        """The values of the list, or both ends of the range."""
+        if self.values:
+            return self.values
+        assert self.lower is not None
+        assert self.upper is not None
+        return self.lower, self.upper
+
     def only(self, allowed: Collection[Scalar]) -> Choice | None:
         """Return the choice among those values that are allowed; none if there is none."""
         kept = [i for i, value in enumerate(self.values) if value in allowed]

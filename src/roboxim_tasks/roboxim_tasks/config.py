@@ -195,8 +195,7 @@ def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLib
             if not takers:
                 known = sorted({kind for model in models for kind in library.object_modifiers(model)} | set(PHYSICAL))
                 _require(source, data, where, name, known)
-            for value in choice.values or (choice.lower, choice.upper):
-                assert value is not None
+            for value in choice.ends:
                 if not any(_allows(taker, name, value) for taker in takers):
                     takers[0].check(f"{source} is not valid: {_at(data, where)}", name, value)
 
@@ -213,7 +212,7 @@ def _check_arguments(source: str, data: Any, config: TaskConfig, parameters: Any
     """Check that what varies are parameters of the skill, and each value is one that it takes."""
     for name, choice in config.arguments.items():
         _require(source, data, ("arguments",), name, asdict(parameters), f"arguments.{name}")
-        for value in choice.values or (choice.lower, choice.upper):
+        for value in choice.ends:
             plain = asdict(parameters) | {name: value}
             from_plain(plain, type(parameters), source=f"{source}: {_at(data, ('arguments', name))}")
 

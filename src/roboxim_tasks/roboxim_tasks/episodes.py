@@ -12,10 +12,11 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
-from roboxim_tasks.components import COMPONENTS, RejectedError, ResetComponent, ResetContext
+from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig, TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
+from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import description, fits_description, task_objects
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.solvable import CONSTRAINT, Solvability

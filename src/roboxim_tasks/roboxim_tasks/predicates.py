@@ -209,9 +209,9 @@ def speed(entity: str) -> Measure:
         now = state.entity(entity)
         if before is None:
             return math.hypot(*now.linear_velocity)
-        return math.dist(now.pose.position, before.entity(entity).pose.position) / _seconds(before, state)
+        return math.dist(now.pose.position, before.entity(entity).pose.position) / seconds_between(before, state)
 
-    return Measure(name="speed_m_s", of=_with_last(of))
+    return Measure(name="speed_m_s", of=with_last(of))
 
 
 def spin(entity: str) -> Measure:
@@ -224,12 +224,13 @@ def spin(entity: str) -> Measure:
         now = state.entity(entity)
         if before is None:
             return math.hypot(*now.angular_velocity)
-        return distance(now.pose, before.entity(entity).pose)[1] / _seconds(before, state)
+        return distance(now.pose, before.entity(entity).pose)[1] / seconds_between(before, state)
 
-    return Measure(name="spin_rad_s", of=_with_last(of))
+    return Measure(name="spin_rad_s", of=with_last(of))
 
 
-def _with_last(of: Callable[[StateRecord, StateRecord | None], float]) -> Callable[[StateRecord], float]:
+def with_last(of: Callable[[StateRecord, StateRecord | None], float]) -> Callable[[StateRecord], float]:
+    """Make a measure's function of one that also takes the state of the tick before; at the first, none."""
     last: list[StateRecord | None] = [None]
 
     def measured(state: StateRecord) -> float:
@@ -239,7 +240,8 @@ def _with_last(of: Callable[[StateRecord, StateRecord | None], float]) -> Callab
     return measured
 
 
-def _seconds(before: StateRecord, after: StateRecord) -> float:
+def seconds_between(before: StateRecord, after: StateRecord) -> float:
+    """Return the time from one state to the next [s], never zero."""
     return max((after.stamp_ns - before.stamp_ns) / 1e9, 1e-9)
 
 

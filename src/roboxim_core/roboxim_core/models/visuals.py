@@ -317,6 +317,7 @@ __all__ = [
     "ScenePoses",
     "body_key",
     "box_mesh",
+    "camera_parent",
     "drawn_entities",
     "joint_motion",
     "object_link_poses",

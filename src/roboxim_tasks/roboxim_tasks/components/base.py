@@ -20,7 +20,6 @@ from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.choices import VectorChoice
-from roboxim_tasks.rejection import RejectedError
 
 if TYPE_CHECKING:
     from roboxim_tasks.config import TaskConfig
@@ -79,6 +78,10 @@ class ResetContext:
             self._streams[component] = self.seed.rng(component)
         return self._streams[component]
 
+    def room_taken(self, scene: SceneSpec) -> str:
+        """Return the name of the first constraint whose room is taken in a scene with all objects, or nothing."""
+        return next((c.name for c in self.constraints if c.room and not c.holds(scene)), "")
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfig:
@@ -114,14 +117,3 @@ COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")
 def register(cls: type[ResetComponent]) -> type[ResetComponent]:
     """Register a component under its ``name``."""
     return COMPONENTS.register(cls.name)(cls)
-
-
-__all__ = [
-    "COMPONENTS",
-    "Constraint",
-    "NoConfig",
-    "RejectedError",
-    "ResetComponent",
-    "ResetContext",
-    "register",
-]

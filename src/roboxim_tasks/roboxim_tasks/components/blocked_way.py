@@ -12,8 +12,9 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.choices import Choice
-from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import refusal
+from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import task_distractors
 
 TOOL = "tool"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
-from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import Demand, PlacementConfig, centre, footprint, grown, nearest_distance, place
+from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import task_distractors
 
 TARGET = "target"
@@ -75,7 +75,7 @@ class DistractorsReset(ResetComponent):
         Raises:
             RejectedError: When one finds no room, or the objects of the task leave too little themselves.
         """
-        if no_room := _no_room_for(context, scene):
+        if no_room := context.room_taken(scene):
             raise RejectedError(no_room)
         near = self.config.near
         target = next((entity for entity in scene.entities if entity.name == TARGET), None)
@@ -87,7 +87,7 @@ class DistractorsReset(ResetComponent):
                     demand = self._away(near, target, context)
                 elif number == 0:
                     demand = self._beside(near, scene, target, thing, context)
-            demand = replace(demand, leaves=partial(_no_room_for, context))
+            demand = replace(demand, leaves=context.room_taken)
             scene = place(scene, thing, self.config, context, self.name, demand)
         return scene
 
@@ -147,8 +147,3 @@ def _is_wide(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> boo
 def _side_shares(corners: Array) -> Array:
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     return np.asarray(lengths / lengths.sum())
-
-
-def _no_room_for(context: ResetContext, scene: SceneSpec) -> str:
-    """Return the name of the first constraint whose room is taken, or nothing."""
-    return next((c.name for c in context.constraints if c.room and not c.holds(scene)), "")

@@ -27,8 +27,8 @@ class JointsResetConfig:
             ConfigError: On a fraction beyond 0..1.
         """
         for name, choice in (("target", self.target), ("others", self.others)):
-            for value in choice.values or (choice.lower, choice.upper):
-                if isinstance(value, str | bool) or value is None or not 0.0 <= value <= 1.0:
+            for value in choice.ends:
+                if isinstance(value, str | bool) or not 0.0 <= value <= 1.0:
                     raise ConfigError(f"{name} must be fractions of the joints' travel from 0 to 1, got {value!r}")
 
 

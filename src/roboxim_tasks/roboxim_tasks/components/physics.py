@@ -6,21 +6,12 @@ from dataclasses import dataclass, replace
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.modifiers import PHYSICAL
-from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
+from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.roles import task_distractors, task_objects
 
 MAX_FRICTION = 2.0
-
-
-def _ends(choice: Choice | None) -> tuple[Scalar, ...]:
-    """Return the values of a list, or both ends of a range."""
-    if choice is None or choice.values:
-        return choice.values if choice else ()
-    assert choice.lower is not None
-    assert choice.upper is not None
-    return choice.lower, choice.upper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +37,9 @@ class BodyConfig:
             factors, values = getattr(self, kind), getattr(self, value_of)
             if factors is not None and values is not None:
                 raise ConfigError(f"give either {kind}, a factor, or {value_of}")
-            for factor in _ends(factors):
+            for factor in factors.ends if factors else ():
                 PHYSICAL[kind].check("physics", kind, factor)
-            for value in _ends(values):
+            for value in values.ends if values else ():
                 if isinstance(value, str | bool) or value <= 0:
                     raise ConfigError(f"{value_of} must be > 0, got {value!r}")
 
@@ -70,7 +61,7 @@ class PhysicsResetConfig:
         Raises:
             ConfigError: When it is out of range.
         """
-        for value in _ends(self.table_friction):
+        for value in self.table_friction.ends:
             if isinstance(value, str | bool) or not 0.0 <= value <= MAX_FRICTION:
                 raise ConfigError(f"table_friction must be from 0 to {MAX_FRICTION:g}, got {value!r}")
 

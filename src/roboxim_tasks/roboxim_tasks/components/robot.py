@@ -10,7 +10,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
-from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+from roboxim_tasks.rejection import RejectedError
 
 LIMIT_MARGIN_RAD = 0.05
 

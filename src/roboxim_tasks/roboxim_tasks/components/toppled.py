@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from roboxim_core.errors import ConfigError
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
-from roboxim_tasks.components.base import RejectedError, ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import refusal, turned
+from roboxim_tasks.rejection import RejectedError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import retreated
 from roboxim_tasks.placement import footprint, overlap
-from roboxim_tasks.predicates import Condition, Measure, joint_position, released
+from roboxim_tasks.predicates import Condition, Measure, joint_position, released, seconds_between, with_last
 from roboxim_tasks.reach import reaches_in_lines
 
 APPROACH_M = 0.08
@@ -184,15 +184,14 @@ def _others_moved(cabinet: str, joint: str, initial: StateRecord) -> Measure:
 
 def _joint_speed(cabinet: str, joint: str, initial: StateRecord) -> Measure:
     number = initial.entity(cabinet).joint_names.index(joint)
-    last = [initial]
 
-    def speed(state: StateRecord) -> float:
-        before, last[0] = last[0], state
-        seconds = (state.stamp_ns - before.stamp_ns) / 1e9
-        travel = abs(state.entity(cabinet).joint_positions[number] - before.entity(cabinet).joint_positions[number])
-        return travel / seconds if seconds > 0 else 0.0
+    def speed(state: StateRecord, before: StateRecord | None) -> float:
+        if before is None:
+            return 0.0
+        travel = state.entity(cabinet).joint_positions[number] - before.entity(cabinet).joint_positions[number]
+        return abs(travel) / seconds_between(before, state)
 
-    return Measure(name="drawer_speed_m_s", of=speed)
+    return Measure(name="drawer_speed_m_s", of=with_last(speed))
 
 
 def _swept(model: ObjectModel, handle: Handle, spec: EntitySpec, positions: Sequence[float]) -> tuple[Array, float]:

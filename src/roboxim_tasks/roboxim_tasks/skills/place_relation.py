@@ -121,7 +121,7 @@ class PlaceRelation(Skill):
         return (
             graspable(context, "target"),
             Constraint(name="not_there_already", holds=unsolved),
-            Constraint(name="free_place", holds=free),
+            Constraint(name="free_place", holds=free, room=True),
             start_clear(context),
         )
 
