@@ -162,14 +162,3 @@ def test_one_process_and_many_behave_the_same(up):
         one.process.terminate()
         assert one.process.wait(30) == 0
     assert hashes[0] == hashes[1]
-
-
-@pytest.mark.slow
-def test_first_answer_comes_within_a_second_and_a_half(up):
-    up("--only", "sim", "-p", "sim:renderer:=tiny")
-    times = []
-    for _ in range(8):
-        started = time.monotonic()
-        roboxim("service", "call", "/sim/get_simulator_features")
-        times.append(time.monotonic() - started)
-    assert min(times) < 1.5, times

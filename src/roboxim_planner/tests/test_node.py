@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -40,8 +39,6 @@ from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_planner.dumps import list_dumps, read_dump
 from roboxim_planner.node import PlannerNode
-from roboxim_planner.pipeline import MotionOptions, Planner
-from roboxim_planner.scene import PlanningScene
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_pose, to_msg
@@ -641,26 +638,6 @@ def test_failures_leave_dumps_that_run_again_and_their_folder_stays_bounded(grap
     again, _ = dump.run_again(ModelLibrary())
     assert f"{again.error_msg}; dump: {path}" == str(error)
     assert again.error_code == error.code
-
-
-@pytest.mark.slow
-def test_a_service_costs_at_most_3_ms_over_the_core(graph: Graph) -> None:
-    request = to_pose(y=-0.3)
-    client = graph.clients.client(PlanToPose, "planner/plan_to_pose")
-    planner = Planner(ModelLibrary().robot("panda"))
-    goal = Pose(position=(0.5, -0.3, 0.25), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
-
-    def usual(call: Any) -> float:
-        call()
-        spent = []
-        for _ in range(30):
-            begun = time.perf_counter()
-            call()
-            spent.append(time.perf_counter() - begun)
-        return float(np.percentile(spent, 25))
-
-    core = usual(lambda: planner.plan_to_pose(PlanningScene(), HOME, [goal], MotionOptions()).sample(0.01))
-    assert usual(lambda: client.call(request)) - core < 3e-3
 
 
 def test_arrays_keep_their_bits(graph: Graph) -> None:

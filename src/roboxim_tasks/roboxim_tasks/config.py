@@ -343,12 +343,14 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
     """
     mix = from_plain(data, MixConfig, source=source)
     cells, counts = [], []
+    used = {name for cell in mix.cells for name in cell.tasks}
+    tasks = {name: to_builtin(load_yaml(named_config("tasks", name))) for name in sorted(used)}
     for number, cell in enumerate(mix.cells):
         for task, *models in itertools.product(cell.tasks, *cell.models.values()):
             names = dict(zip(cell.models, models, strict=True))
             if any((names | {"task": task}).items() >= excluded.items() for excluded in cell.exclude):
                 continue
-            plain = to_builtin(load_yaml(named_config("tasks", task)))
+            plain = tasks[task]
             for change in (
                 mix.set,
                 cell.set,
