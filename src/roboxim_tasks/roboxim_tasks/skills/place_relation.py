@@ -166,8 +166,8 @@ def free_goals(
     direction: Array,
     parameters: RelationParameters,
     library: ModelLibrary,
-) -> list[Pose]:
-    """Return poses of the target in the world that satisfy the relation and touch nothing, best first.
+) -> Iterator[Pose]:
+    """Yield up to `GOALS` poses of the target in the world that satisfy the relation and touch nothing, best first.
 
     Only places at which the arm is comfortable.
     """
@@ -181,7 +181,7 @@ def free_goals(
     turns = [upright(spec.pose, (0.0, 0.0, 0.0), yaw) for yaw in yaws]
     reaches = [half_extent(model, turn.rotation, direction) for turn in turns]
     edge = half_extent(other_model, other.pose.rotation, direction)
-    found = []
+    found = 0
     for gap_m in GAPS_M:
         for slope in SLOPES:
             for turn, reach in zip(turns, reaches, strict=True):
@@ -191,10 +191,10 @@ def free_goals(
                 x, y = (np.array(other.pose.position[:2]) + direction * along + side * slope * along).tolist()
                 goal = replace(turn, position=(x, y, height))
                 if comfortable(scene, goal) and not room.refusal(replace(spec, pose=goal)):
-                    found.append(goal)
-                    if len(found) == GOALS:
-                        return found
-    return found
+                    yield goal
+                    found += 1
+                    if found == GOALS:
+                        return
 
 
 def aligning_yaws(model: ObjectModel, pose: Pose, direction: Array) -> tuple[float, ...]:
