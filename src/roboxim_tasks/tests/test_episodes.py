@@ -211,7 +211,7 @@ def test_a_component_of_one_s_own_is_one_class_and_one_key(draw):
         Config = FrictionConfig
 
         def reset(self, scene, context):
-            friction = self.config.friction.draw_number(context.rng(self.name), context.seed.index)
+            friction = self.config.friction.draw_number(context.rng(self.name), context.index)
             return replace(scene, table=replace(scene.table, friction=friction))
 
     register(TableFriction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -79,3 +80,31 @@ def test_more_lamps_leave_the_main_light_as_it_was(draw) -> None:
 def test_a_wrong_look_is_refused_before_anything_runs(text, message) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_task_config(text)
+
+
+def test_ordered_lists_go_by_the_number_in_the_cell_in_every_component(draw) -> None:
+    mix = parse_task_config(
+        """
+cells:
+  - {tasks: [pick_up, rotate], episodes: 4}
+set:
+  distractors: {minimum: 0, maximum: 0}
+  reset:
+    lights: {intensity: {values: [1.0, 2.0], order: in_order}}
+    background: {kind: {values: [room, plain], order: in_order}}
+    surfaces: {table: {roughness: {values: [0.1, 0.9], order: in_order}}}
+    physics: {table_friction: {values: [0.5, 0.8], order: in_order}}
+    cameras: {views: {workspace: {values: [workspace_left, workspace_right], order: in_order}}}
+    objects: {yaw_rad: {values: [0.0, 1.0], order: in_order}}
+"""
+    )
+    of = {"pick_up": [], "rotate": []}
+    for index in range(8):
+        scene = draw(index, mix).scene
+        (view,) = (camera.pose for camera in scene.cameras if camera.name == "workspace")
+        yaw = 2 * math.asin(scene.entity("target").pose.quat_xyzw[2])
+        look = (scene.look.lights[0].intensity, scene.look.background, scene.look.table.roughness)
+        of[mix.at(index)[0].skill].append((*look, scene.table.friction, view, round(yaw, 6)))
+    for drawn in of.values():
+        assert drawn[:2] == drawn[2:]
+        assert all(first != second for first, second in zip(*drawn[:2], strict=True))

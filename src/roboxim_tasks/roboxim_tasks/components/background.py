@@ -42,7 +42,7 @@ class BackgroundReset(ResetComponent):
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Draw the background."""
-        rng, index, look = context.rng(self.name), context.seed.index, scene.look
+        rng, index, look = context.rng(self.name), context.index, scene.look
         if self.config.kind is not None:
             look = replace(look, background=str(self.config.kind.draw(rng, index)))
         if self.config.backdrop is not None:

@@ -93,7 +93,7 @@ class LightsReset(ResetComponent):
         Raises:
             ConfigError: When the scene has no light to vary.
         """
-        rng, index, look = context.rng(self.name), context.seed.index, scene.look
+        rng, index, look = context.rng(self.name), context.index, scene.look
         changed: dict[str, Any] = {}
         if self.config.intensity is not None:
             changed["intensity"] = self.config.intensity.draw_number(rng, index)
