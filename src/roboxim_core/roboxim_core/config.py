@@ -137,13 +137,15 @@ def to_plain(value: Any) -> Any:
     return _converter().unstructure(value)
 
 
-def from_plain(data: Any, cls: type[T], *, source: str = "configuration") -> T:
+def from_plain(data: Any, cls: type[T], *, source: str = "configuration", path: str = "", line: str = "") -> T:
     """Build a value of a dataclass from plain data.
 
     Args:
         data: Dicts, lists, scalars, as `to_plain` gives or YAML holds.
         cls: The class to build.
         source: What the data is, for messages, e.g. a file's name.
+        path: Where in the source the data stands, for messages, e.g. ``reset.lights``; empty: it is the whole.
+        line: The line there, as `line_of` says it.
 
     Raises:
         ConfigError: Listing every wrong key with its path, its line where known, what was wrong and what is allowed.
@@ -151,14 +153,26 @@ def from_plain(data: Any, cls: type[T], *, source: str = "configuration") -> T:
     try:
         return _converter().structure(data, cls)
     except Exception as error:  # cattrs raises exception groups and whatever __post_init__ raises
-        problems = _explain(error, data, "", cls)
+        problems = _explain(error, data, f"{path}." if path else "", line, cls)
         raise ConfigError(f"{source} is not valid: " + "; ".join(problems)) from None
 
 
-def _explain(error: BaseException, data: Any, path: str, cls: Any) -> list[str]:
+def _explain(error: BaseException, data: Any, path: str, line: str, cls: Any) -> list[str]:
+    """Return what is wrong, a key each.
+
+    Args:
+        error: What cattrs, or a class, says of the data.
+        data: The part of the data that it is about.
+        path: Where that part stands, with a dot at its end; empty: it is the whole.
+        line: Line of the nearest key around it that has one.
+        cls: What was to be built.
+    """
     if isinstance(error, cattrs.errors.ForbiddenExtraKeysError):
         names = [f.name for f in dataclasses.fields(error.cl)]
-        return [f"{_where(data, path, key)}unknown key; {one_of(names, key)}" for key in sorted(error.extra_fields)]
+        return [
+            f"{_where(f'{path}{key}', line_of(data, key) or line)}unknown key; {one_of(names, str(key))}"
+            for key in sorted(error.extra_fields, key=str)
+        ]
     if isinstance(error, cattrs.BaseValidationError):
         problems: list[str] = []
         for sub in error.exceptions:
@@ -174,13 +188,28 @@ def _explain(error: BaseException, data: Any, path: str, cls: Any) -> list[str]:
                     below = None
             nested = isinstance(sub, cattrs.BaseValidationError | cattrs.errors.ForbiddenExtraKeysError)
             if step is None or isinstance(sub, cattrs.errors.ForbiddenExtraKeysError):
-                problems += _explain(sub, data, path, cls)
+                problems += _explain(sub, data, path, line, cls)
             elif nested:
-                problems += _explain(sub, below, f"{path}{step}.", cls)
+                problems += _explain(sub, below, f"{path}{step}.", line_of(data, step) or line, cls)
             else:
-                problems.append(f"{_where(data, path, step)}{_say(sub)}")
+                problems.append(f"{_where(f'{path}{step}', line_of(data, step) or line)}{_say(sub)}")
         return problems
-    return [f"{path.rstrip('.')}: {_say(error)}" if path else _say(error)]
+    said = _say(error)
+    keys, own = _named_first(said, data)
+    return [f"{_where('.'.join([*path.split('.')[:-1], *keys]), own or line)}{said}"]
+
+
+def _named_first(said: str, data: Any) -> tuple[list[str], str]:
+    """Return the key of the data that a class's complaint begins with, e.g. ``areas.left``, and its line."""
+    keys, line = [], ""
+    first = re.match(r"[A-Za-z_][\w.]*", said)
+    for key in first[0].rstrip(".").split(".") if first else ():
+        if not isinstance(data, Mapping) or key not in data:
+            break
+        line = line_of(data, key) or line
+        data = data[key]
+        keys.append(key)
+    return keys, line
 
 
 def _say(error: BaseException) -> str:
@@ -189,12 +218,71 @@ def _say(error: BaseException) -> str:
     return str(error)
 
 
-def _where(data: Any, path: str, key: Any) -> str:
-    line = ""
-    positions = getattr(data, "lc", None)
-    if positions is not None and positions.data and key in positions.data:
-        line = f" (line {positions.data[key][0] + 1})"
-    return f"{path}{key}{line}: "
+def _where(path: str, line: str) -> str:
+    if not path:
+        return f"{line}: " if line else ""
+    return f"{path} ({line}): " if line else f"{path}: "
+
+
+class LocatedMap(dict[Any, Any]):
+    """A mapping whose keys come from several files: each says where it stands."""
+
+    def __init__(self, items: Mapping[Any, Any], lines: Mapping[Any, str]) -> None:
+        """Make a mapping.
+
+        Args:
+            items: What it holds.
+            lines: Key to its line, as `line_of` says it.
+        """
+        super().__init__(items)
+        self.lines: dict[Any, str] = dict(lines)
+
+
+class LocatedList(list[Any]):
+    """A list whose items say where they stand."""
+
+    def __init__(self, items: Iterable[Any], lines: Mapping[Any, str]) -> None:
+        """Make a list.
+
+        Args:
+            items: What it holds.
+            lines: Index to the item's line, as `line_of` says it.
+        """
+        super().__init__(items)
+        self.lines: dict[Any, str] = dict(lines)
+
+
+def located(data: Any, file: str) -> Any:
+    """Return YAML data whose lines name their file, so that it can be put together with that of another file."""
+
+    def lines(keys: Iterable[Any]) -> dict[Any, str]:
+        return {key: " of ".join(part for part in (line_of(data, key), file) if part) for key in keys}
+
+    if isinstance(data, Mapping):
+        return LocatedMap({key: located(value, file) for key, value in data.items()}, lines(data))
+    if isinstance(data, list | tuple):
+        return LocatedList((located(value, file) for value in data), lines(range(len(data))))
+    return data
+
+
+def line_of(data: Any, key: Any) -> str:
+    """Return where a key of a mapping, or an item of a list, stands: ``line 3``; empty when that is not known."""
+    if isinstance(data, LocatedMap | LocatedList):
+        return data.lines.get(key, "")
+    positions = getattr(getattr(data, "lc", None), "data", None)
+    return f"line {positions[key][0] + 1}" if positions and key in positions else ""
+
+
+def place(data: Any, path: Iterable[str | int]) -> str:
+    """Return a key's path, with the line of the nearest key that has one: ``objects.target (line 3)``."""
+    keys, line = list(path), ""
+    for key in keys:
+        line = line_of(data, key) or line
+        try:
+            data = data[key]
+        except (KeyError, IndexError, TypeError):
+            break
+    return _where(".".join(map(str, keys)), line).removesuffix(": ")
 
 
 def load_yaml(path: Path | str) -> Any:
@@ -311,16 +399,21 @@ def named_config(kind: str, name: str) -> Path:
 
 
 __all__ = [
+    "LocatedList",
+    "LocatedMap",
     "RoboximError",
     "config_dir",
     "config_dirs",
     "digest",
     "from_json",
     "from_plain",
+    "line_of",
     "load_config",
     "load_yaml",
+    "located",
     "named_config",
     "parse_yaml",
+    "place",
     "to_json",
     "to_plain",
 ]

@@ -1,14 +1,16 @@
 """What an episode is before it runs: the task, the scene, and the address of its randomness.
 
-All are frozen plain values made of numbers, strings, tuples and one another, so that they compare, serialise
-(`config.to_plain` / `config.from_plain`), travel as messages of the same field names (`roboxim_ros.conversions`) and
-hash (`config.digest`).
+All are frozen plain values made of numbers, strings, tuples and one another, so that they compare, hash, serialise
+(`config.to_plain` / `config.from_plain`) and travel as messages of the same field names (`roboxim_ros.conversions`).
+`config.digest` is a hash that is the same in every process.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
@@ -18,6 +20,12 @@ RGB = tuple[float, float, float]
 """sRGB colour, each component 0..1."""
 LIGHT_KINDS = ("sun", "lamp")
 BACKGROUNDS = ("room", "plain")
+
+
+def _hash(spec: Any) -> int:
+    """Return the hash of a spec of which some fields are mappings; equal specs have equal ones."""
+    values = (getattr(spec, field.name) for field in fields(spec))
+    return hash(tuple(frozenset(value.items()) if isinstance(value, Mapping) else value for value in values))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +41,10 @@ class PhysicalObject:
     modifiers: dict[str, Scalar] = field(default_factory=dict)
     """Modifier name to value, e.g. ``{"color": "red", "scale": 1.0}``."""
 
+    def __hash__(self) -> int:
+        """Return the hash, which equal ones share."""
+        return _hash(self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec:
@@ -46,6 +58,10 @@ class TaskSpec:
     """Skill-specific arguments and thresholds, e.g. ``{"lift_m": 0.05}``."""
     instruction: str
     """Natural language instruction, e.g. ``Pick up the red cube``."""
+
+    def __hash__(self) -> int:
+        """Return the hash, which equal ones share."""
+        return _hash(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +80,10 @@ class EntitySpec:
     """Joint name to initial position [m or rad]; joints left out start at 0."""
     fixed: bool = False
     """Whether the base is fixed to the world."""
+
+    def __hash__(self) -> int:
+        """Return the hash, which equal ones share."""
+        return _hash(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Configuration, seeds, poses, actions, registry."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics, check_chunk
-from roboxim_core.config import digest, from_json, from_plain, parse_yaml, to_json
+from roboxim_core.config import digest, from_json, from_plain, located, parse_yaml, place, to_json
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, SimError, raise_for_code
 from roboxim_core.poses import Pose, distance, look_at
 from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 
 finite = st.floats(-10, 10)
 poses = st.builds(
@@ -56,6 +57,20 @@ def test_specs_survive_json_and_hash_alike():
     assert digest(SceneSpec()) != digest(scene)
 
 
+def test_specs_that_are_equal_hash_alike_and_can_be_counted():
+    def task(color, first="a"):
+        target = PhysicalObject(entity="target", model="cube", name="cube", modifiers={"color": color, "scale": 1})
+        arguments = {"a": 1.0, "b": True} if first == "a" else {"b": True, "a": 1}
+        return TaskSpec(skill="pick_up", objects={"target": target}, arguments=arguments, instruction="Pick it up")
+
+    red, same, blue = task("red"), task("red", first="b"), task("blue")
+    assert red == same
+    assert hash(red) == hash(same)
+    assert len({red, same, blue}) == 2
+    cube = EntitySpec(name="target", model="cube", modifiers={"color": "red"}, joint_positions={"lid": 0.5})
+    assert hash(SceneSpec(entities=(cube,))) == hash(SceneSpec(entities=(replace(cube),)))
+
+
 def test_wrong_yaml_names_key_line_and_choices():
     text = "entities:\n  - name: a\n    modl: cube\ncontrol_rate_hz: fast\n"
     with pytest.raises(ConfigError) as caught:
@@ -65,6 +80,28 @@ def test_wrong_yaml_names_key_line_and_choices():
     assert "entities.0.modl (line 3): unknown key" in message
     assert "did you mean 'model'?" in message
     assert "control_rate_hz (line 4): expected a number, got 'fast'" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("robot: {}\ncameras:\n  - name: front\n    width: 3", r"cameras\.0 \(line 3\): camera 'front': size"),
+        ("look:\n  background: sky", r"look \(line 1\): the background is room or plain, got 'sky'"),
+        ("robot: {}\nentities:\n  - name: a", r"entities\.0\.model \(line 3\): required key is missing"),
+        ("robot: {}\ncontrol_rate_hz: 7", r"control_rate_hz \(line 2\): control_rate_hz must divide"),
+    ],
+)
+def test_what_a_class_complains_of_has_the_line_of_the_nearest_key(text, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        from_plain(parse_yaml(text), SceneSpec, source="scene.yaml")
+
+
+def test_data_of_two_files_says_which_line_of_which():
+    data = located(parse_yaml("robot: {}\nentities:\n  - {name: a, modl: cube}"), "base.yaml")
+    with pytest.raises(ConfigError, match=r"entities\.0\.modl \(line 3 of base\.yaml\): unknown key"):
+        from_plain(data, SceneSpec)
+    assert place(data, ("entities", 0, "name")) == "entities.0.name (line 3 of base.yaml)"
+    assert place({"robot": {}}, ("robot", "model")) == "robot.model"
 
 
 @pytest.mark.parametrize(
