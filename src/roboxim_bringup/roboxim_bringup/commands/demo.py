@@ -31,7 +31,7 @@ class Scale:
 
 
 SCALES = {
-    "default": Scale(demonstrations=100, rollouts=24, steps=1200, minutes="about 6 minutes"),
+    "default": Scale(demonstrations=100, rollouts=24, steps=1200, minutes="about 5 minutes"),
     "smoke": Scale(demonstrations=3, rollouts=2, steps=12, size="96", minutes="about 1 minute"),
     "large": Scale(
         demonstrations=300, rollouts=50, steps=4000, minutes="an estimated 20 to 30 minutes",
@@ -56,7 +56,7 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
 
     \b
     roboxim demo                 # or: make demo
-    roboxim demo --large         # a policy that succeeds in 9 of 10 rollouts
+    roboxim demo --large         # a policy that succeeds in more than 9 of 10 rollouts
 
     Every step is a command that it prints before it runs it; run them one by one as you like. Ctrl-C stops; the same
     command goes on.

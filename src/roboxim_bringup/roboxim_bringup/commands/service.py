@@ -62,7 +62,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
 
     \b
     roboxim service call /sim/get_entities
-    roboxim service call /planner/compute_fk roboxim_interfaces/srv/ComputeFK "{links: [tcp]}"
+    roboxim service call /planner/compute_fk '{state: {position: [0, -0.2, 0, -2.2, 0, 2.0, 0.785]}}'
 
     The type may be left out; the exit code is 1 when the answer says that the call failed.
     """
