@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import fast_simplification
 import numpy as np
 import pybullet
 import trimesh
+from scipy.spatial.transform import Rotation
 
+from roboxim_core.episode.start import MOVED_M, TURNED_RAD
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import LARGEST_M, Finding, check_object
 from roboxim_core.models.description import ObjectModel
@@ -22,8 +25,8 @@ from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_sim.bodies import ObjectBody, build_table, configure
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
 
-MOVED_M, TURNED_RAD = 0.005, math.radians(5.0)
-"""What moves by more within a second does not stand."""
+YAWS = (0.0, 0.4, 1.1, 2.0, 2.9, -1.0)
+"""Turns about the vertical at which it must stay: a pose on an edge may hold at one of them [rad]."""
 DENSITY = 400.0
 """Guess for a new object [kg/m^3]."""
 
@@ -54,26 +57,33 @@ def _stability(model: ObjectModel) -> list[Finding]:
     client = pybullet.connect(pybullet.DIRECT)
     try:
         for k, start in enumerate((Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled)):
-            pose = Pose(position=(0.5, 0.0, start.position[2]), quat_xyzw=start.quat_xyzw)
-            configure(client, 240.0)
-            build_table(client, TableSpec())
-            body = ObjectBody(client, model, EntitySpec(name="it", model=model.id, pose=pose))
-            for _ in range(240):
-                pybullet.stepSimulation(physicsClientId=client)
-            joints = body.read_joints()[0]
-            moved, turned = distance(pose, body.read(joints, joints)[0].pose)
+            moved, turned = np.max([_motion(client, model, start, yaw) for yaw in YAWS], axis=0)
             if moved > MOVED_M or turned > TURNED_RAD:
                 what = f"toppled pose {k}" if k else "upright at its rest_height"
                 found.append(
                     Finding(
-                        severity="warning",
-                        message=f"put on a table {what} it moves by {1e3 * moved:.0f} mm and turns by "
-                        f"{math.degrees(turned):.0f} deg within a second: give it a pose or shapes that stand",
+                        severity="error",
+                        message=f"put on a table {what} it moves by up to {1e3 * moved:.0f} mm and turns by up to "
+                        f"{math.degrees(turned):.0f} deg within a second, so no scene with it would be settled: give "
+                        "it a pose or shapes that stand",
                     )
                 )
     finally:
         pybullet.disconnect(physicsClientId=client)
     return found
+
+
+def _motion(client: int, model: ObjectModel, start: Pose, yaw_rad: float) -> tuple[float, float]:
+    """Return how far an object moves [m] and turns [rad] within a second on a table, turned about the vertical."""
+    turn = Pose.from_arrays((0.5, 0.0, 0.0), Rotation.from_euler("z", yaw_rad))
+    pose = turn @ replace(start, position=(0.0, 0.0, start.position[2]))
+    configure(client, 240.0)
+    build_table(client, TableSpec())
+    body = ObjectBody(client, model, EntitySpec(name="it", model=model.id, pose=pose))
+    for _ in range(240):
+        pybullet.stepSimulation(physicsClientId=client)
+    joints = body.read_joints()[0]
+    return distance(pose, body.read(joints, joints)[0].pose)
 
 
 def starter(mesh: Path) -> str:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+NOT_HELD = "not_held"
+"""Reason of a task that is solved, but not yet for as long as it must stay so."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -19,3 +22,8 @@ class Verdict:
     """Why it failed, or what is missing; a short snake_case word, e.g. ``not_lifted``; empty on success."""
     predicates: dict[str, float] = field(default_factory=dict)
     """Predicate name to value: 0 or 1, or a measure with its unit in the name, e.g. ``lift_m``."""
+
+    @property
+    def solved(self) -> bool:
+        """Whether everything that the skill demands holds at this tick, however briefly."""
+        return self.success or self.reason == NOT_HELD

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
@@ -12,9 +13,9 @@ from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError,
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk, CameraRequirement, Observation, PolicyDescription
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec, TaskSpec
-from roboxim_core.state import RobotState, StateRecord
-from roboxim_core.verdicts import Verdict
+from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec, TaskSpec, WorkspaceSpec
+from roboxim_core.state import EntityState, RobotState, StateRecord
+from roboxim_core.verdicts import NOT_HELD, Verdict
 
 ROBOT = RobotState(
     joint_names=(), joint_positions=(), joint_velocities=(), joint_commands=(), pose_tcp_measured=Pose(),
@@ -31,26 +32,31 @@ class World:
         self.goal, self.slides_back = goal, slides_back
         self.log, self.steps, self.closed, self.executed = [], [], [], []
         self.infeasible_attempts = 0
-        self.entities = ()
+        self.entities, self.settled = (), ()
+        self.begins_at, self.leaves_at, self.held = 0.0, -1, True
 
     def draw(self, seed, task_config):
         if seed.attempt < self.infeasible_attempts:
             raise TaskError("no room", ErrorCode.RESET_INFEASIBLE)
         task = TaskSpec(skill="go", objects={}, instruction=f"go {seed.index}")
-        scene = SceneSpec(cameras=(CameraSpec(name="workspace"), CameraSpec(name="wrist")), entities=self.entities)
+        scene = SceneSpec(
+            cameras=(CameraSpec(name="workspace"), CameraSpec(name="wrist")), entities=self.entities,
+            workspace=WorkspaceSpec(on_leave="fail"),
+        )  # fmt: skip
         return Draw(task=task, scene=scene, max_steps=8)
 
     def load(self, episode_id, scene):
-        self.x, self.scene = 0.0, scene
-        return StateRecord(episode_id=episode_id, seq=0, stamp_ns=0, robot=ROBOT)
+        self.x, self.scene = self.begins_at, scene
+        return StateRecord(episode_id=episode_id, seq=0, stamp_ns=0, robot=ROBOT, entities=self.settled)
 
     def tick(self, episode_id, seq, action):
         self.executed.append(action)
         moved = float(action[0])
         self.x += moved if moved or not self.slides_back else -5.0
         return StateRecord(
-            episode_id=episode_id, seq=seq, stamp_ns=seq, robot=ROBOT, action_executed=tuple(map(float, action))
-        )
+            episode_id=episode_id, seq=seq, stamp_ns=seq, robot=ROBOT, action_executed=tuple(map(float, action)),
+            left_workspace=seq == self.leaves_at,
+        )  # fmt: skip
 
     def observe(self, state, cameras):
         images = {name: np.full((2, 2, 3), state.seq, np.uint8) for name in cameras}
@@ -64,9 +70,11 @@ class World:
         return self.judge(state)
 
     def judge(self, state):
-        success = self.x >= self.goal
+        solved = self.x >= self.goal
+        success = solved and self.held
         self.ever |= success
-        return Verdict(success=success, success_ever=self.ever, reason="" if success else "not_there")
+        reason = "" if success else NOT_HELD if solved else "not_there"
+        return Verdict(success=success, success_ever=self.ever, reason=reason)
 
     def open(self, info):
         self.log.append("open")
@@ -214,6 +222,75 @@ def test_attempts_are_drawn_anew_until_one_is_kept():
     assert (result.outcome, result.attempt, result.episode_id) == ("success", 2, "eval-0-00004-2")
     result = run(world, Actor(), max_attempts=1).run_index(4)
     assert (result.outcome, result.reason) == ("error", "reset_infeasible")
+
+
+def at(x=0.0, y=0.0, z=0.0, tilt_deg=0.0):
+    return Pose.from_arrays((x, y, z), Rotation.from_euler("x", tilt_deg, degrees=True))
+
+
+@pytest.mark.parametrize(
+    ("now", "found"),
+    [
+        ({"pose": at(0.0015, 0.0, 0.0)}, ""),
+        ({"pose": at(z=-0.008)}, ""),
+        ({"pose": at(0.002, 0.002)}, "moved by 3 mm"),
+        ({"pose": at(z=0.004)}, "moved by 4 mm"),
+        ({"pose": at(z=-0.3)}, "moved by 300 mm"),
+        ({"pose": at(tilt_deg=3.0)}, "3 deg"),
+        ({"linear_velocity": (0.03, 0.0, 0.0)}, "30 mm/s"),
+        ({"angular_velocity": (0.0, 0.0, 0.5)}, "0.50 rad/s"),
+        ({"joint_names": ("lid",), "joint_positions": (0.3,)}, "'lid' at 0.300 instead of 0.500"),
+    ],
+)
+def test_an_episode_begins_only_when_everything_rests_where_it_was_put(now, found):
+    world = World()
+    world.entities = (EntitySpec(name="can", model="soda_can", joint_positions={"lid": 0.5}),)
+    world.settled = (EntityState(**{"name": "can", **now}),)
+    result = run(world, Actor(), max_attempts=2).run_index(0)
+    if not found:
+        assert result.outcome == "success"
+        return
+    assert (result.outcome, result.reason, result.attempt) == ("error", "reset_infeasible", 1), "drawn again"
+    assert "can_unsettled" in result.message
+    assert found in result.message
+    assert (result.skill, result.instruction, result.bag) == ("go", "go 0", "")
+    assert world.log == ["open", "abort", "release"] * 2, "its bag is dropped"
+    assert world.executed == []
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_an_episode_that_is_solved_already_does_not_begin_however_long_it_must_stay_so(held):
+    world, actor = World(), Actor()
+    world.begins_at, world.held = 3.0, held
+    result = run(world, actor).run_index(0)
+    assert (result.outcome, result.reason, result.success_ever) == ("error", "reset_infeasible", False)
+    assert "not_solved_already" in result.message
+    assert actor.starts == []
+
+
+def test_an_episode_that_has_failed_already_does_not_begin():
+    world = World()
+    world.judge = lambda state: Verdict(failed=True, reason="fell_off_table")
+    result = run(world, Actor()).run_index(0)
+    assert (result.outcome, result.reason) == ("error", "reset_infeasible")
+    assert "not_failed_already" in result.message
+    assert "fell_off_table" in result.message
+
+
+@pytest.mark.parametrize("leaves_at", [2, 3])
+def test_leaving_the_workspace_is_no_success_whatever_settles_afterwards(leaves_at):
+    world = World(goal=3.0)
+    world.leaves_at = leaves_at
+    world.tick, tick = lambda e, seq, action: tick(e, seq, np.array([1.0, *action[1:]])), world.tick
+    result = run(world, Actor()).run_index(0)
+    assert (result.outcome, result.reason, result.steps) == ("failure", "left_workspace", leaves_at)
+    assert result.success_ever, "it came to rest where it should"
+
+
+def test_leaving_the_workspace_with_the_last_action_counts():
+    world = World(goal=100)
+    world.leaves_at = 8
+    assert run(world, Actor()).run_index(0).reason == "left_workspace"
 
 
 def test_what_the_run_cannot_give_is_refused_before_the_first_step():

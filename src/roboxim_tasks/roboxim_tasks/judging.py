@@ -5,7 +5,7 @@ from __future__ import annotations
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
-from roboxim_core.verdicts import Verdict
+from roboxim_core.verdicts import NOT_HELD, Verdict
 from roboxim_tasks.predicates import Assessment, Condition, Conditions, largest_shift
 from roboxim_tasks.roles import STAY, task_distractors
 from roboxim_tasks.skills import SKILLS
@@ -85,7 +85,7 @@ class Judge:
             success=success,
             success_ever=success or self._verdict.success_ever,
             failed=failed,
-            reason="" if success else reason or "not_held",
+            reason="" if success else reason or (NOT_HELD if assessment.solved else "not_solved"),
             predicates=assessment.predicates | {"held_s": held_s},
         )
         return self._verdict

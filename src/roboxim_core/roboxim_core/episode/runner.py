@@ -13,13 +13,15 @@ from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk, hold
 from roboxim_core.config import to_json
 from roboxim_core.episode.ports import Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
+from roboxim_core.episode.start import start_refusal
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import CameraSpec, SceneSpec
+from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
+LEFT_WORKSPACE = "left_workspace"
 SETTLE_S = 1.0
 """How long an episode holds still after its end, before the final verdict, if a run does not say."""
 
@@ -141,10 +143,7 @@ class EpisodeRunner:
         except RoboximError as error:
             if error.code != ErrorCode.RESET_INFEASIBLE:
                 raise
-            return EpisodeResult(
-                episode_id=episode_id(seed), index=seed.index, attempt=seed.attempt, outcome="error",
-                reason="reset_infeasible", message=str(error),
-            )  # fmt: skip
+            return _infeasible(seed, str(error))
         scene = configure_scene(draw.scene, self.config, self.description)
         semantics = ActionSemantics(rate_hz=scene.control_rate_hz)
         self.description.semantics.require_compatible(
@@ -166,6 +165,15 @@ class EpisodeRunner:
             raise
         finally:
             self.ports.sim.release(info.episode_id)
+
+
+def _infeasible(seed: SeedPath, message: str, task: TaskSpec | None = None) -> EpisodeResult:
+    """Return the result of an episode that did not begin; without a task none was drawn."""
+    return EpisodeResult(
+        episode_id=episode_id(seed), index=seed.index, attempt=seed.attempt, outcome="error",
+        reason="reset_infeasible", message=message,
+        instruction=task.instruction if task else "", skill=task.skill if task else "",
+    )  # fmt: skip
 
 
 class _Episode:
@@ -196,16 +204,18 @@ class _Episode:
             ports.recorder.open(info)
         self.state = ports.sim.load(info.episode_id, info.scene)
         self.verdict = ports.judge.start(info.episode_id, info.task, self.state)
+        if refused := start_refusal(info.scene, self.state, self.verdict):
+            if self.config.records:
+                ports.recorder.abort()
+            message = (
+                f"the scene of '{info.task.instruction}' breaks constraint {refused.constraint}: {refused.message}"
+            )
+            return _infeasible(self.seed, message, info.task)
         self._record("start", (), disturbance=False)
         outcome, reason, message = self._act_until_end()
         if outcome != "error":
             self._settle()
-            if self.verdict.success:
-                outcome, reason = "success", ""
-            elif outcome == "success":
-                outcome, reason = "failure", self.verdict.reason or "not_stable"
-            else:
-                reason = self.verdict.reason or reason
+            outcome, reason = self._after_settling(outcome, reason)
         result = EpisodeResult(
             episode_id=info.episode_id, index=info.index, attempt=info.attempt, outcome=outcome, reason=reason,
             message=message, steps=self.counts["steps"], last_seq=self.state.seq, clipped=self.counts["clipped"],
@@ -219,6 +229,16 @@ class _Episode:
             result = replace(result, bag=ports.recorder.close(result, keep))
         return result
 
+    def _after_settling(self, outcome: str, reason: str) -> tuple[str, str]:
+        """Return outcome and reason of an episode that ended as it did and then came to rest."""
+        if reason == LEFT_WORKSPACE:  # that ends it, whatever comes to rest where it should afterwards
+            return outcome, reason
+        if self.verdict.success:
+            return "success", ""
+        if outcome == "success":
+            return "failure", self.verdict.reason or "not_stable"
+        return outcome, self.verdict.reason or reason
+
     def _act_until_end(self) -> tuple[str, str, str]:
         """Act until success, failure, the limit or a fault of the policy; return outcome, reason, message."""
         start = EpisodeStart(
@@ -229,15 +249,17 @@ class _Episode:
         )  # fmt: skip
         try:
             self.ports.actor.reset(start)
-            while self.counts["steps"] < self.max_steps:
+            while True:
                 if self.cancelled():
                     raise RoboximError(f"episode {self.info.episode_id} was cancelled", ErrorCode.CANCELLED)
-                if self.verdict.success and self.config.stop_on_success and self.counts["steps"]:
+                if self.state.left_workspace and self.info.scene.workspace.on_leave == "fail":
+                    return "failure", LEFT_WORKSPACE, ""
+                if self.verdict.success and self.config.stop_on_success:
                     return "success", "", ""
                 if self.verdict.failed:
                     return "failure", self.verdict.reason or "failed", ""
-                if self.state.left_workspace and self.info.scene.workspace.on_leave == "fail":
-                    return "failure", "left_workspace", ""
+                if self.counts["steps"] >= self.max_steps:
+                    return "failure", "max_steps", ""
                 self._observe()
                 if not self.queue:
                     if self.actor_done:
@@ -249,7 +271,6 @@ class _Episode:
             if isinstance(error, InvalidRequestError) and error.code != ErrorCode.INVALID_ACTION:
                 raise
             return "error", error.code.name.lower(), str(error)
-        return "failure", "max_steps", ""
 
     def _observe(self) -> None:
         cameras = tuple(camera.name for camera in self.description.cameras)

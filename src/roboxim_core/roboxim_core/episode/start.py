@@ -1,0 +1,85 @@
+"""Whether an episode may begin: what a drawn scene promises, held against tick 0.
+
+A scene is refused where it is drawn, before anything is simulated, as far as that can be told there. What is left only
+the simulator knows: whether everything rests where it was put. And of a skill's success only its own judge knows
+whether it is there already. Both are asked of every scene, whatever skill, object or file it comes from.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from roboxim_core.poses import distance
+from roboxim_core.specs import EntitySpec, SceneSpec
+from roboxim_core.state import EntityState, StateRecord
+from roboxim_core.verdicts import Verdict
+
+MOVED_M, TURNED_RAD = 0.002, math.radians(2.0)
+"""What is further from where it was put does not rest there."""
+DROPPED_M = 0.01
+"""By how much it may have come down, as the height of what lies on something is seldom known exactly [m]."""
+JOINT = 0.01
+"""How far a joint may be from where it was put [m or rad]."""
+SPEED_M_S, SPIN_RAD_S = 0.01, 0.2
+"""What moves faster is not at rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refusal:
+    """A promise that tick 0 breaks."""
+
+    constraint: str
+    """Its name, e.g. ``target_unsettled``."""
+    message: str
+    """What was found, and what to do."""
+
+
+def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Refusal | None:
+    """Return the promise that tick 0 breaks; none: the episode may begin.
+
+    Non-obvious: a scene that is to begin in motion says so by ``settle_steps: 0``: tick 0 is then as drawn, at rest.
+
+    Args:
+        scene: The scene as drawn.
+        state: Tick 0.
+        verdict: What the judge says of it.
+    """
+    specs = {entity.name: entity for entity in scene.entities}
+    for entity in state.entities:
+        if entity.name in specs and (found := _unrest(specs[entity.name], entity)):
+            return Refusal(
+                constraint=f"{entity.name}_unsettled",
+                message=f"'{entity.name}' {found}; put its model ({specs[entity.name].model}) where it rests, see "
+                "`roboxim assets check`, or give the scene `settle_steps: 0` if it is to begin in motion",
+            )
+    if verdict.failed:
+        return Refusal(
+            constraint="not_failed_already",
+            message=f"the task has failed before the first action ({verdict.reason}); change `reset` or `parameters`",
+        )
+    if verdict.solved:
+        return Refusal(
+            constraint="not_solved_already",
+            message="all that the task demands holds before the first action; change `reset` or `parameters`",
+        )
+    return None
+
+
+def _unrest(spec: EntitySpec, entity: EntityState) -> str:
+    """Return how an object fails to rest where it was put, or nothing."""
+    x, y, z = (now - put for now, put in zip(entity.pose.position, spec.pose.position, strict=True))
+    turned_rad = distance(spec.pose, entity.pose)[1]
+    if math.hypot(x, y) > MOVED_M or not -DROPPED_M <= z <= MOVED_M or turned_rad > TURNED_RAD:
+        return (
+            f"has moved by {1e3 * math.hypot(x, y, z):.0f} mm and {math.degrees(turned_rad):.0f} deg from where it "
+            "was put"
+        )
+    positions = dict(zip(entity.joint_names, entity.joint_positions, strict=True))
+    for joint, put in spec.joint_positions.items():
+        if abs(positions.get(joint, put) - put) > JOINT:
+            return f"has its joint '{joint}' at {positions[joint]:.3f} instead of {put:.3f}"
+    speed, spin = math.hypot(*entity.linear_velocity), math.hypot(*entity.angular_velocity)
+    if speed > SPEED_M_S or spin > SPIN_RAD_S:
+        return f"moves at {1e3 * speed:.0f} mm/s and {spin:.2f} rad/s"
+    return ""
