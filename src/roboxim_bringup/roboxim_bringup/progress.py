@@ -16,22 +16,25 @@ LINE_PERIOD_S = 10.0
 class ProgressLine:
     """A bar with a note beside it. A context manager; safe to call from several threads."""
 
-    def __init__(self, title: str, total: int, done: int = 0) -> None:
+    def __init__(self, title: str, total: int, done: int = 0, *, unit: str = "") -> None:
         """Prepare the bar.
 
         Args:
             title: What is going on, a few words.
             total: Units in all.
             done: Units done before this start.
+            unit: What is counted, e.g. ``ticks``; empty: what the title names.
         """
         self._title, self._total, self._done = title, total, done
+        self._unit = f" {unit}" if unit else ""
         self._note = ""
         self._started = self._last = time.monotonic()
         self._bar: Progress | None = None
         if sys.stdout.isatty():
             self._bar = Progress(
-                TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+                TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(),
+                TextColumn(unit), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+                TextColumn("{task.fields[note]}"),
                 console=Console(file=sys.stdout),
             )  # fmt: skip
 
@@ -76,4 +79,5 @@ class ProgressLine:
     def _line(self) -> None:
         self._last = time.monotonic()
         seconds = self._last - self._started
-        click.echo(f"{self._title}: {self._done} of {self._total} after {seconds:.0f} s {self._note}".rstrip())
+        note = f"; {self._note}" if self._note else ""
+        click.echo(f"{self._title}: {self._done} of {self._total}{self._unit} after {seconds:.0f} s{note}")

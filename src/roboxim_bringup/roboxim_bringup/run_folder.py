@@ -15,15 +15,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import click
+
 from roboxim_core.config import from_json, to_json
+from roboxim_core.differences import differences
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
 MAY_DIFFER = ("episodes", "workers")
 """Keys of a run's configuration that may change when it goes on: more episodes, other machines."""
+COMMANDS = {"demo": "generate", "eval": "evaluate"}
+"""Purpose of a run's episodes to the command that makes them."""
 
 
 class RunFolder:
@@ -42,15 +47,12 @@ class RunFolder:
 
         Raises:
             ConfigError: When the folder holds another run or something else, or is in use.
+            RoboximError: ``DISK`` when it cannot be made.
         """
         stored_at = self.path / RUN_FILE
-        if (
-            self.path.exists()
-            and not stored_at.exists()
-            and any(not p.name.startswith(".") for p in self.path.iterdir())
-        ):
+        make_folder(self.path)
+        if not stored_at.exists() and any(not p.name.startswith(".") for p in self.path.iterdir()):
             raise ConfigError(f"{self.path} exists and is not a run's folder; choose another --out or empty it")
-        self.path.mkdir(parents=True, exist_ok=True)
         with open(self.path / ".lock", "w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -59,18 +61,44 @@ class RunFolder:
             if stored_at.exists() and (self.path / RESULTS_FILE).exists():
                 self._require_same(json.loads(stored_at.read_text()), config)
             write_atomically(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
-            yield self
+            try:
+                yield self
+            except KeyboardInterrupt:
+                done = len(self.results())
+                click.echo(
+                    f"{done} episode{'s are' if done != 1 else ' is'} done in {self.path}; "
+                    "the same command goes on with what is missing",
+                    err=True,
+                )
+                raise
 
     def _require_same(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
-        keys = (set(stored) | set(config)) - set(MAY_DIFFER)
-        plain = json.loads(json.dumps(dict(config)))
-        differing = sorted(key for key in keys if stored.get(key) != plain.get(key))
-        if differing:
-            details = "; ".join(f"{key}: {stored.get(key)!r} there, {plain.get(key)!r} asked" for key in differing)
-            raise ConfigError(
-                f"{self.path} holds a run with another configuration ({details}); "
-                "choose another --out, or ask for the same to go on with it"
+        there, asked = _command(stored), _command(config)
+        if there != asked:
+            raise ConfigError(f"{self.path} holds a run of 'roboxim {there}'; choose another --out")
+        details = differences(stored, json.loads(json.dumps(dict(config))), ignore=MAY_DIFFER)
+        if not details:
+            return
+        results = self.results()
+        if asked == "generate" and not any(result.outcome == "success" for result in results):
+            todo = (
+                f"none of its {len(results)} episodes succeeded: remove it (rm -r {self.path}) or choose another --out"
             )
+        else:
+            todo = "choose another --out, or ask for the same to go on with it"
+        raise ConfigError(f"{self.path} holds a run with another configuration ({details}); {todo}")
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a command is running in the folder now."""
+        try:
+            with open(self.path / ".lock") as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # no lock, or not ours to read
+            return False
+        return False
 
     def config(self) -> dict[str, Any]:
         """Return the stored configuration.
@@ -111,6 +139,24 @@ class RunFolder:
             file.write(to_json(result) + "\n")
             file.flush()
             os.fsync(file.fileno())
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for what a command writes, if it is not there.
+
+    Raises:
+        RoboximError: ``DISK`` when a file is in its place or it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "it is a file" if path.is_file() else error.strerror or str(error)
+        raise RoboximError(f"cannot make the folder {path}: {reason}; choose another --out", ErrorCode.DISK) from None
+
+
+def _command(config: Mapping[str, Any]) -> str:
+    """Return the command that a run's configuration is of."""
+    return "rerender" if "rerender" in config else COMMANDS.get(str(config.get("purpose")), "generate")
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from roboxim_bringup import jobs
+from roboxim_bringup.commands.generate import _summary
 from roboxim_bringup.run_folder import RESULTS_FILE, RunFolder
 from roboxim_bringup.workers import WORKER_DIED
 from roboxim_core.episode import EpisodeResult, RunConfig
@@ -39,6 +40,50 @@ def test_another_configuration_is_refused_by_key(tmp_path):
         assert folder.config()["episodes"] == 9
     with pytest.raises(ConfigError, match="seed: 0 there, 1 asked"), RunFolder(tmp_path / "run").opened({"seed": 1}):
         pass
+
+
+def test_another_command_or_a_folder_without_a_success_is_told_apart(tmp_path):
+    failed = replace(result(0), outcome="failure", reason="not_lifted")
+    with RunFolder(tmp_path / "run").opened({"purpose": "demo", "skill": "rotate"}) as folder:
+        folder.append(failed)
+    with (
+        pytest.raises(ConfigError, match=r'skill: "rotate" there.*none of its 1 episodes succeeded: remove it'),
+        RunFolder(tmp_path / "run").opened({"purpose": "demo", "skill": "pick_up"}),
+    ):
+        pass
+    with (
+        pytest.raises(ConfigError, match="a run of 'roboxim generate'; choose another --out$"),
+        RunFolder(tmp_path / "run").opened({"rerender": {"depth": None, "width": 0}}),
+    ):
+        pass
+
+
+def test_an_interrupted_run_says_what_is_there(tmp_path, capsys):
+    folder = RunFolder(tmp_path / "run")
+
+    def run():
+        with folder.opened({"seed": 0}):
+            folder.append(result(0))
+            assert folder.in_use
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert "1 episode is done in" in capsys.readouterr().err
+    assert not folder.in_use
+
+
+def test_what_generate_says_it_made(tmp_path):
+    kept = [result(0), replace(result(1), attempt=2)]
+    failed = replace(result(2), outcome="failure", attempt=4)
+    assert _summary([], kept, tmp_path).endswith("episodes (1 after a failed attempt)")
+    assert _summary([], [failed], tmp_path) == f"0 demonstrations in {tmp_path / 'episodes'}"
+    assert "(1 of 2 episodes were there before; " in _summary(kept[:1], kept, tmp_path)
+    again = _summary(kept, kept[:1], tmp_path)
+    assert again.startswith("1 demonstration in")
+    assert again.endswith(
+        "(1 more there, of an earlier command that asked for more); they were there already, nothing was run"
+    )
 
 
 def test_a_foreign_folder_is_left_alone(tmp_path):

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from roboxim_bringup.options import episode_options
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from roboxim_core.episode import EpisodeResult
 
 
 @click.command()
@@ -39,7 +45,8 @@ def command(
 
     from roboxim_bringup.jobs import Job, contact_sheet, failures, film, parse_size, registered_run, run_job, task_text
     from roboxim_bringup.progress import ProgressLine
-    from roboxim_core.episode import EpisodeResult, RunConfig
+    from roboxim_bringup.run_folder import RunFolder
+    from roboxim_core.episode import RunConfig
     from roboxim_core.errors import ErrorCode, RoboximError
 
     width, height = parse_size(size)
@@ -57,6 +64,7 @@ def command(
             Image.fromarray(contact_sheet([film(out / result.bag)])).save(picture)
             bar.say(f"a first picture: {picture}")
 
+    before = RunFolder(out).results()
     with registered_run("generate"):
         results = run_job(
             Job(config=config, episodes=episodes, workers=workers, renderer=renderer), "demonstrations", on_result=show
@@ -64,9 +72,8 @@ def command(
     kept = [result for result in results if result.outcome == "success"]
     if kept:
         Image.fromarray(contact_sheet([film(out / result.bag) for result in kept[:4]])).save(picture)
-    retried = sum(result.attempt > 0 for result in results)
+    click.echo(_summary(before, results, out))
     recovered = sum(result.recovered for result in kept)
-    click.echo(f"{len(kept)} demonstrations in {out / 'episodes'} ({retried} of them after a failed attempt)")
     if recovered:
         click.echo(
             f"  {recovered} of them needed a second grasp; exports leave them out unless told to --keep-recovered"
@@ -74,5 +81,34 @@ def command(
     for line in failures(results):
         click.echo(line)
     if not kept:
-        raise RoboximError("no demonstration succeeded; the reasons above say what to change", ErrorCode.TASK_FAULT)
+        raise RoboximError(
+            "no demonstration succeeded; the reasons above say what to change; then choose another --out or remove "
+            f"this one (rm -r {out})",
+            ErrorCode.TASK_FAULT,
+        )
     click.echo(f"next: roboxim export rlds {out} {out}-rlds")
+
+
+def _summary(before: Sequence[EpisodeResult], results: Sequence[EpisodeResult], out: Path) -> str:
+    """Say what is there now, and what of it was there before.
+
+    Args:
+        before: The results that the folder had.
+        results: Those of the indices that were asked for.
+        out: The run's folder.
+    """
+    made = [result for result in results if result not in before]
+    kept = sum(result.outcome == "success" for result in results)
+    more = sum(result.outcome == "success" for result in before if result.index >= len(results))
+    text = f"{kept} demonstration{'' if kept == 1 else 's'} in {out / 'episodes'}"
+    notes = []
+    if made and len(made) < len(results):
+        notes.append(f"{len(results) - len(made)} of {len(results)} episodes were there before")
+    if more:
+        notes.append(f"{more} more there, of an earlier command that asked for more")
+    retried = sum(result.attempt > 0 for result in results if result.outcome == "success")
+    if retried:
+        notes.append(f"{retried} after a failed attempt")
+    if notes:
+        text += f" ({'; '.join(notes)})"
+    return text if made else f"{text}; they were there already, nothing was run"

@@ -88,13 +88,18 @@ def command(
         },
         background=background or "",
     )  # fmt: skip
-    with ProgressLine(f"rendering {len(bags)} episodes", 1) as bar:
+    with ProgressLine("rendering", 1, unit="ticks") as bar:
         report = rerender(
             bags, out.resolve(), config, workers=workers,
-            progress=lambda done, total: bar.update(done, "ticks", total=total),
+            progress=lambda done, total: bar.update(done, total=total),
         )  # fmt: skip
     there = f" ({report.there} were there)" if report.there else ""
-    click.echo(f"{report.made} episodes rendered with '{renderer}' into {out / 'episodes'}{there}")
+    made = f"{report.made} episode{'s' if report.made != 1 else ''}"
+    click.echo(
+        f"{made} rendered with '{renderer}' into {out / 'episodes'}{there}"
+        if report.made
+        else f"all {report.there} episodes are in {out / 'episodes'} already; nothing to do"
+    )
     if report.changed:
         click.echo(f"note: changed since the recording, and drawn as they are now: {', '.join(report.changed)}")
     first = next(iter(sorted((out / "episodes").iterdir())), None)

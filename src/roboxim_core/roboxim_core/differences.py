@@ -1,0 +1,65 @@
+"""What tells two configurations apart, in the few words that an error message has for it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from roboxim_core.config import parse_yaml
+from roboxim_core.errors import ConfigError
+
+SHOWN = 5
+"""Further differences are only counted."""
+SHOWN_CHARACTERS = 60
+"""Longer values are cut."""
+_MISSING = object()
+
+
+def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: Collection[str] = ()) -> str:
+    """Say where two configurations differ, by their innermost keys.
+
+    A text that holds YAML, as a run's ``task_config`` does, is looked into.
+
+    Args:
+        there: The configuration that exists, plain data.
+        asked: The one that is wanted, plain data.
+        ignore: Outermost keys that may differ.
+
+    Returns:
+        For example ``seed: 0 there, 1 asked; task_config.skill: "rotate" there, "pick_up" asked``; empty when they
+        are the same.
+    """
+    keys = [key for key in dict.fromkeys((*asked, *there)) if key not in ignore and there.get(key) != asked.get(key)]
+    found: list[str] = []
+    for key in sorted(keys):
+        old, new = (_leaves(key, data[key]) if key in data else {} for data in (there, asked))
+        inner = [name for name in dict.fromkeys((*new, *old)) if old.get(name, _MISSING) != new.get(name, _MISSING)]
+        found += [f"{name}: {_shown(old, name)} there, {_shown(new, name)} asked" for name in inner] or [
+            f"{key}: the same values in another order or with other comments"
+        ]
+    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    return "; ".join(found[:SHOWN] + more)
+
+
+def _leaves(path: str, value: Any) -> dict[str, Any]:
+    """Return innermost keys with their values; a list of plain values is one value."""
+    if isinstance(value, str) and "\n" in value:
+        try:
+            parsed = parse_yaml(value)
+        except ConfigError:
+            parsed = value
+        value = parsed if isinstance(parsed, Mapping) else value
+    if isinstance(value, Mapping) and value:
+        return {leaf: v for key in value for leaf, v in _leaves(f"{path}.{key}", value[key]).items()}
+    if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+        return {leaf: v for i, item in enumerate(value) for leaf, v in _leaves(f"{path}[{i}]", item).items()}
+    return {path: value}
+
+
+def _shown(leaves: Mapping[str, Any], name: str) -> str:
+    value = leaves.get(name)
+    if value is None:
+        return "nothing"
+    text = json.dumps(value, default=str)
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[: SHOWN_CHARACTERS - 3]}..."
