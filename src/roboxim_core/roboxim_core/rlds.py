@@ -233,10 +233,7 @@ class RldsReader:
         """
         found = sorted(p for p in Path(path).glob("**/dataset_info.json") if ".partial" not in str(p.parent))
         if len(found) != 1:
-            raise RecorderError(
-                f"{path} holds {len(found)} data sets {[str(p.parent) for p in found][:5]}; "
-                "name the folder of one, which holds dataset_info.json"
-            )
+            raise RecorderError(_not_one(Path(path), [file.parent for file in found]))
         self.path = found[0].parent
         try:
             info = json.loads(found[0].read_text())
@@ -270,6 +267,18 @@ class RldsReader:
                 count += 1
             if count != length:
                 raise RecorderError(f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED)
+
+
+def _not_one(path: Path, found: list[Path]) -> str:
+    """Say why a path is not one data set, and what to do."""
+    if found:
+        names = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
+        return f"{path} holds {len(found)} data sets; name one of {names}"
+    if not path.exists():
+        return f"no such folder: {path}; expected a data set, as 'roboxim export rlds' makes it"
+    if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
+        return f"{path} holds bags, not a data set; export them first: roboxim export rlds {path} {path}-rlds"
+    return f"{path} holds 0 data sets; name the folder of one, which holds dataset_info.json"
 
 
 def _records(path: Path) -> Iterator[bytes]:

@@ -20,7 +20,8 @@ import numpy as np
 import optax
 from jax import Array
 
-from roboxim_core.config import from_json, to_json
+from roboxim_core.config import from_json, to_json, to_plain
+from roboxim_core.differences import differences
 from roboxim_core.errors import ConfigError
 from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.bc.config import BCConfig
@@ -97,8 +98,13 @@ class Trainer:
             raise ConfigError(f"{self.path} exists; resume it or choose another folder")
         found = load_checkpoint(self.path)
         if found.identity != self._identity():
+            told = differences(to_plain(found.config), to_plain(self.config), ignore=("checkpoint_every",))
+            other = [f"another configuration ({told})"] if told else []
+            if found.identity.rpartition("-")[2] != self._identity().rpartition("-")[2]:
+                other.append("another data set")
             raise ConfigError(
-                f"{self.path} belongs to another configuration or data set; choose another folder or the same settings"
+                f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
+                "choose another --out, or ask for the same to go on with it"
             )
         self._at = found.restore(self._at[0]), found.step
 
