@@ -73,7 +73,7 @@ class RunFolder:
                 raise
 
     def _require_same(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
-        there, asked = _command(stored), _command(config)
+        there, asked = command_of(stored), command_of(config)
         if there != asked:
             raise ConfigError(f"{self.path} holds a run of 'roboxim {there}'; choose another --out")
         details = differences(stored, json.loads(json.dumps(dict(config))), ignore=MAY_DIFFER)
@@ -154,7 +154,7 @@ def make_folder(path: Path) -> None:
         raise RoboximError(f"cannot make the folder {path}: {reason}; choose another --out", ErrorCode.DISK) from None
 
 
-def _command(config: Mapping[str, Any]) -> str:
+def command_of(config: Mapping[str, Any]) -> str:
     """Return the command that a run's configuration is of."""
     return "rerender" if "rerender" in config else COMMANDS.get(str(config.get("purpose")), "generate")
 

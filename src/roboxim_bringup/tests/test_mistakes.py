@@ -6,6 +6,9 @@ import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.cli import group
+from roboxim_bringup.commands.export import _unfinished
+from roboxim_bringup.run_folder import RunFolder
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
 
 
@@ -40,3 +43,24 @@ def test_training_refuses_a_file_as_its_folder_and_an_empty_configuration(run, t
     (tmp_path / "file").touch()
     assert "it is a file; choose another --out" in mistake("train", "bc", run, "--out", tmp_path / "file")
     assert "is empty" in mistake("train", "bc", run, "--config", tmp_path / "file")
+
+
+def test_a_path_of_the_wrong_kind_is_told_from_a_damaged_bag(run, tmp_path):
+    file = tmp_path / "my_policy.py"
+    file.touch()
+    for words in (("info", file), ("check", file), ("play", file), ("repair", file)):
+        assert "my_policy.py is not a bag" in mistake("bag", *words)
+    assert f"is a run, not one bag; name one, e.g. {run}/episodes/demo-0-00000-0" in mistake("bag", "play", run)
+    assert "no such folder" in mistake("export", "rlds", tmp_path / "nothere", tmp_path / "rlds")
+
+
+def test_an_export_says_that_its_run_is_not_finished(tmp_path):
+    run = tmp_path / "run"
+    assert _unfinished(run) == ""
+    with RunFolder(run).opened({"purpose": "demo", "episodes": 2}) as folder:
+        folder.append(EpisodeResult(episode_id="e0", index=0, outcome="success"))
+        assert _unfinished(run) == "1 of 2 episodes are done; 'roboxim generate' is still running there"
+    assert _unfinished(run / "episodes") == "1 of 2 episodes are done; 'roboxim generate' was stopped there"
+    with RunFolder(run).opened({"purpose": "demo", "episodes": 1}):
+        pass
+    assert _unfinished(run) == ""

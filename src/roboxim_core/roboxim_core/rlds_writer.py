@@ -60,7 +60,7 @@ class RldsWriter:
         self.path = folder / name / version
         if self.path.exists() and not overwrite:
             raise RecorderError(
-                f"{self.path} exists; choose another name or version, or ask for overwriting",
+                f"{self.path} exists; choose another name or version, or replace it (--overwrite)",
                 ErrorCode.EXPORT_REFUSED,
             )
         self.features, self.name, self.version, self.description = features, name, version, description

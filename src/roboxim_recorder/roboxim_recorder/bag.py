@@ -17,11 +17,12 @@ from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 from mcap.records import Schema
 from mcap.stream_reader import CRCValidationError
+from mcap.writer import MCAP0_MAGIC
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
@@ -79,16 +80,33 @@ def mcap_file(path: Path | str) -> Path:
     """Return the MCAP file of a bag, given its folder or the file itself.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when there is none.
+        ConfigError: When the path is no bag at all: nothing, another kind of file, a run.
+        RecorderError: With code ``BAG_DAMAGED`` when the file is missing.
     """
     path = Path(path)
-    files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
+    if path.is_file():
+        if path.suffix != ".mcap" and not _has_magic(path):
+            raise ConfigError(f"{path} is not a bag; expected a bag's folder or its .mcap file")
+        return path
+    if not path.exists():
+        raise ConfigError(f"no such bag: {path}")
+    files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
+        inside = path / "episodes" if (path / "episodes").is_dir() else path
+        bags = sorted(file.parent for file in inside.glob("[!.]*/*.mcap"))
+        if bags and not files:
+            kind = "a folder of bags" if inside == path else "a run"
+            raise ConfigError(f"{path} is {kind}, not one bag; name one, e.g. {bags[0]}")
         raise RecorderError(
             f"{path} is not an episode's bag: expected one .mcap file in it, found {len(files)}",
             ErrorCode.BAG_DAMAGED,
         )
     return files[0]
+
+
+def _has_magic(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
 class BagReader:
@@ -101,6 +119,7 @@ class BagReader:
             path: The bag's folder, or its ``.mcap`` file.
 
         Raises:
+            ConfigError: When the path is no bag at all.
             RecorderError: With code ``BAG_DAMAGED`` when it is not a whole bag.
         """
         self.file = mcap_file(path)

@@ -10,10 +10,10 @@ from pathlib import Path
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
-from roboxim_core.errors import ErrorCode, RecorderError, RoboximError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, BagTick, damage, damaged, mcap_file
-from roboxim_recorder.bag_writer import McapFile, disk_errors
+from roboxim_recorder.bag_writer import PLACES, McapFile, disk_errors
 from roboxim_recorder.schemas import MessageSchema
 
 
@@ -164,9 +164,14 @@ def list_bags(path: Path | str) -> list[Path]:
         path: A run's folder (its ``episodes/`` is meant), a folder of bags, or one bag.
 
     Raises:
-        RecorderError: When there is no such folder or no bag in it.
+        ConfigError: When there is no such folder.
+        RecorderError: When no bag is in it.
     """
     folder = Path(path)
+    if not folder.is_dir():
+        what = "is a file; expected a run's folder or a folder of bags"
+        raise ConfigError(f"{folder} {what}" if folder.exists() else f"no such folder: {folder}")
+    apart = len(list((folder / PLACES["set_apart"]).glob("[!.]*/*.mcap")))
     if (folder / "episodes").is_dir():
         folder = folder / "episodes"
     bags = (
@@ -175,5 +180,8 @@ def list_bags(path: Path | str) -> list[Path]:
         else sorted({path.parent for name in ("*.mcap", "metadata.yaml") for path in folder.glob(f"[!.]*/{name}")})
     )
     if not bags:
-        raise RecorderError(f"{folder} has no bags; expected folders that hold an .mcap file")
+        failed = (
+            f"; the {apart} in set_apart did not succeed" if apart else "; expected folders that hold an .mcap file"
+        )
+        raise RecorderError(f"{folder} has no bags{failed}")
     return bags

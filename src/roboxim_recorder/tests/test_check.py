@@ -6,7 +6,7 @@ import pytest
 from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 
-from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag, list_bags, repair_bag
 from roboxim_recorder.rlds import export_rlds
@@ -92,9 +92,27 @@ def test_a_runs_folder_is_listed_and_summarised(tmp_path, fake):
     assert "Pick up 0" in bag_info(kept[0])
 
 
-def test_a_folder_without_bags_is_named(tmp_path):
+def test_a_folder_without_bags_is_named(tmp_path, fake):
     with pytest.raises(RecorderError, match="has no bags"):
         list_bags(tmp_path)
+    fake(outcome="failure").record(tmp_path, keep="set_apart")
+    with pytest.raises(RecorderError, match="has no bags; the 1 in set_apart did not succeed"):
+        list_bags(tmp_path)
+    with pytest.raises(ConfigError, match="no such folder"):
+        list_bags(tmp_path / "nothere")
+
+
+def test_a_path_of_another_kind_is_no_damaged_bag(tmp_path, fake):
+    bag = fake().record(tmp_path)
+    (tmp_path / "policy.py").write_text("class Policy: ...")
+    with pytest.raises(ConfigError, match="policy.py is not a bag"):
+        BagReader(tmp_path / "policy.py")
+    with pytest.raises(ConfigError, match="no such bag"):
+        BagReader(tmp_path / "nothere")
+    with pytest.raises(ConfigError, match=f"is a run, not one bag; name one, e.g. {bag}"):
+        BagReader(tmp_path)
+    with pytest.raises(ConfigError, match=f"is a folder of bags, not one bag; name one, e.g. {bag}"):
+        BagReader(tmp_path / "episodes")
 
 
 def test_a_bag_that_lost_its_file_is_not_passed_over(tmp_path, fake):

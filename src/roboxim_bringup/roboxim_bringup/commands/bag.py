@@ -33,11 +33,12 @@ def info(path: Path) -> None:
 def check(paths: tuple[Path, ...]) -> None:
     """Check that bags are whole: every tick, every topic, every checksum. The exit code is 1 when one is not."""
     from roboxim_core.errors import ErrorCode, RecorderError
+    from roboxim_recorder.bag import mcap_file
     from roboxim_recorder.check import check_bag, list_bags
 
     broken = total = 0
     for path in paths:
-        for bag in [path] if path.is_file() else list_bags(path):
+        for bag in [mcap_file(path)] if path.is_file() else list_bags(path):
             report = check_bag(bag)
             total += 1
             broken += not report.ok
