@@ -19,7 +19,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from roboxim_core.episode import EpisodeResult
-from roboxim_eval.statistics import SuccessRate, failure_reasons, rate_of, rates_by
+from roboxim_eval.statistics import (
+    SuccessRate,
+    error_line,
+    error_reasons,
+    failure_reasons,
+    is_measured,
+    rate_of,
+    rates_by,
+)
 
 Frames = Sequence[npt.NDArray[np.uint8]]
 FILM_FRAMES = 24
@@ -84,9 +92,17 @@ def webp_film(frames: Frames) -> str:
 
 def verdict_line(runs: Sequence[PolicyRun]) -> str:
     """Compare the first policy with each other one by their intervals, in one sentence each."""
+    if len(runs) < 2:
+        return ""
+    sentences = [
+        f"{run.policy} is compared with nothing: most of its episodes ended in errors."
+        for run in runs
+        if not is_measured(run.results)
+    ]
     first = rate_of(runs[0].results)
-    sentences = []
-    for other in runs[1:]:
+    for other in runs[1:] if is_measured(runs[0].results) else ():
+        if not is_measured(other.results):
+            continue
         rate = rate_of(other.results)
         if first.low > rate.high:
             relation = "lies above"
@@ -105,23 +121,25 @@ def summary(report: Report) -> dict[str, Any]:
     """Return the report's numbers as plain data."""
     return {
         "title": report.title,
-        "policies": {
-            run.policy: {
-                **asdict(rate_of(run.results)),
-                "rate": rate_of(run.results).rate,
-                **{
-                    f"by_{dimension}": {name: asdict(rate) for name, rate in rates.items()}
-                    for dimension, rates in run.rates_by_dimension.items()
-                },
-                "failure_reasons": failure_reasons(run.results),
-            }
-            for run in report.runs
-        },
+        "policies": {run.policy: _numbers(run) for run in report.runs},
         "comparison": verdict_line(report.runs),
         "facts": report.facts,
         "versions": report.versions,
         "command": report.command,
     }
+
+
+def _numbers(run: PolicyRun) -> dict[str, Any]:
+    """Return a policy's numbers; where most episodes ended in errors the rate and its interval are none."""
+    rate = rate_of(run.results)
+    measured = is_measured(run.results)
+    numbers: dict[str, Any] = {**asdict(rate), "rate": rate.rate, "measured": measured}
+    if measured:
+        for dimension, rates in run.rates_by_dimension.items():
+            numbers[f"by_{dimension}"] = {name: asdict(rate) for name, rate in rates.items()}
+    else:
+        numbers |= {"rate": None, "low": None, "high": None}
+    return numbers | {"failure_reasons": failure_reasons(run.results), "errors": error_reasons(run.results)}
 
 
 def write_report(report: Report, folder: Path) -> Path:
@@ -157,8 +175,9 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
     films = {result.episode_id: webp_film(run.films[result.episode_id]) for result in shown}
     return {
         "policy": run.policy,
-        "rate": rate,
-        "dimensions": run.rates_by_dimension,
+        "rate": rate if is_measured(run.results) else None,
+        "errors": error_line(run.results),
+        "dimensions": run.rates_by_dimension if is_measured(run.results) else {},
         "reasons": failure_reasons(run.results),
         "median_steps": int(np.median(steps)) if steps else None,
         "inference_ms": float(np.median(inference)) if inference else None,

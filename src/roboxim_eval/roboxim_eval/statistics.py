@@ -84,3 +84,23 @@ def failure_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
     """Count the reasons of the episodes that did not succeed, most frequent first."""
     reasons = Counter(result.reason or "unnamed" for result in results if result.outcome != "success")
     return dict(reasons.most_common())
+
+
+def error_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
+    """Count the reasons of the episodes that ended in an error, most frequent first."""
+    return failure_reasons(result for result in results if result.outcome == "error")
+
+
+def is_measured(results: Sequence[EpisodeResult]) -> bool:
+    """Tell whether results measure a policy: not where most episodes ended in an error, whatever their rate is."""
+    return 2 * sum(error_reasons(results).values()) <= len(results)
+
+
+def error_line(results: Sequence[EpisodeResult]) -> str:
+    """Say how many episodes ended in errors and of which kinds; empty when none did."""
+    reasons = error_reasons(results)
+    if not reasons:
+        return ""
+    kinds = ", ".join(f"{reason} x{count}" for reason, count in reasons.items())
+    told = f"{sum(reasons.values())} of {len(results)} episodes ended in errors ({kinds})"
+    return told if is_measured(results) else f"{told}; this measures no policy"

@@ -7,7 +7,7 @@ import pytest
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
-from roboxim_eval.statistics import failure_reasons, rate_of, success_rate
+from roboxim_eval.statistics import error_line, failure_reasons, is_measured, rate_of, success_rate
 
 
 def result(index, outcome="success", reason="", instruction="Pick up the red cube"):
@@ -38,6 +38,30 @@ def test_errors_count_as_failures():
     results = [result(0), result(1, "error", "policy_late"), result(2, "failure", "not_lifted")]
     assert rate_of(results).successes == 1
     assert failure_reasons(results) == {"policy_late": 1, "not_lifted": 1}
+
+
+def test_most_episodes_in_errors_measure_no_policy(tmp_path):
+    broken = PolicyRun(
+        policy="mine",
+        results=[result(i, "error", "policy_fault") for i in range(3)] + [result(3, "failure", "not_lifted")],
+    )
+    shaky = PolicyRun(policy="shaky", results=[result(0, "error", "policy_late"), result(1)])
+    zero = PolicyRun(policy="zero", results=[result(i, "failure", "max_steps") for i in range(20)])
+    assert error_line(broken.results) == ("3 of 4 episodes ended in errors (policy_fault x3); this measures no policy")
+    assert error_line(shaky.results) == "1 of 2 episodes ended in errors (policy_late x1)"
+    assert [is_measured(run.results) for run in (broken, shaky, zero)] == [False, True, True]
+    assert error_line(zero.results) == ""
+    report = Report(title="t", runs=[zero, broken, shaky], facts={}, versions={}, command="c")
+    page = write_report(report, tmp_path).read_text()
+    assert page.count("not measured</span> 3 of 4 episodes ended in errors") == 1
+    said = json.loads((tmp_path / "summary.json").read_text())
+    numbers = said["policies"]["mine"]
+    assert (numbers["measured"], numbers["rate"], numbers["high"]) == (False, None, None)
+    assert numbers["errors"] == {"policy_fault": 3}
+    assert "by_instruction" not in numbers
+    assert "mine is compared with nothing" in said["comparison"]
+    assert "overlaps that of shaky" in said["comparison"]
+    assert "overlaps" not in verdict_line([broken, zero, shaky])
 
 
 def test_report_is_self_contained_and_escapes(tmp_path):

@@ -19,7 +19,7 @@ import os
 import sys
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -115,15 +115,8 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
             are.
         PolicyError: When its module or its constructor raises, saying where.
     """
-    # The shipped policies register themselves on import.
-    importlib.import_module("roboxim_policies.builtin")
-    make = _load_class(spec) if ":" in spec else POLICIES[spec]
-    try:
-        inspect.signature(make).bind(**kwargs)
-    except TypeError as error:
-        raise ConfigError(
-            f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
-        ) from None
+    make = find_policy(spec)
+    require_arguments(spec, make, kwargs)
     with _blaming(f"policy '{spec}' cannot be made"):
         policy = make(**kwargs)
     missing = [name for name in ("describe", "reset", "act") if not callable(getattr(policy, name, None))]
@@ -134,8 +127,39 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
     return policy
 
 
+def find_policy(spec: str) -> Callable[..., Policy]:
+    """Return what makes a policy, without making it; the module of ``module:Class`` and the like is imported.
+
+    Args:
+        spec: As `load_policy` takes it.
+
+    Raises:
+        ConfigError: When there is no such policy; the message says which there are.
+        PolicyError: When its module raises, saying where.
+    """
+    # The shipped policies register themselves on import.
+    importlib.import_module("roboxim_policies.builtin")
+    return _load_class(spec) if ":" in spec else POLICIES[spec]
+
+
+def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping[str, Any]) -> None:
+    """Refuse arguments that a policy does not take, and missing ones.
+
+    Raises:
+        ConfigError: Saying which there are.
+    """
+    try:
+        inspect.signature(make).bind(**arguments)
+    except TypeError as error:
+        raise ConfigError(
+            f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
+        ) from None
+
+
 def _load_class(spec: str) -> Callable[..., Policy]:
     where, _, name = spec.rpartition(":")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
     module = _import_file(Path(where)) if where.endswith(".py") else _import_module(where)
     found: Callable[..., Policy] | None = getattr(module, name, None)
     if not callable(found):
@@ -147,8 +171,6 @@ def _load_class(spec: str) -> Callable[..., Policy]:
 
 
 def _import_module(name: str) -> ModuleType:
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
     with _blaming(f"policy module '{name}' cannot be imported"):
         try:
             return importlib.import_module(name)

@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import os
-import zipfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +21,10 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest, from_plain, to_json, to_plain
 from roboxim_core.errors import ConfigError
+from roboxim_policies.bc.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, read_description
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
 
-FORMAT = 1
 Floats = npt.NDArray[np.float32]
 
 
@@ -151,17 +150,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises:
         ConfigError: When it is missing, damaged or of another version.
     """
-    file = path / "checkpoint.npz" if path.is_dir() else path
-    if not file.is_file():
-        raise ConfigError(f"no checkpoint at {file}; train one with 'roboxim train bc'")
+    file, said = checkpoint_file(path), read_description(path)
     try:
         with np.load(file, allow_pickle=False) as archive:
-            said = json.loads(str(archive["said"]))
             arrays = [archive[name] for name in sorted(archive.files) if name.startswith("array_")]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
-    if said.get("format") != FORMAT:
-        raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")
     return Checkpoint(
         step=said["step"],
         config=from_plain(said["config"], BCConfig, source=str(file)),

@@ -1,0 +1,43 @@
+"""Reads what a checkpoint says of itself, without JAX: for whoever only asks what it is of."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.errors import ConfigError
+
+FORMAT = 1
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+"""What reading a damaged checkpoint raises."""
+
+
+def checkpoint_file(path: Path) -> Path:
+    """Return the file of a checkpoint that is named by itself or by the folder of its training."""
+    return path / "checkpoint.npz" if path.is_dir() else path
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """Return what a checkpoint says of itself, as `roboxim_policies.bc.checkpoint.save_checkpoint` has written it.
+
+    Args:
+        path: The file, or the folder of a training.
+
+    Raises:
+        ConfigError: When it is missing, damaged or of another version.
+    """
+    file = checkpoint_file(path)
+    if not file.is_file():
+        raise ConfigError(f"no checkpoint at {file}; train one with 'roboxim train bc'")
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            said: dict[str, Any] = json.loads(str(archive["said"]))
+    except UNREADABLE as error:
+        raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+    if said.get("format") != FORMAT:
+        raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")
+    return said
