@@ -10,7 +10,6 @@ from typing import Any
 
 import fast_simplification
 import numpy as np
-import pybullet
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +22,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_sim.bodies import ObjectBody, build_table, configure
+from roboxim_sim.bullet import pybullet
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
 
 YAWS = (0.0, 0.4, 1.1, 2.0, 2.9, -1.0)

@@ -17,6 +17,7 @@ import dataclasses
 import fcntl
 import json
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -205,6 +206,27 @@ def _read(path: Path) -> Run | None:
         return None
 
 
+def check_run_id(run_id: str | None) -> None:
+    """Check a run's name, which is a file's name too.
+
+    Raises:
+        ConfigError: When it has other characters than letters, digits, dots, hyphens and underscores.
+    """
+    if run_id is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", run_id):
+        raise ConfigError(f"a run's name has letters, digits, '.', '-' and '_' only, e.g. bench-2; got '{run_id}'")
+
+
+def _require_apart(run: Run, other: Run) -> None:
+    if other.id == run.id:
+        raise ConfigError(f"a run named '{run.id}' is alive already; choose another name or end it (roboxim down)")
+    shared = set(run.namespaces) & set(other.namespaces)
+    if other.domain == run.domain and shared:
+        raise ConfigError(
+            f"run '{other.id}' is alive in domain {run.domain} with namespace '{min(shared) or '/'}': two graphs would "
+            f"share all names; choose another domain or namespace, or end it (roboxim down --run {other.id})"
+        )
+
+
 @contextmanager
 def register_run(
     kind: str, *, domain: int, namespaces: Sequence[str] = ("",), run_id: str | None = None
@@ -218,8 +240,9 @@ def register_run(
         run_id: Its name; none: a new one.
 
     Raises:
-        ConfigError: When a live run has that name.
+        ConfigError: When a live run has that name, or one of the namespaces in the same domain; when the name is none.
     """
+    check_run_id(run_id)
     run = Run(
         id=run_id or f"{kind}-{secrets.token_hex(2)}",
         domain=domain,
@@ -230,9 +253,9 @@ def register_run(
         pids=(os.getpid(),),
         births=(_birth(os.getpid()) or 0,),
     )
-    if any(other.id == run.id for other in live_runs()):
-        raise ConfigError(f"a run named '{run.id}' is alive already; choose another name or end it (roboxim down)")
     with _lock():
+        for other in _live():
+            _require_apart(run, other)
         _write(run)
     try:
         yield run
@@ -270,14 +293,18 @@ def _with_pids(run: Run, pids: Sequence[int]) -> Run:
 
 def live_runs() -> list[Run]:
     """Return the runs that live, oldest first; forget the dead ones."""
-    found = []
     with _lock():
-        for path in runtime_dir().glob("*.json"):
-            run = _read(path)
-            if run is not None and run.live_pids:
-                found.append(run)
-            else:
-                path.unlink(missing_ok=True)
+        return _live()
+
+
+def _live() -> list[Run]:
+    found = []
+    for path in runtime_dir().glob("*.json"):
+        run = _read(path)
+        if run is not None and run.live_pids:
+            found.append(run)
+        else:
+            path.unlink(missing_ok=True)
     return sorted(found, key=lambda run: (run.started, run.id))
 
 

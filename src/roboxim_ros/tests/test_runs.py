@@ -60,6 +60,22 @@ def test_several_runs_need_a_name(monkeypatch):
             pass
 
 
+def test_two_runs_never_share_names_in_a_domain():
+    with runs.register_run("up", domain=7, namespaces=("", "/w0")) as one:
+        with pytest.raises(ConfigError, match=f"'{one.id}' is alive in domain 7 with namespace '/w0'"):
+            runs.register_run("up", domain=7, namespaces=("/w0",)).__enter__()
+        with runs.register_run("up", domain=7, namespaces=("/w1",)), runs.register_run("up", domain=8):
+            assert len(runs.live_runs()) == 3
+    with runs.register_run("up", domain=7):
+        pass
+
+
+def test_a_runs_name_is_a_files_name():
+    for name in ("a b", "", "../x", ".hidden"):
+        with pytest.raises(ConfigError, match="letters, digits"):
+            runs.register_run("up", domain=7, run_id=name).__enter__()
+
+
 def test_killed_run_is_forgotten_even_if_its_pid_is_used_again():
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()

@@ -13,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import pybullet
 import trimesh
 
 from roboxim_core.errors import ConfigError, ErrorCode, SimError
@@ -22,6 +21,7 @@ from roboxim_core.models.visuals import FLOOR_Z
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, RobotSpec, TableSpec
 from roboxim_core.state import EntityState
+from roboxim_sim.bullet import pybullet
 
 SOLVER_ITERATIONS = 50
 """More iterations or a higher physics rate gain nothing measurable."""

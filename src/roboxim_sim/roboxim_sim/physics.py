@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pybullet
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.kinematics import ArmKinematics, ControllerState
@@ -16,6 +15,7 @@ from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
+from roboxim_sim.bullet import pybullet
 from roboxim_sim.readout import TickObserver, hash_state, read_robot
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import pybullet
-
 from roboxim_core.kinematics import ArmKinematics, ControllerState
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.state import Contact, EntityState, RobotState, hash_floats
 from roboxim_sim.bodies import ObjectBody, RobotBody
+from roboxim_sim.bullet import pybullet
 
 _Pair = tuple[str, str, str, str]
 

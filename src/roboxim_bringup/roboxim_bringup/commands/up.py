@@ -50,7 +50,9 @@ def command(
     """
     if detach:
         from roboxim_bringup.detach import start_detached
+        from roboxim_ros.runs import check_run_id
 
+        check_run_id(run_id)
         start_detached(run_id)
         return
     from roboxim_bringup.parameters import merge, parse_assignments, parse_policy, read_params_files

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pybullet
 from PIL import Image
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.rendering import CameraImages, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
+from roboxim_sim.bullet import pybullet
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import check_mesh, check_request, textured
 from roboxim_sim.rendering.owner import Owner
