@@ -16,6 +16,9 @@ from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, RobotSpec, SceneSpec
 from roboxim_sim.world import World
 from roboxim_tasks.placement import turned
+from roboxim_tasks.predicates import Conditions, stayed
+from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills.base import register
 
 LIBRARY = ModelLibrary()
 POSES = [
@@ -84,6 +87,25 @@ reset: {cameras: {names: []}, toppled: {yaw_rad: {values: [0.4]}}}
     assert (result.outcome, result.reason, result.attempt, result.bag) == ("error", "reset_infeasible", 1, "")
     assert "target_unsettled" in result.message
     assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_an_episode_of_a_skill_of_one_s_own_that_is_solved_already_does_not_begin(cores):
+    class Leave(type(SKILLS["pick_up"])):
+        name = "leave"
+        templates = ("Leave the {target} where it is",)
+
+        def evaluator(self, task, initial):
+            return Conditions((stayed("target", initial, 0.01),), hold_s=5.0)
+
+    register(Leave)
+    try:
+        task = "skill: leave\nreset: {cameras: {names: []}}"
+        config = RunConfig(purpose="test", task_config=task, keep="none")
+        result = EpisodeRunner(cores.ports, config).run_index(0)
+    finally:
+        SKILLS._items.pop("leave")
+    assert (result.outcome, result.reason) == ("error", "reset_infeasible")
+    assert "not_solved_already" in result.message
 
 
 def test_a_scene_that_is_to_begin_in_motion_says_so(cores, tmp_path):

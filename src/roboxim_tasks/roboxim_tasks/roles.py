@@ -1,13 +1,23 @@
-"""Roles of a task's objects: those that the instruction speaks of, and distractors."""
+"""Roles of a task's objects, and what words tell one object from another: nothing else may fit what is said."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from string import Formatter
+from typing import TYPE_CHECKING
+
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.specs import PhysicalObject, TaskSpec
+from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+
+if TYPE_CHECKING:
+    from roboxim_tasks.skills.base import Role
 
 DISTRACTOR = "distractor"
 STAY = "distractors_stay_m"
 """Argument that a task of any skill may have: how far its distractors may be moved [m]."""
+SIZE_SLACK = 0.1
+"""An object whose ``scale`` is so near to what a size word stands for, as a share of it, may be called by the word."""
 
 
 def distractor_role(number: int) -> str:
@@ -38,12 +48,102 @@ def fits_description(thing: PhysicalObject, named: PhysicalObject, library: Mode
     """Tell whether a thing could be what an instruction means that names another one.
 
     Modifiers that the thing was drawn without have the values that its model has by default: an apple is red even if
-    nobody says so.
+    nobody says so. A thing with a ``scale`` is as large as it is, whatever its size word.
     """
+    if thing.name != named.name:
+        return False
     defaults = library.object_modifiers(thing.model)
 
-    def value(kind: str) -> object:
-        return thing.modifiers.get(kind, defaults[kind].default if kind in defaults else None)
+    def fits(kind: str) -> bool:
+        wanted = named.modifiers[kind]
+        if kind == "size" and thing.modifiers.get("scale", 1.0) != 1.0:
+            return _as_large_as(thing, named, library)
+        default = defaults[kind].default if kind in defaults else None
+        return thing.modifiers.get(kind, default) == wanted
 
-    spoken = {kind: named.modifiers[kind] for kind in SPOKEN if kind in named.modifiers}
-    return thing.name == named.name and all(value(kind) == wanted for kind, wanted in spoken.items())
+    return all(fits(kind) for kind in SPOKEN if kind in named.modifiers)
+
+
+def _as_large_as(thing: PhysicalObject, named: PhysicalObject, library: ModelLibrary) -> bool:
+    """Tell whether a thing with a scale may be called by another's size word: near to its factor, or beyond it."""
+    factors = library.object_modifiers(named.model)["size"].factors
+    own = library.object_modifiers(thing.model).get("size")
+    word = str(thing.modifiers.get("size", own.default if own else ""))
+    factor = float(thing.modifiers["scale"]) * (own.factors[word] if own else 1.0)
+    wanted = factors[str(named.modifiers["size"])]
+    small_enough, large_enough = factor <= wanted * (1 + SIZE_SLACK), factor >= wanted * (1 - SIZE_SLACK)
+    if wanted == 1.0:
+        return small_enough and large_enough
+    return small_enough if wanted < 1.0 else large_enough
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wording:
+    """Which of a task's objects an instruction names, and what could be taken for them."""
+
+    library: ModelLibrary
+    """What objects are by default."""
+    roles: Mapping[str, Role]
+    """Roles of the skill, and what may fill them."""
+    named: frozenset[str]
+    """Those that the instruction names."""
+
+    @staticmethod
+    def of_template(template: str, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
+        """Return what an instruction template names, e.g. ``Pick up the {target}``."""
+        fields = {name for _, name, _, _ in Formatter().parse(template) if name}
+        return Wording(library=library, roles=roles, named=frozenset(fields & roles.keys()))
+
+    @staticmethod
+    def of_task(task: TaskSpec, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
+        """Return what a task's instruction names, whoever wrote it."""
+        said = task.instruction.lower()
+        named = {r for r, thing in task.objects.items() if r in roles and description(thing).lower() in said}
+        return Wording(library=library, roles=roles, named=frozenset(named))
+
+    def could_be_meant(self, thing: PhysicalObject, own: str, role: str, meant: PhysicalObject) -> bool:
+        """Tell whether a thing could be taken for the object of a role.
+
+        What is named is told from others by its description. A role that is not named ("Pick it up", "Open the top
+        drawer") may be anything that can fill it, but for what the instruction names itself.
+
+        Args:
+            thing: Something in the scene.
+            own: Its role, or anything else.
+            role: The other role.
+            meant: The object of that role.
+        """
+        if role in self.named:
+            return fits_description(thing, meant, self.library)
+        model = self.library.object(thing.model, thing.modifiers)
+        return own not in self.named and (
+            thing.name == meant.name or role in self.roles and self.roles[role].suits(model)
+        )
+
+    def distinct(self, first: tuple[str, PhysicalObject], second: tuple[str, PhysicalObject]) -> bool:
+        """Tell whether the objects of two roles cannot be taken for each other."""
+        (role, thing), (other_role, other) = first, second
+        return not (
+            self.could_be_meant(thing, role, other_role, other) or self.could_be_meant(other, other_role, role, thing)
+        )
+
+    def could_be_any(self, thing: PhysicalObject, objects: Mapping[str, PhysicalObject]) -> bool:
+        """Tell whether a thing without a role could be taken for the object of one."""
+        return any(self.could_be_meant(thing, "", role, meant) for role, meant in objects.items())
+
+    def true_to(self, role: str, thing: PhysicalObject, meant: PhysicalObject) -> bool:
+        """Tell whether the object of a role is what the instruction calls it: one may be small and scaled up."""
+        return role not in self.named or fits_description(thing, meant, self.library)
+
+    def mistakable(self, scene: SceneSpec, task: TaskSpec) -> Iterator[PhysicalObject]:
+        """Yield the things of a scene that make an instruction ambiguous or untrue."""
+        own = {thing.entity: role for role, thing in task.objects.items()}
+        objects = {role: thing for role, thing in task.objects.items() if thing in task_objects(task)}
+        for entity in scene.entities:
+            noun, role = self.library.entity_model(entity).name, own.get(entity.name, "")
+            thing = PhysicalObject(entity=entity.name, model=entity.model, name=noun, modifiers=entity.modifiers)
+            others = {name: meant for name, meant in objects.items() if name != role}
+            if any(self.could_be_meant(thing, role, name, meant) for name, meant in others.items()) or (
+                role in objects and not self.true_to(role, thing, objects[role])
+            ):
+                yield thing

@@ -103,6 +103,26 @@ def test_what_cannot_be_placed_is_refused_by_the_constraint_s_name(draw):
         assert error.value.code == ErrorCode.RESET_INFEASIBLE
 
 
+@pytest.mark.parametrize(
+    ("skill", "already", "partly"),
+    [
+        ("open_drawer", "{lower: 0.8, upper: 1.0}", "{lower: 0.0, upper: 1.0}"),
+        ("close_drawer", "{values: [0.0]}", "{values: [0.0, 0.5]}"),
+    ],
+)
+def test_a_drawer_that_is_there_already_is_refused(skill, already, partly, draw):
+    def config(target):
+        return parse_task_config(f"skill: {skill}\nreset: {{joints: {{target: {target}}}}}\nmax_draws: 20")
+
+    with pytest.raises(TaskError, match="constraint not_there_already refused most") as error:
+        draw(0, config(already))
+    assert error.value.code == ErrorCode.RESET_INFEASIBLE
+    for index in range(8):
+        drawn = draw(index, config(partly))
+        position = drawn.scene.entity("target").joint_positions[drawn.task.arguments["joint"]]
+        assert position <= 0.10 if skill == "open_drawer" else position > 0.01
+
+
 def test_distractors_that_would_all_fit_the_instruction_are_refused(draw):
     text = "{objects: {target: {modifiers: {color: {values: [red]}}}}, distractors: {minimum: 1, maximum: 1, "
     with pytest.raises(TaskError, match="distractor_distinct"):

@@ -13,10 +13,12 @@ the reference rounds corners where it does not stop.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.poses import Pose
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
@@ -38,6 +40,7 @@ from roboxim_tasks.skills.drawers import (
     handle_reachable,
     joint_of,
     moved_by,
+    not_there_already,
     opening_axis,
     way_clear,
 )
@@ -92,13 +95,20 @@ class CloseDrawer(Skill):
     max_steps = 150
     Parameters = CloseDrawerParameters
 
+    def check(self, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
+        """Refuse a drawer that one of the models lacks."""
+        for model in models["target"]:
+            handle_of(model, parameters.drawer)
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""
         return generate_drawer_task(context)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the handle and pushes it; nothing stands where the drawer is."""
+        """The drawer is not shut already, the arm reaches the handle and pushes it; nothing stands where it is."""
+        shut_m = parameters_of(context.task, CloseDrawerParameters).shut_m
         return (
+            not_there_already(context, "target", lambda position_m: position_m <= shut_m),
             way_clear(context, "target"),
             handle_reachable(context, "target", 0.0, FINGER_M + STANDOFF_M),
             start_clear(context),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -119,6 +119,21 @@ def way_clear(context: ResetContext, role: str, open_m: float = 0.0) -> Constrai
         )
 
     return Constraint(name="way_clear", holds=holds)
+
+
+def not_there_already(context: ResetContext, role: str, there: Callable[[float], bool]) -> Constraint:
+    """Return the constraint that a drawer is not where it is to be moved to.
+
+    Args:
+        context: The reset.
+        role: Role of the cabinet.
+        there: Whether a position of the drawer is such a place, 0 = shut [m].
+    """
+    entity = context.task.objects[role].entity
+    joint = str(context.task.arguments["joint"])
+    return Constraint(
+        name="not_there_already", holds=lambda scene: not there(scene.entity(entity).joint_positions.get(joint, 0.0))
+    )
 
 
 def handle_reachable(context: ResetContext, role: str, position_m: float, before_m: float = 0.0) -> Constraint:

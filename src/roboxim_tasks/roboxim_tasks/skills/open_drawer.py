@@ -12,10 +12,12 @@ The expert pulls 2 cm farther than is asked. A scene in which something stands i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -37,6 +39,7 @@ from roboxim_tasks.skills.drawers import (
     handle_reachable,
     joint_of,
     moved_by,
+    not_there_already,
     opening_axis,
     way_clear,
 )
@@ -84,14 +87,21 @@ class OpenDrawer(Skill):
     max_steps = 150
     Parameters = OpenDrawerParameters
 
+    def check(self, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
+        """Refuse a drawer that one of the models lacks."""
+        for model in models["target"]:
+            handle_of(model, parameters.drawer)
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""
         return generate_drawer_task(context)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the handle and pulls it; nothing stands in the drawer's way."""
-        goal_m = parameters_of(context.task, OpenDrawerParameters).open_m + OVERSHOOT_M
+        """The drawer is not open already, the arm reaches the handle and pulls it; nothing stands in its way."""
+        open_m = parameters_of(context.task, OpenDrawerParameters).open_m
+        goal_m = open_m + OVERSHOOT_M
         return (
+            not_there_already(context, "target", lambda position_m: position_m > open_m),
             way_clear(context, "target", goal_m),
             handle_reachable(context, "target", goal_m),
             start_clear(context),
