@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -69,11 +70,28 @@ def _converter() -> cattrs.Converter:
     return converter
 
 
-def _origin(kind: Any) -> Any:
-    """Return ``tuple``, ``dict`` and the like of a type, also of one that may be None."""
-    kinds = [arm for arm in get_args(kind) if arm is not type(None)]
-    optional = get_origin(kind) in (Union, type(str | int)) and len(kinds) == 1
-    return get_origin(kinds[0] if optional else kind)
+def _misfits(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], str]]:
+    """Yield where a list or a mapping is expected and something else given: its path, and what is wrong."""
+    arms = [arm for arm in get_args(kind) if arm is not type(None)]
+    if get_origin(kind) in (Union, type(str | int)) and len(arms) == 1:
+        kind, arms = arms[0], list(get_args(arms[0]))
+    origin = get_origin(kind)
+    if value is None:
+        return
+    if origin in (tuple, list):
+        if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+            yield path, f"expected a list, got {value!r}"
+            return
+        kinds = arms if origin is tuple and Ellipsis not in arms else itertools.repeat(arms[0])
+        if any(get_origin(arm) is not None for arm in arms):
+            for index, (item, below) in enumerate(zip(value, kinds, strict=False)):
+                yield from _misfits(below, item, (*path, index))
+    elif origin in (dict, Mapping):
+        if not isinstance(value, Mapping):
+            yield path, f"expected a mapping, got {value!r}"
+            return
+        for key, item in value.items():
+            yield from _misfits(arms[1], item, (*path, key))
 
 
 def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
@@ -82,30 +100,27 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
     Without it a string would be taken for the list of its letters.
     """
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
-    origins = {name: _origin(kind) for name, kind in get_type_hints(cls).items()}
+    kinds = get_type_hints(cls)
 
     def structure(value: Any, _: Any) -> Any:
         if not isinstance(value, Mapping):
-            raise ValueError(f"expected a mapping with keys of {', '.join(origins)}; got {value!r}")
+            raise ValueError(f"expected a mapping with keys of {', '.join(kinds)}; got {value!r}")
         if cls is Pose:
             value = _with_quaternion(value)
-        misfits = []
-        for name in value:
-            origin, given = origins.get(name), value[name]
-            if given is None:
-                continue
-            if origin in (tuple, list) and (isinstance(given, str | Mapping) or not isinstance(given, Iterable)):
-                misfits.append((name, f"expected a list, got {given!r}"))
-            elif origin in (dict, Mapping) and not isinstance(given, Mapping):
-                misfits.append((name, f"expected a mapping, got {given!r}"))
+        misfits = [found for name in value if name in kinds for found in _misfits(kinds[name], value[name], (name,))]
         if misfits:
-            errors = [ValueError(text) for _, text in misfits]
-            for error, (name, _) in zip(errors, misfits, strict=True):
-                error.__notes__ = [AttributeValidationNote(name, name, None)]
+            errors = [_at_path(ValueError(text), path, cls) for path, text in misfits]
             raise cattrs.ClassValidationError(f"while structuring {cls.__name__}", errors, cls)
         return build(value, cls)
 
     return structure
+
+
+def _at_path(error: Exception, path: Sequence[Any], cls: Any) -> Exception:
+    """Return an error as cattrs would raise it of something that stands under a path."""
+    *above, last = path
+    error.__notes__ = [AttributeValidationNote(str(last), last, None)]
+    return _at_path(cattrs.ClassValidationError(f"at {last}", [error], cls), above, cls) if above else error
 
 
 def _with_quaternion(pose: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -195,21 +210,29 @@ def _explain(error: BaseException, data: Any, path: str, line: str, cls: Any) ->
                 problems.append(f"{_where(f'{path}{step}', line_of(data, step) or line)}{_say(sub)}")
         return problems
     said = _say(error)
-    keys, own = _named_first(said, data)
-    return [f"{_where('.'.join([*path.split('.')[:-1], *keys]), own or line)}{said}"]
+    return [f"{_where(*complaint_at(said, data, path.rstrip('.'), line))}{said}"]
 
 
-def _named_first(said: str, data: Any) -> tuple[list[str], str]:
-    """Return the key of the data that a class's complaint begins with, e.g. ``areas.left``, and its line."""
-    keys, line = [], ""
+def complaint_at(said: str, data: Any, path: str, line: str) -> tuple[str, str]:
+    """Return the path and the line of the key that a class complains of.
+
+    Args:
+        said: The complaint. It begins with the key, e.g. ``areas.left must be ...``, or names no other key of the data.
+        data: What the class was built from.
+        path: Where the data stands.
+        line: The line there, for want of a nearer one.
+    """
+    mentioned = [key for key in data if str(key) in re.findall(r"\w+", said)] if isinstance(data, Mapping) else []
     first = re.match(r"[A-Za-z_][\w.]*", said)
-    for key in first[0].rstrip(".").split(".") if first else ():
+    keys: list[Any] = first[0].rstrip(".").split(".") if first else []
+    if len(mentioned) == 1 and (not keys or keys[0] not in data):
+        keys = mentioned
+    for key in keys:
         if not isinstance(data, Mapping) or key not in data:
             break
-        line = line_of(data, key) or line
+        path, line = f"{path}.{key}" if path else str(key), line_of(data, key) or line
         data = data[key]
-        keys.append(key)
-    return keys, line
+    return path, line
 
 
 def _say(error: BaseException) -> str:
@@ -275,14 +298,20 @@ def line_of(data: Any, key: Any) -> str:
 
 def place(data: Any, path: Iterable[str | int]) -> str:
     """Return a key's path, with the line of the nearest key that has one: ``objects.target (line 3)``."""
-    keys, line = list(path), ""
-    for key in keys:
+    keys = list(path)
+    return _where(".".join(map(str, keys)), section_of(data, keys)[1]).removesuffix(": ")
+
+
+def section_of(data: Any, path: Iterable[str | int]) -> tuple[Any, str]:
+    """Return what stands under a path, none if nothing does, and its line, or that of the nearest key around it."""
+    line = ""
+    for key in path:
         line = line_of(data, key) or line
         try:
             data = data[key]
         except (KeyError, IndexError, TypeError):
-            break
-    return _where(".".join(map(str, keys)), line).removesuffix(": ")
+            data = None
+    return data, line
 
 
 def load_yaml(path: Path | str) -> Any:
@@ -402,6 +431,7 @@ __all__ = [
     "LocatedList",
     "LocatedMap",
     "RoboximError",
+    "complaint_at",
     "config_dir",
     "config_dirs",
     "digest",
@@ -414,6 +444,7 @@ __all__ = [
     "named_config",
     "parse_yaml",
     "place",
+    "section_of",
     "to_json",
     "to_plain",
 ]

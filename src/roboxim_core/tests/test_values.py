@@ -86,7 +86,7 @@ def test_wrong_yaml_names_key_line_and_choices():
     ("text", "complaint"),
     [
         ("robot: {}\ncameras:\n  - name: front\n    width: 3", r"cameras\.0 \(line 3\): camera 'front': size"),
-        ("look:\n  background: sky", r"look \(line 1\): the background is room or plain, got 'sky'"),
+        ("look:\n  background: sky", r"look\.background \(line 2\): the background is room or plain, got 'sky'"),
         ("robot: {}\nentities:\n  - name: a", r"entities\.0\.model \(line 3\): required key is missing"),
         ("robot: {}\ncontrol_rate_hz: 7", r"control_rate_hz \(line 2\): control_rate_hz must divide"),
     ],
@@ -112,6 +112,7 @@ def test_data_of_two_files_says_which_line_of_which():
         ("[1, 2]", "expected a mapping with keys of"),
         ("{entities: [{name: a, model: cube, modifiers: [red]}]}", "modifiers.*expected a mapping"),
         ("robot: {joint_positions: 3}", "joint_positions.*expected a list, got 3"),
+        ("{entities: [{name: a, model: cube, joint_positions: 3}]}", r"entities\.0\.joint_positions \(line 1\)"),
         ("control_rate_hz: .nan", "control_rate_hz.*finite"),
         ("\0", "not valid YAML"),
     ],

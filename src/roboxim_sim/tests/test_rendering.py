@@ -20,6 +20,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Sim
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.rendering import CameraImages, RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec, MaterialSpec
+from roboxim_core.textures import ROOM_TEXTURES
 from roboxim_sim.rendering import available_renderers, make_renderer, textures
 
 CUBE_M = 0.06
@@ -389,6 +390,11 @@ def test_without_gl_raster_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     assert not found["raster"].available
     assert "libegl1" in found["raster"].detail
     assert found["tiny"].available
+
+
+def test_configurations_may_name_every_texture_of_the_room() -> None:
+    names = textures.TEXTURES
+    assert {name for name in names if names[name].__module__ == textures.__name__} == set(ROOM_TEXTURES)
 
 
 @pytest.mark.parametrize("name", list(textures.TEXTURES))

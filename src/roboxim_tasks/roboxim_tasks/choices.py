@@ -6,6 +6,7 @@ cell. A range or a random list draws from the component's own generator.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
@@ -50,7 +51,7 @@ class Choice:
                     f"got {list(self.weights)}"
                 )
             if self.order == "in_order":
-                raise ConfigError("values come either in_order or with weights, not both")
+                raise ConfigError("weights are for values at random, which come in_order here; give one of the two")
 
     @property
     def ends(self) -> tuple[Scalar, ...]:
@@ -60,6 +61,45 @@ class Choice:
         assert self.lower is not None
         assert self.upper is not None
         return self.lower, self.upper
+
+    @property
+    def drawable(self) -> tuple[Scalar, ...]:
+        """The values of the list that are ever drawn: those whose weight is not 0."""
+        return tuple(
+            v for v, weight in zip(self.values, self.weights or [1.0] * len(self.values), strict=True) if weight
+        )
+
+    @property
+    def ordered(self) -> int:
+        """Number of values that come in order; 0 when they come at random, or when there is but one."""
+        return len(self.values) if self.order == "in_order" and len(self.values) > 1 else 0
+
+    @property
+    def varies(self) -> bool:
+        """Whether another draw may give another value."""
+        return self.order == "random" and len(self.drawable) != 1
+
+    def require_numbers(self, name: str, lower: float = -math.inf, upper: float = math.inf) -> None:
+        """Refuse what is no number, or out of range.
+
+        Raises:
+            ConfigError: Naming the key, and the range.
+        """
+        for value in self.ends:
+            if isinstance(value, str | bool) or not lower <= value <= upper:
+                limits = f" from {lower:g} to {upper:g}" if math.isfinite(upper) else ""
+                limits = f" >= {lower:g}" if math.isfinite(lower) and not limits else limits
+                raise ConfigError(f"{name} must be a number{limits}, got {value!r}")
+
+    def require_words(self, name: str, of_what: str) -> None:
+        """Refuse a range, and values that are no words.
+
+        Raises:
+            ConfigError: Naming the key, and what the words should be.
+        """
+        wrong = next((value for value in self.ends if not isinstance(value, str)), None)
+        if wrong is not None:
+            raise ConfigError(f"{name} must be values, {of_what}, not {'a range' if not self.values else repr(wrong)}")
 
     def only(self, allowed: Collection[Scalar]) -> Choice | None:
         """Return the choice among those values that are allowed; none if there is none."""
@@ -141,6 +181,17 @@ class VectorChoice:
         if self.size != size:
             raise ConfigError(f"{name} must be vectors of {size} numbers, got {self.size}")
 
+    def require_color(self, name: str) -> None:
+        """Refuse what is no colour.
+
+        Raises:
+            ConfigError: Naming the key.
+        """
+        self.require_size(3, name)
+        for vector in self.values or (self.lower or (), self.upper or ()):
+            if not all(0.0 <= component <= 1.0 for component in vector):
+                raise ConfigError(f"{name} must be red, green and blue from 0 to 1, got {list(vector)}")
+
     def draw(self, rng: np.random.Generator, index: int) -> Array:
         """Draw a vector of shape (size,).
 
@@ -162,6 +213,6 @@ def _check(listed: bool, lower: object, upper: object, order: str) -> None:
     if listed == (lower is not None or upper is not None) or (lower is None) != (upper is None):
         raise ConfigError("give either values (a list) or lower and upper (a range)")
     if order not in ORDERS:
-        raise ConfigError(f"unknown order '{order}'; {one_of(ORDERS, order)}")
+        raise ConfigError(f"order '{order}' is unknown; {one_of(ORDERS, order)}")
     if order == "in_order" and not listed:
-        raise ConfigError("only values can come in_order; a range is drawn at random")
+        raise ConfigError("order in_order is for values; a range is drawn at random")

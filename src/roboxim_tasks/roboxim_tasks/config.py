@@ -8,24 +8,34 @@ anything runs.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, MutableMapping
+from collections.abc import Mapping, MutableMapping
 from copy import copy
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from string import Formatter
 from typing import Any
 
-from roboxim_core.config import from_plain, load_yaml, named_config, parse_yaml
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
+from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import Scalar
+from roboxim_tasks.checks import (
+    Document,
+    Path,
+    check_arguments,
+    check_exclusions,
+    check_objects,
+    check_reset,
+    check_scene,
+    check_templates,
+)
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
-from roboxim_tasks.skills import SKILLS, Role
+from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.visible import VisibleConfig
 
 DEFAULT_TASK = "pick_cube"
+TASK = "task"
+"""Key of a mix's exclusions beside the roles."""
 MAX_DISTRACTORS = 8
 
 
@@ -64,7 +74,8 @@ class DistractorConfig:
             raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
         if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:
             raise ConfigError(
-                f"needs 0 <= minimum <= maximum <= {MAX_DISTRACTORS} distractors, got {self.minimum} and {self.maximum}"
+                f"minimum and maximum must be 0 <= minimum <= maximum <= {MAX_DISTRACTORS}, "
+                f"got {self.minimum} and {self.maximum}"
             )
 
 
@@ -109,8 +120,9 @@ class TaskConfig:
         Raises:
             ConfigError: On a number out of range.
         """
-        if self.rate_hz <= 0 or self.max_steps < 0 or self.max_draws < 1:
-            raise ConfigError("needs rate_hz > 0, max_steps >= 0 and max_draws >= 1")
+        for name, least in (("max_steps", 0), ("max_draws", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} must be >= {least}, got {getattr(self, name)}")
 
     def at(self, index: int) -> tuple[TaskConfig, int]:
         """Return the configuration of an episode and the number that its ordered lists go by: as given."""
@@ -132,126 +144,41 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         data = {}
     if not isinstance(data, Mapping):
         raise ConfigError(f"{source} is not valid: expected a mapping of keys, got {type(data).__name__}")
-    config = from_plain(data, TaskConfig, source=source)
-    _require(source, data, ("skill",), config.skill, SKILLS)
+    document, library = Document(source, data), library or ModelLibrary()
+    config: TaskConfig = document.build(data, TaskConfig, ())
+    document.require(("skill",), config.skill, SKILLS)
     skill = SKILLS[config.skill]
     for role in config.objects:
-        _require(source, data, ("objects", role), role, skill.roles)
+        document.require(("objects", role), role, skill.roles)
     for name in config.reset:
-        _require(source, data, ("reset", name), name, COMPONENTS)
-    _check_objects(source, data, config, library or ModelLibrary())
-    for number, combination in enumerate(config.exclude):
-        for role in combination:
-            _require(source, data, ("exclude",), role, skill.roles, f"exclude[{number}]")
-    _check_templates(source, data, config, (*skill.roles, *skill.words))
-    parameters: Any = from_plain(_section(data, "parameters"), skill.Parameters, source=f"{source}: parameters")
+        document.require(("reset", name), name, COMPONENTS)
+    check_scene(document, config)
+    check_objects(document, config, library)
+    check_templates(document, config)
+    parameters = document.build(_section(data, "parameters"), skill.Parameters, ("parameters",))
+    lenient = merged(_section(data, "parameters"), _section(data, "lenient"))
     given = _section(data, "reset")
     reset: dict[str, Any] = {}
     for name in dict.fromkeys((*skill.components, *given)):
         section = _completed(_section(given, name), skill.reset.get(name, {}))
-        reset[name] = from_plain(section, COMPONENTS[name].Config, source=f"{source}: reset.{name}")
-    lenient = {**_section(data, "parameters"), **_section(data, "lenient")}
-    _check_arguments(source, data, config, parameters)
+        reset[name] = document.build(section, COMPONENTS[name].Config, ("reset", name))
     objects = {
         name: config.objects.get(name) or ObjectConfig(models=Choice(values=role.models))
         for name, role in skill.roles.items()
     }
-    return replace(
+    complete = replace(
         config,
         parameters=parameters,
-        lenient=from_plain(lenient, skill.Parameters, source=f"{source}: lenient"),
+        lenient=document.build(lenient, skill.Parameters, ("lenient",)),
         reset=reset,
         objects=objects,
         templates=config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1]),
         max_steps=config.max_steps or skill.max_steps,
     )
-
-
-def _check_objects(source: str, data: Any, config: TaskConfig, library: ModelLibrary) -> None:
-    """Check every model and modifier that may be drawn, so that a typo does not surface at the hundredth episode.
-
-    A modifier must be one that some of the models take, and a value one that some of them allow; a model is drawn
-    without what it does not take.
-    """
-    roles = SKILLS[config.skill].roles
-    places: list[tuple[tuple[str, ...], ObjectConfig | DistractorConfig, Role]] = [
-        (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
-    ]
-    for path, objects, role in [*places, (("distractors",), config.distractors, Role())]:
-        models = [str(model) for model in objects.models.values]
-        for model in models:
-            _require(source, data, (*path, "models"), model, library.object_ids)
-            if path[0] == "objects" and not role.suits(library.object(model)):
-                suited = [name for name in library.object_ids if role.suits(library.object(name))]
-                raise ConfigError(
-                    f"{source} is not valid: {_at(data, (*path, 'models'))}: a {model} cannot be the {path[1]} of "
-                    f"{config.skill}, which must be {role.affordance or 'smaller'}; {one_of(suited, model)}"
-                )
-        for name, choice in objects.modifiers.items():
-            where = (*path, "modifiers", name)
-            takers = [taken[name] for taken in map(library.object_modifiers, models) if name in taken]
-            if name in PHYSICAL:
-                takers = [PHYSICAL[name]]
-            if not takers:
-                known = sorted({kind for model in models for kind in library.object_modifiers(model)} | set(PHYSICAL))
-                _require(source, data, where, name, known)
-            for value in choice.ends:
-                if not any(_allows(taker, name, value) for taker in takers):
-                    takers[0].check(f"{source} is not valid: {_at(data, where)}", name, value)
-
-
-def _allows(modifier: ModifierModel, kind: str, value: Scalar) -> bool:
-    try:
-        modifier.check("", kind, value)
-    except ConfigError:
-        return False
-    return True
-
-
-def _check_arguments(source: str, data: Any, config: TaskConfig, parameters: Any) -> None:
-    """Check that what varies are parameters of the skill, and each value is one that it takes."""
-    for name, choice in config.arguments.items():
-        _require(source, data, ("arguments",), name, asdict(parameters), f"arguments.{name}")
-        for value in choice.ends:
-            plain = asdict(parameters) | {name: value}
-            from_plain(plain, type(parameters), source=f"{source}: {_at(data, ('arguments', name))}")
-
-
-def _check_templates(source: str, data: Any, config: TaskConfig, roles: Iterable[str]) -> None:
-    """Check that instructions speak of the skill's roles only."""
-    for template in config.templates.values if config.templates else ():
-        try:
-            named = [name for _, name, _, _ in Formatter().parse(str(template)) if name is not None]
-        except ValueError as error:
-            raise ConfigError(f"{source} is not valid: {_at(data, ('templates',))}: '{template}': {error}") from None
-        for name in named:
-            _require(source, data, ("templates",), name, roles)
-
-
-def _require(source: str, data: Any, path: tuple[str, ...], name: str, known: Iterable[str], place: str = "") -> None:
-    """Refuse an unknown name, with its place.
-
-    Raises:
-        ConfigError: Listing the known names.
-    """
-    names = tuple(known)
-    if name not in names:
-        raise ConfigError(
-            f"{source} is not valid: {place or _at(data, path)}: unknown name '{name}'; {one_of(names, name)}"
-        )
-
-
-def _at(data: Any, path: tuple[str, ...]) -> str:
-    """Return a key's path, with its line when the data came from YAML text."""
-    line = ""
-    for key in path:
-        positions = getattr(data, "lc", None)
-        if not isinstance(data, Mapping) or key not in data:
-            break
-        if positions is not None and key in (positions.data or {}):
-            line = f" (line {positions.data[key][0] + 1})"
-        data = data[key]
-    return ".".join(path) + line
+    check_arguments(document, complete, library)
+    check_exclusions(document, complete, library)
+    check_reset(document, complete)
+    return complete
 
 
 def _completed(section: Any, defaults: Mapping[str, Any]) -> Any:
@@ -290,8 +217,10 @@ class CellConfig:
         Raises:
             ConfigError: When there is no episode or no task.
         """
-        if self.episodes < 1 or not self.tasks:
-            raise ConfigError(f"a cell needs episodes >= 1 and at least one task, got {self.episodes}, {self.tasks}")
+        if not self.tasks:
+            raise ConfigError("tasks must be names of at least one task, got none")
+        if self.episodes < 1:
+            raise ConfigError(f"episodes must be >= 1, got {self.episodes}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,6 +231,15 @@ class MixConfig:
     """The parts."""
     set: dict[str, Any] = field(default_factory=dict)
     """Keys that are replaced in every task."""
+
+    def __post_init__(self) -> None:
+        """Check that there is something.
+
+        Raises:
+            ConfigError: When there is no cell.
+        """
+        if not self.cells:
+            raise ConfigError("cells must hold at least one part, got none")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,45 +277,85 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
     """Build a mix from plain data.
 
     Raises:
-        ConfigError: Listing every wrong key with its path, line and what is allowed.
+        ConfigError: Listing every wrong key with its path, line and what is allowed. A line is one of the mix, unless
+            the message names the file of the task that the key is from.
     """
-    mix = from_plain(data, MixConfig, source=source)
-    cells, counts = [], []
-    used = {name for cell in mix.cells for name in cell.tasks}
-    tasks = {name: to_builtin(load_yaml(named_config("tasks", name))) for name in sorted(used)}
+    document = Document(source, data)
+    mix: MixConfig = document.build(data, MixConfig, ())
     for number, cell in enumerate(mix.cells):
+        _check_cell(document, number, cell)
+    used = {name: (number, place) for number, cell in enumerate(mix.cells) for place, name in enumerate(cell.tasks)}
+    tasks = {}
+    for name, (number, place) in used.items():
+        with document.section(("cells", number, "tasks", place)):
+            path = named_config("tasks", name)
+        tasks[name] = located(load_yaml(path), str(path))
+        if "cells" in (tasks[name] or {}):
+            raise document.error(
+                ("cells", number, "tasks", place), f"'{name}' is a mix itself; name tasks of one skill"
+            )
+    cells, counts = [], []
+    for number, cell in enumerate(mix.cells):
+        given = data["cells"][number]
         for task, *models in itertools.product(cell.tasks, *cell.models.values()):
             names = dict(zip(cell.models, models, strict=True))
-            if any((names | {"task": task}).items() >= excluded.items() for excluded in cell.exclude):
+            if any((names | {TASK: task}).items() >= excluded.items() for excluded in cell.exclude):
                 continue
             plain = tasks[task]
-            for change in (
-                mix.set,
-                cell.set,
-                {"objects": {role: {"models": {"values": [m]}} for role, m in names.items()}},
-            ):
+            for change in (_section(data, "set"), _section(given, "set"), _models(given, names)):
                 plain = merged(plain, change)
-            cells.append(task_config(plain, source=f"{source}: cells[{number}], task '{task}'"))
+            cells.append(task_config(plain, source=f"{source}: cells.{number}, task '{task}'"))
             counts.append(cell.episodes)
     if not cells:
-        raise ConfigError(f"{source} is not valid: every cell is excluded")
+        raise document.error(("cells",), "every cell is excluded; exclude less")
     return TaskMix(cells=tuple(cells), counts=tuple(counts))
 
 
+def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
+    """Check that a cell's exclusions are of what the cell has; a typo would leave nothing out."""
+    path: Path = ("cells", number)
+    for role, models in cell.models.items():
+        if not models:
+            raise document.error((*path, "models", role), "needs at least one model, got none")
+    for place, excluded in enumerate(cell.exclude):
+        for key, value in excluded.items():
+            where = (*path, "exclude", place, key)
+            document.require(where, key, (TASK, *cell.models))
+            document.require(where, value, cell.tasks if key == TASK else cell.models[key])
+
+
+def _models(cell: Any, names: Mapping[str, str]) -> Any:
+    """Return the change of a task that gives each role of a cell one model, with the lines of the cell's ``models``."""
+    given = cell.get("models")
+    lines = {role: line_of(given, role) for role in names}
+    return (
+        LocatedMap(
+            {
+                "objects": LocatedMap(
+                    {
+                        role: LocatedMap({"models": {"values": [model]}}, {"models": lines[role]})
+                        for role, model in names.items()
+                    },
+                    lines,
+                )
+            },
+            {"objects": line_of(cell, "models")},
+        )
+        if names
+        else {}
+    )
+
+
 def merged(base: Any, change: Any) -> Any:
-    """Return plain data with keys replaced, mapping by mapping; a list or a choice is replaced as a whole."""
+    """Return plain data with keys replaced, mapping by mapping; a list or a choice is replaced as a whole.
+
+    Every key keeps the line where it was written, as `roboxim_core.config.line_of` says it.
+    """
     if not isinstance(base, Mapping) or not isinstance(change, Mapping) or "values" in change or "lower" in change:
         return change
-    return {**base, **{key: merged(base.get(key), value) for key, value in change.items()}}
-
-
-def to_builtin(data: Any) -> Any:
-    """Return YAML data without the line numbers that its containers carry."""
-    if isinstance(data, Mapping):
-        return {str(key): to_builtin(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [to_builtin(value) for value in data]
-    return data
+    items = {**base, **{key: merged(base.get(key), value) for key, value in change.items()}}
+    lines = {key: line_of(change, key) if key in change else line_of(base, key) for key in items}
+    return LocatedMap(items, lines) if any(lines.values()) else items
 
 
 def any_task_config(data: Any, *, source: str) -> TaskConfig | TaskMix:

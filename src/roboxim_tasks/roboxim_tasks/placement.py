@@ -41,9 +41,10 @@ class PlacementConfig:
         """Check the numbers.
 
         Raises:
-            ConfigError: On an area that is not of x and y, or a negative gap.
+            ConfigError: On an area that is not of x and y, a yaw that is no number, or a negative gap.
         """
         self.area.require_size(2, "area")
+        self.yaw_rad.require_numbers("yaw_rad")
         if self.gap_m < 0:
             raise ConfigError(f"gap_m must be >= 0, got {self.gap_m:g}")
 

@@ -44,3 +44,29 @@ def test_weights_say_how_often_and_only_keeps_what_is_allowed():
     assert choice.only(("green", "pink")) == Choice(values=("green",), weights=(1.0,))
     assert choice.only(("red",)) is None
     assert choice.only(("red", "green", "blue")) is choice
+
+
+def test_what_must_be_numbers_words_or_colours_is_refused_with_its_key_and_range():
+    Choice(values=(0, 0.5)).require_numbers("share", 0.0, 1.0)
+    Choice(values=("wood", "")).require_words("texture", "names")
+    VectorChoice(lower=(0.0, 0.0, 0.0), upper=(1.0, 1.0, 1.0)).require_color("color")
+    for check, said in (
+        (
+            lambda: Choice(values=(0.5, 2)).require_numbers("share", 0.0, 1.0),
+            "share must be a number from 0 to 1, got 2",
+        ),
+        (lambda: Choice(lower=-1.0, upper=0.0).require_numbers("mass", 0.0), "mass must be a number >= 0, got -1.0"),
+        (lambda: Choice(values=(True,)).require_numbers("yaw"), "yaw must be a number, got True"),
+        (
+            lambda: Choice(lower=0.0, upper=1.0).require_words("texture", "names"),
+            "texture must be values, names, not a",
+        ),
+        (lambda: Choice(values=(3,)).require_words("texture", "names"), "texture must be values, names, not 3"),
+        (
+            lambda: VectorChoice(values=((1.0, 0.0),)).require_color("color"),
+            "color must be vectors of 3 numbers, got 2",
+        ),
+        (lambda: VectorChoice(values=((1.5, 0.0, 0.0),)).require_color("color"), "color must be red, green and blue"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            check()

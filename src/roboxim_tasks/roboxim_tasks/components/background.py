@@ -26,7 +26,7 @@ class BackgroundResetConfig:
             ConfigError: Naming the key.
         """
         if self.backdrop is not None:
-            self.backdrop.require_size(3, "backdrop")
+            self.backdrop.require_color("backdrop")
         if self.kind is not None:
             for value in self.kind.values or ("",):
                 if value not in BACKGROUNDS:

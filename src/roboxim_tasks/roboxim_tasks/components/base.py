@@ -102,6 +102,19 @@ class ResetComponent(ABC):
         """Keep the configuration, an instance of `Config`."""
         self.config = config
 
+    @classmethod  # noqa: B027
+    def check(cls, config: Any, roles: Sequence[str], task: TaskConfig) -> None:
+        """Refuse, when a task is loaded, a configuration that does not suit it; the message begins with the key.
+
+        Args:
+            config: Instance of `Config`.
+            roles: Roles of the task's skill.
+            task: The task's configuration.
+
+        Raises:
+            ConfigError: Naming the key and what is allowed.
+        """
+
     @abstractmethod
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Return the scene with this component's property drawn.

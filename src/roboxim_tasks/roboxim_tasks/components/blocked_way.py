@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.poses import Array, Pose
-from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
+from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import refusal
 from roboxim_tasks.rejection import RejectedError
-from roboxim_tasks.roles import task_distractors
+from roboxim_tasks.roles import distractor_role, task_distractors
+
+if TYPE_CHECKING:
+    from roboxim_tasks.config import TaskConfig
 
 TOOL = "tool"
 CONSTRAINT = "way_blocked"
@@ -54,6 +58,14 @@ class BlockedWayConfig:
                 "needs at least one way, row >= 1, gap_m >= 0 and apart_m >= 0, "
                 f"got {self.between}, {self.row}, {self.gap_m:g} and {self.apart_m:g}"
             )
+        self.share.require_numbers("share", 0.0, 1.0)
+        self.aside_m.require_numbers("aside_m")
+        self.yaw_rad.require_numbers("yaw_rad")
+
+    @property
+    def needed(self) -> int:
+        """Distractors that the rows take."""
+        return self.row * len(self.between)
 
 
 @register
@@ -71,21 +83,27 @@ class BlockedWayReset(ResetComponent):
     Config = BlockedWayConfig
     places = True
 
+    @classmethod
+    def check(cls, config: BlockedWayConfig, roles: Sequence[str], task: TaskConfig) -> None:
+        """Refuse ways between what is not there, and rows of more distractors than an episode may have."""
+        ends = (TOOL, *roles, *(distractor_role(number + 1) for number in range(task.distractors.maximum)))
+        for end in (end for way in config.between for end in way):
+            if end not in ends:
+                raise ConfigError(f"between: no role '{end}'; {one_of(ends, end)}")
+        if task.distractors.minimum < config.needed:
+            raise ConfigError(
+                f"needs {config.needed} distractors for {len(config.between)} ways with rows of {config.row}; "
+                f"set distractors.minimum to {config.needed} or more, it is {task.distractors.minimum}"
+            )
+
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Draw each row.
 
         Raises:
             RejectedError: When an object has no room, or the direct way is free.
-            ConfigError: When the task has too few distractors, or no such role.
         """
         things = task_distractors(context.task)
-        needed = self.config.row * len(self.config.between)
-        if len(things) < needed:
-            raise ConfigError(
-                f"reset.blocked_way needs {needed} distractors for {len(self.config.between)} ways with rows of "
-                f"{self.config.row}, but the task has {len(things)}; set distractors.minimum to {needed} or more"
-            )
-        moved = {thing.entity for thing in things[:needed]}
+        moved = {thing.entity for thing in things[: self.config.needed]}
         order = [entity.name for entity in scene.entities]
         standing = {entity.name: entity for entity in scene.entities}
         scene = replace(scene, entities=tuple(e for e in scene.entities if e.name not in moved))
@@ -132,8 +150,5 @@ def _end(name: str, scene: SceneSpec, context: ResetContext) -> tuple[Array, flo
     if name == TOOL:
         tool = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
         return np.array(tool.position[:2]), HAND_RADIUS_M
-    objects: dict[str, PhysicalObject] = dict(context.task.objects)
-    if name not in objects:
-        raise ConfigError(f"reset.blocked_way.between: no role '{name}'; {one_of((TOOL, *objects), name)}")
-    entity = scene.entity(objects[name].entity)
+    entity = scene.entity(context.task.objects[name].entity)
     return np.array(entity.pose.position[:2]), max(context.library.entity_model(entity).size[:2]) / 2

@@ -44,6 +44,8 @@ class CamerasResetConfig:
                     raise ConfigError(f"{key} names camera '{camera}', which is not used; {one_of(self.names, camera)}")
                 if isinstance(choice, VectorChoice):
                     choice.require_size(3, f"{key}.{camera}")
+                elif key == "exposure_ev":
+                    choice.require_numbers(f"{key}.{camera}", -8.0, 8.0)
         for name in self.names:
             views = self.views.get(name, Choice(values=(name,)))
             if not views.values:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+from roboxim_tasks.roles import distractor_role
+
+if TYPE_CHECKING:
+    from roboxim_tasks.config import TaskConfig
 
 AREAS = {
     "far_left": VectorChoice(lower=(0.36, 0.32), upper=(0.52, 0.48)),
@@ -56,19 +62,19 @@ class InteractionAreaReset(ResetComponent):
     name = "interaction_area"
     Config = InteractionAreaConfig
 
-    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Choose an area.
+    @classmethod
+    def check(cls, config: InteractionAreaConfig, roles: Sequence[str], task: TaskConfig) -> None:
+        """Refuse roles that the task has not."""
+        known = (*roles, *(distractor_role(n + 1) for n in range(task.distractors.maximum)))
+        for role in config.roles:
+            if role not in known:
+                raise ConfigError(f"roles: no role '{role}'; {one_of(known, role)}")
 
-        Raises:
-            ConfigError: When the task has no such role.
-        """
+    def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
+        """Choose an area."""
         choice = self.config.area or Choice(values=tuple(self.config.areas))
         name = str(choice.draw(context.rng(self.name), context.index))
         for role in self.config.roles:
-            if role not in context.task.objects:
-                raise ConfigError(
-                    f"reset.interaction_area.roles: no role '{role}'; {one_of(context.task.objects, role)}"
-                )
             context.areas[context.task.objects[role].entity] = self.config.areas[name]
         context.drawn[self.name] = name
         return scene

@@ -35,11 +35,12 @@ class LampsConfig:
         Raises:
             ConfigError: Naming the key.
         """
-        self.position.require_size(3, "lamps.position")
-        self.color.require_size(3, "lamps.color")
+        self.position.require_size(3, "position")
+        self.color.require_color("color")
+        self.intensity.require_numbers("intensity", lower=0.0)
         for value in self.number.values or (self.number.lower, self.number.upper):
             if isinstance(value, str | bool) or value is None or not 0 <= value <= MAX_LAMPS:
-                raise ConfigError(f"lamps.number must be 0..{MAX_LAMPS}, got {value!r}")
+                raise ConfigError(f"number must be 0..{MAX_LAMPS}, got {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +66,7 @@ class LightsResetConfig:
     """Further lamps."""
 
     def __post_init__(self) -> None:
-        """Check the vectors' length.
+        """Check numbers and lengths.
 
         Raises:
             ConfigError: Naming the key.
@@ -74,6 +75,12 @@ class LightsResetConfig:
             choice = getattr(self, key)
             if choice is not None:
                 choice.require_size(3, key)
+        if self.color is not None:
+            self.color.require_color("color")
+        if self.intensity is not None:
+            self.intensity.require_numbers("intensity", lower=0.0)
+        if self.radius is not None:
+            self.radius.require_numbers("radius", 0.0, 1.0)
 
 
 @register

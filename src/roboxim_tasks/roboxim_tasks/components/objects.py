@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import PlacementConfig, place
 from roboxim_tasks.roles import task_objects
+
+if TYPE_CHECKING:
+    from roboxim_tasks.config import TaskConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +31,13 @@ class ObjectsReset(ResetComponent):
     name = "objects"
     Config = ObjectsResetConfig
     places = True
+
+    @classmethod
+    def check(cls, config: ObjectsResetConfig, roles: Sequence[str], task: TaskConfig) -> None:
+        """Refuse places of roles that the skill has not."""
+        for role in config.roles:
+            if role not in roles:
+                raise ConfigError(f"roles.{role}: no such role; {one_of(roles, role)}")
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Place each object apart from the others.

@@ -30,12 +30,14 @@ class RobotResetConfig:
     """1 = open, 0 = closed."""
 
     def __post_init__(self) -> None:
-        """Check the vectors' length.
+        """Check the numbers.
 
         Raises:
-            ConfigError: When positions are not three numbers.
+            ConfigError: When positions are not three numbers, or something is none or out of range.
         """
         self.position.require_size(3, "position")
+        self.yaw_rad.require_numbers("yaw_rad")
+        self.gripper_opening.require_numbers("gripper_opening", 0.0, 1.0)
 
 
 @register

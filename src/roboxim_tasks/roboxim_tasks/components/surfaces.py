@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import MaterialSpec, SceneSpec
+from roboxim_core.textures import ROOM_TEXTURES, TEXTURES
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
@@ -16,18 +20,24 @@ class SurfaceConfig:
     color: VectorChoice | None = None
     """sRGB base colour, each component 0..1."""
     texture: Choice | None = None
-    """Names of built-in textures; an empty name is none."""
+    """Names of built-in textures, or paths of images; an empty name is none."""
     roughness: Choice | None = None
     """0 = mirror, 1 = chalk."""
 
     def __post_init__(self) -> None:
-        """Check the colours' length.
+        """Check colours, names and numbers.
 
         Raises:
-            ConfigError: When a colour is not of three numbers.
+            ConfigError: Naming the key.
         """
         if self.color is not None:
-            self.color.require_size(3, "color")
+            self.color.require_color("color")
+        if self.texture is not None:
+            self.texture.require_words("texture", "names of textures")
+            for name in map(str, self.texture.values):
+                _check_texture(name)
+        if self.roughness is not None:
+            self.roughness.require_numbers("roughness", 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +50,15 @@ class SurfacesResetConfig:
     """The floor."""
     wall: SurfaceConfig = SurfaceConfig()
     """The wall behind the table."""
+
+
+def _check_texture(name: str) -> None:
+    known = sorted({*ROOM_TEXTURES, *TEXTURES})
+    if "/" in name:
+        if not Path(name.partition("#")[0]).is_file():
+            raise ConfigError(f"texture: no such file: {name}")
+    elif name and name not in known:
+        raise ConfigError(f"texture: no texture '{name}'; {one_of(known, name)}")
 
 
 @register

@@ -59,6 +59,17 @@ class Skill(ABC):
     Parameters: ClassVar[type]
     """Frozen dataclass of scalars with defaults: the ``parameters`` of the YAML, the ``arguments`` of the task."""
 
+    def check(self, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:  # noqa: B027
+        """Refuse, when a task is loaded, parameters that do not suit its objects.
+
+        Args:
+            parameters: Instance of `Parameters`.
+            models: Role to the models that may fill it.
+
+        Raises:
+            ConfigError: Naming the parameter and what is allowed.
+        """
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task (generator)."""
         return generate_task(context)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -88,6 +89,11 @@ class PutInto(Skill):
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     max_steps = 200
     Parameters = PutIntoParameters
+
+    def check(self, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
+        """Refuse a drawer that one of the models lacks."""
+        for model in models["container"]:
+            region_of(model, "interior", parameters.drawer)
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a target that fits into the container, and note where the interior is."""

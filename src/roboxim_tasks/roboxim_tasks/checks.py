@@ -1,0 +1,274 @@
+"""What a task's configuration is checked for when it is loaded: a typo must not surface at the hundredth episode.
+
+Every complaint names the file, the key, its line where there is one, and what is allowed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from string import Formatter
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+from roboxim_core.config import complaint_at, from_plain, section_of
+from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
+from roboxim_core.specs import Scalar, SceneSpec
+from roboxim_tasks.components import COMPONENTS
+from roboxim_tasks.exclusions import MODEL, all_excluded
+from roboxim_tasks.files import named
+from roboxim_tasks.roles import SPOKEN
+from roboxim_tasks.skills import SKILLS, Role
+
+if TYPE_CHECKING:
+    from roboxim_tasks.choices import Choice
+    from roboxim_tasks.config import DistractorConfig, ObjectConfig, TaskConfig
+
+MAX_COMBINATIONS = 1000
+"""Combinations of arguments of which each is tried."""
+
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Document:
+    """Plain data with its source, for messages."""
+
+    source: str
+    """What the data is, e.g. a file."""
+    data: Any
+    """The whole of it, as `roboxim_core.config.parse_yaml` gives it."""
+
+    def error(self, path: Path, problem: object) -> ConfigError:
+        """Return the error of a key: ``task.yaml is not valid: objects.target (line 3): ...``.
+
+        Args:
+            path: The key, or the section that a class complains of.
+            problem: What is wrong; where it is a key of the section, the message begins with that.
+        """
+        section, line = section_of(self.data, path)
+        at, line = complaint_at(str(problem), section, ".".join(map(str, path)), line)
+        return ConfigError(f"{self.source} is not valid: {f'{at} ({line})' if line else at}: {problem}")
+
+    @contextmanager
+    def section(self, path: Path) -> Iterator[None]:
+        """Give what a check says of a section the place of the section, or of the key that the message begins with.
+
+        Raises:
+            ConfigError: In place of the check's.
+        """
+        try:
+            yield
+        except RoboximError as error:
+            raise self.error(path, error) from None
+
+    def require(self, path: Path, name: str, known: Iterable[str]) -> None:
+        """Refuse an unknown name.
+
+        Raises:
+            ConfigError: Listing the known ones.
+        """
+        names = tuple(known)
+        if name not in names:
+            raise self.error(path, f"unknown name '{name}'; {one_of(names, name)}")
+
+    def build(self, data: Any, cls: Any, path: Path) -> Any:
+        """Build a value of a dataclass from a part of the data, or from what a part was completed to.
+
+        Raises:
+            ConfigError: Listing every wrong key.
+        """
+        line = section_of(self.data, path)[1]
+        return from_plain(data, cls, source=self.source, path=".".join(map(str, path)), line=line)
+
+
+def check_scene(document: Document, config: TaskConfig) -> None:
+    """Check the scene that objects are added to.
+
+    Raises:
+        ConfigError: When there is none of that name, its file is wrong, or the control rate does not suit it.
+    """
+    with document.section(("scene",)):
+        scene = named("scenes", config.scene, SceneSpec)
+    with document.section(("rate_hz",)):
+        replace(scene, control_rate_hz=config.rate_hz)
+
+
+def check_objects(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
+    """Check every model and modifier that may be drawn.
+
+    A modifier must be one that some of the models take, and a value one that some of them allow; a model is drawn
+    without what it does not take.
+
+    Raises:
+        ConfigError: On the first that is wrong.
+    """
+    roles = SKILLS[config.skill].roles
+    places: list[tuple[Path, ObjectConfig | DistractorConfig, Role]] = [
+        (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
+    ]
+    for path, objects, role in [*places, (("distractors",), config.distractors, Role())]:
+        with document.section(path):
+            objects.models.require_words("models", "ids of object models")
+        models = [str(model) for model in objects.models.values]
+        for model in models:
+            document.require((*path, "models"), model, library.object_ids)
+            if path[0] == "objects":
+                _check_role(document, (*path, "models"), model, str(path[1]), role, library)
+        for name, choice in objects.modifiers.items():
+            where = (*path, "modifiers", name)
+            takers = _takers(name, models, library)
+            if not takers:
+                document.require(where, name, _kinds(models, library))
+            for value in choice.ends:
+                _check_value(document, where, name, value, takers)
+
+
+def check_arguments(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
+    """Check that what varies are parameters of the skill, and each value is one that it takes, also with the others.
+
+    Args:
+        document: The task's data.
+        config: The task, complete.
+        library: Where models are looked up.
+
+    Raises:
+        ConfigError: On the first that is wrong.
+    """
+    skill = SKILLS[config.skill]
+    models = {
+        role: [library.object(str(model)) for model in objects.models.values]
+        for role, objects in config.objects.items()
+    }
+    hints = get_type_hints(skill.Parameters)
+    for name, choice in config.arguments.items():
+        document.require(("arguments", name), name, asdict(config.parameters))
+        with document.section(("arguments", name)):
+            if hints[name] is float:
+                choice.require_numbers("values")
+            elif wrong := [value for value in choice.ends if type(value) is not hints[name]]:
+                raise ConfigError(f"expected {hints[name].__name__}, got {wrong[0]!r}")
+    for key, base in (("parameters", config.parameters), ("lenient", config.lenient)):
+        for drawn in _combinations(config.arguments):
+            with document.section(
+                ("arguments", *drawn)[:2] if len(drawn) == 1 else ("arguments",) if drawn else (key,)
+            ):
+                skill.check(replace(base, **drawn), models)
+
+
+def _combinations(arguments: Mapping[str, Choice]) -> Iterator[dict[str, Scalar]]:
+    """Yield what may be drawn, the ends of ranges: all arguments together, or, if these are too many, one by one."""
+    if math.prod(len(choice.ends) for choice in arguments.values()) <= MAX_COMBINATIONS:
+        for values in itertools.product(*(choice.ends for choice in arguments.values())):
+            yield dict(zip(arguments, values, strict=True))
+    else:
+        for name, choice in arguments.items():
+            yield from ({name: value} for value in choice.ends)
+
+
+def check_reset(document: Document, config: TaskConfig) -> None:
+    """Check that the reset components of a complete task suit its skill.
+
+    Raises:
+        ConfigError: On the first that does not.
+    """
+    for name, section in config.reset.items():
+        with document.section(("reset", name)):
+            COMPONENTS[name].check(section, tuple(SKILLS[config.skill].roles), config)
+
+
+def check_templates(document: Document, config: TaskConfig) -> None:
+    """Check that instructions speak of the skill's roles and words only.
+
+    Raises:
+        ConfigError: On the first that does not.
+    """
+    if config.templates is None:
+        return
+    skill = SKILLS[config.skill]
+    with document.section(()):
+        config.templates.require_words("templates", "instructions with roles in braces")
+    for template in map(str, config.templates.values):
+        try:
+            mentioned = [name for _, name, _, _ in Formatter().parse(template) if name is not None]
+        except ValueError as error:
+            raise document.error(("templates",), f"'{template}': {error}") from None
+        for name in mentioned:
+            document.require(("templates",), name, (*skill.roles, *skill.words))
+
+
+def check_exclusions(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
+    """Check that excluded combinations are of what the roles can be at all, and leave something to draw.
+
+    Args:
+        document: The task's data.
+        config: The task, complete: with an entry for each role.
+        library: Where models and modifiers are looked up.
+
+    Raises:
+        ConfigError: On the first that is wrong.
+    """
+    roles = SKILLS[config.skill].roles
+    for number, combination in enumerate(config.exclude):
+        for role, wanted in combination.items():
+            path: Path = ("exclude", number, role)
+            document.require(path, role, roles)
+            models = list(library.object_ids)
+            if MODEL in wanted:
+                document.require((*path, MODEL), str(wanted[MODEL]), library.object_ids)
+                _check_role(document, (*path, MODEL), str(wanted[MODEL]), role, roles[role], library)
+                models = [str(wanted[MODEL])]
+            models = [model for model in models if roles[role].suits(library.object(model))]
+            for name, value in wanted.items():
+                if name != MODEL:
+                    takers = _takers(name, models, library)
+                    if not takers:
+                        document.require((*path, name), name, (MODEL, *_kinds(models, library)))
+                    _check_value(document, (*path, name), name, value, takers)
+    if all_excluded(config.objects, config.exclude, library):
+        raise document.error(
+            ("exclude",),
+            "excludes everything that could be drawn; exclude less, or give objects.<role> more models or modifiers",
+        )
+
+
+def _check_role(document: Document, path: Path, model: str, role_name: str, role: Role, library: ModelLibrary) -> None:
+    if not role.suits(library.object(model)):
+        suited = [name for name in library.object_ids if role.suits(library.object(name))]
+        demands = [role.affordance] if role.affordance else []
+        if role.max_width_m:
+            demands.append(f"at most {100 * role.max_width_m:g} cm wide")
+        raise document.error(
+            path, f"a {model} cannot be the {role_name}, which must be {' and '.join(demands)}; {one_of(suited, model)}"
+        )
+
+
+def _takers(kind: str, models: Iterable[str], library: ModelLibrary) -> list[ModifierModel]:
+    """Return the modifiers of a kind that some models have."""
+    if kind in PHYSICAL:
+        return [PHYSICAL[kind]]
+    return [taken[kind] for taken in map(library.object_modifiers, models) if kind in taken]
+
+
+def _kinds(models: Iterable[str], library: ModelLibrary) -> list[str]:
+    return sorted({kind for model in models for kind in library.object_modifiers(model)} | set(PHYSICAL))
+
+
+def _check_value(document: Document, path: Path, kind: str, value: Scalar, takers: list[ModifierModel]) -> None:
+    """Refuse a value that none of the modifiers allows."""
+    problems = []
+    for taker in takers:
+        try:
+            taker.check("", kind, value)
+        except ConfigError as error:
+            problems.append(str(error).removeprefix(": "))
+        else:
+            return
+    if kind in SPOKEN:
+        words = {word for taker in takers for word in taker.words(kind)}
+        raise document.error(path, f"unknown {kind} '{value}'; {one_of(words, str(value))}")
+    raise document.error(path, problems[0])
