@@ -12,12 +12,15 @@ from roboxim_bringup.task_choice import task_text
 from roboxim_core.models.library import ModelLibrary
 from roboxim_tasks.config import merged
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills.placing import fits, region_of
 
 OBJECTS = ("cube", "apple", "soda_can", "onion", "cucumber", "knife")
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
 ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
 """Skills that make sense for whatever can be grasped; the others for what their configuration lists."""
 DRAWERS = ("top", "middle", "bottom")
+NOT_AS_CONTAINER = ("cabinet", "mug")
+"""A cabinet's top drawer has a cell of its own; nothing fits into a mug."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,8 @@ class Cell:
     """Whether it is one of the combinations that every robot-learning suite has; they are measured more often."""
     change: dict[str, Any] = field(default_factory=dict)
     """What differs from the skill's own configuration."""
+    task: str = ""
+    """Task of ``config/tasks`` that it is, if not the skill's own."""
 
     @property
     def name(self) -> str:
@@ -42,7 +47,7 @@ class Cell:
 
     def config(self) -> str:
         """Return the task configuration as YAML text, with the workspace camera alone."""
-        plain = yaml.safe_load(task_text(skill=self.skill))
+        plain = yaml.safe_load(task_text(self.task) if self.task else task_text(skill=self.skill))
         cameras = {"reset": {"cameras": {**plain["reset"].get("cameras", {}), "names": ["workspace"]}}}
         clutter = {"distractors": {"minimum": self.clutter, "maximum": self.clutter}}
         return yaml.safe_dump(merged(merged(merged(plain, cameras), clutter), self.change))
@@ -71,14 +76,29 @@ def _other_cells() -> Iterator[dict[str, Any]]:
     for drawer in DRAWERS:
         yield {"skill": "close_drawer", "thing": drawer, "core": False, "change": _drawer(drawer)}
     for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button"}):
-        models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]
-        if skill in ANY_OBJECT:
-            models = [
-                model for model in library.object_ids if SKILLS[skill].roles["target"].suits(library.object(model))
-            ]
+        role = SKILLS[skill].roles["target"]
+        models = [model for model in library.object_ids if role.suits(library.object(model))]
+        if skill == "put_into":
+            bowl = region_of(library.object("bowl"), "interior")
+            models = [model for model in models if fits(library.object(model), bowl)]
+        elif skill not in ANY_OBJECT:
+            models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]
         for model in models:
             if (skill, model) not in done:
                 yield {"skill": skill, "thing": model, "core": False, "change": _objects(target=model)}
+    yield from _other_places(library)
+
+
+def _other_places(library: ModelLibrary) -> Iterator[dict[str, Any]]:
+    """Yield the cells of what a thing is put on or into, with the targets of the skill's own task."""
+    for skill, role in (("place_on", "support"), ("stack", "support"), ("put_into", "container")):
+        configured = yaml.safe_load(task_text(skill=skill))["objects"][role]["models"]["values"]
+        for model in library.object_ids:
+            known = configured + list(NOT_AS_CONTAINER if role == "container" else ())
+            if SKILLS[skill].roles[role].suits(library.object(model)) and model not in known:
+                change = yaml.safe_load(task_text(skill=skill, objects=(f"{role}={model}",)))
+                yield {"skill": skill, "thing": f"{role}_{model}", "core": False, "change": change}
+    yield {"skill": "put_into", "thing": "top_drawer", "core": False, "task": "put_into_drawer"}
 
 
 def _objects(**models: str) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 import yaml
 
-from roboxim_core.config import config_dirs, named_config
+from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
 
 DEFAULT_TASK = "pick_cube"
@@ -29,10 +30,10 @@ def task_text(
     Raises:
         ConfigError: When there is no such task or skill, or the result is not valid.
     """
-    from roboxim_tasks.config import parse_task_config
+    from roboxim_tasks.config import any_task_config
 
-    text = _base(task, skill)
-    parse_task_config(text)
+    text, source = _base(task, skill)
+    any_task_config(parse_yaml(text, source=source), source=source)
     if not (objects or distractors or colors):
         return text
     data: dict[str, Any] = yaml.safe_load(text) or {}
@@ -53,26 +54,32 @@ def task_text(
         target = changed.setdefault("objects", {}).setdefault("target", {})
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
     text = yaml.safe_dump(data, sort_keys=False)
-    parse_task_config(text)
+    any_task_config(data, source=f"{source} with the command line's options")
     return text
 
 
-def _base(task: str, skill: str) -> str:
+def _base(task: str, skill: str) -> tuple[str, str]:
+    """Return a task configuration's text, and where it stands."""
     from roboxim_tasks.skills import SKILLS
 
     if task and skill:
         raise ConfigError(f"give either --task {task} or --skill {skill}: a task has a skill of its own")
     if not skill:
-        return named_config("tasks", task or DEFAULT_TASK).read_text()
+        return _read(named_config("tasks", task or DEFAULT_TASK))
     if skill not in SKILLS:
         raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
     files = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
-    return next((file.read_text() for file in files if file.is_file()), f"skill: {skill}\n")
+    return next((_read(file) for file in files if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
+
+
+def _read(file: Path) -> tuple[str, str]:
+    return file.read_text(), str(file)
 
 
 def _set_models(data: dict[str, Any], item: str) -> None:
-    """Set the models of a role, and drop the modifiers that none of them takes."""
+    """Set the models of a role, and drop the modifiers and those of their values that none of the models takes."""
     from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.models.modifiers import PHYSICAL
 
     library = ModelLibrary()
     role, _, models = item.rpartition("=")
@@ -81,7 +88,21 @@ def _set_models(data: dict[str, Any], item: str) -> None:
         if name not in library.object_ids:
             raise ConfigError(f"--object {item}: unknown object '{name}'; {one_of(library.object_ids, name)}")
     config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
-    taken = {kind for name in names for kind in library.object_modifiers(name)}
     config["models"] = {"values": names}
-    config["modifiers"] = {kind: choice for kind, choice in config.get("modifiers", {}).items() if kind in taken}
+    modifiers = {}
+    for kind, choice in config.get("modifiers", {}).items():
+        takers = [taken[kind] for taken in map(library.object_modifiers, names) if kind in taken]
+        kept = choice
+        if kind != "scale" and kind not in PHYSICAL:
+            kept = _only(choice, {word for taker in takers for word in taker.words(kind)})
+        if kind in PHYSICAL or (takers and kept):
+            modifiers[kind] = kept
+    config["modifiers"] = modifiers
     data["objects"][role or "target"] = config
+
+
+def _only(choice: dict[str, Any], allowed: Collection[Any]) -> dict[str, Any]:
+    """Return a list's values that are allowed, with their weights; empty when none is."""
+    places = [i for i, value in enumerate(choice["values"]) if value in allowed]
+    lists = {key: [choice[key][i] for i in places] for key in ("values", "weights") if choice.get(key)}
+    return {**choice, **lists} if places else {}

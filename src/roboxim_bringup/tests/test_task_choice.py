@@ -33,6 +33,9 @@ def test_a_skill_with_objects_of_one_s_own():
 def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_job_s():
     data = yaml.safe_load(task_text(objects=("cucumber",)))
     assert data["objects"]["target"]["modifiers"] == {}
+    stack = parse_task_config(task_text(skill="stack", objects=("apple",)))  # apples are never blue
+    assert stack.objects["target"].modifiers["color"].values == ("red", "green", "yellow")
+    assert set(stack.objects["support"].modifiers["color"].values) > {"blue"}
     assert parse_task_config(task_text()).skill == "pick_up"
     assert parse_task_config(task_text("skill_object_baseline", distractors="3")).cells[0].distractors.minimum == 3
 
