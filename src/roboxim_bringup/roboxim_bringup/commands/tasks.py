@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
+from typing import Any
 
 import click
 
@@ -15,8 +18,12 @@ def command() -> None:
 @command.command("list")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def list_tasks(as_json: bool) -> None:
-    """List the skills with the objects that suit them, and the tasks of config/tasks and of your own folders."""
+    """List the skills with the objects that suit them, and the tasks of config/tasks and of your own folders.
+
+    A task whose file is wrong is an error at the end; the others are listed all the same.
+    """
     from roboxim_core.config import config_dirs, named_config
+    from roboxim_core.errors import ConfigError
     from roboxim_core.models.library import ModelLibrary
     from roboxim_tasks.config import TaskMix, load_task_config
     from roboxim_tasks.skills import SKILLS
@@ -33,18 +40,28 @@ def list_tasks(as_json: bool) -> None:
         }
         for name in SKILLS
     }
-    tasks = {}
+    tasks, broken = {}, {}
     names = {path.stem for folder in config_dirs() for path in (folder / "tasks").glob("*.yaml")}
     for name in sorted(names):
-        config = load_task_config(name)
+        try:
+            config = load_task_config(name)
+        except ConfigError as error:
+            broken[name] = str(error)
+            continue
         if isinstance(config, TaskMix):
             about = {"skills": sorted({c.skill for c in config.cells}), "episodes": sum(config.counts)}
         else:
             about = {"skills": [config.skill], "episodes": None}
-        tasks[name] = {"about": _first_comment(named_config("tasks", name).read_text()), **about}
+        tasks[name] = {"about": _first_sentence(named_config("tasks", name).read_text()), **about}
     if as_json:
-        click.echo(json.dumps({"skills": skills, "tasks": tasks}, indent=2))
-        return
+        click.echo(json.dumps({"skills": skills, "tasks": tasks, "broken": broken}, indent=2))
+    else:
+        _show(skills, tasks)
+    if broken:
+        raise ConfigError("\n".join(broken.values()))
+
+
+def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
     click.secho("skills (roboxim generate --skill NAME --object MODEL)", bold=True)
     for name, entry in skills.items():
         click.echo(f"  {name:<20} {entry['instruction']}")
@@ -62,6 +79,7 @@ def list_tasks(as_json: bool) -> None:
 @click.option("--skill", default="", help="A skill instead of a task.")
 @click.option("--object", "objects", multiple=True, metavar="[ROLE=]MODEL[,MODEL]", help="Object models of a role.")
 @click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
+@click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
 @click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="How many.")
 @click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first.")
@@ -71,7 +89,7 @@ def list_tasks(as_json: bool) -> None:
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="As JSON, one task a line.")
 def sample(
-    task: str, skill: str, objects: tuple[str, ...], distractors: str, seed: int, count: int, first: int,
+    task: str, skill: str, objects: tuple[str, ...], distractors: str, colors: str, seed: int, count: int, first: int,
     purpose: str, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Print the tasks of a seed: the very ones that generate and evaluate run.
@@ -89,7 +107,8 @@ def sample(
     from roboxim_tasks.roles import description, task_distractors
 
     generator = EpisodeGenerator(ModelLibrary())
-    config = parse_task_config(task_text(task, skill=skill, objects=objects, distractors=distractors))
+    text = task_text(task, skill=skill, objects=objects, distractors=distractors, colors=colors)
+    config = parse_task_config(text)
     for index in range(first, first + count):
         drawn = generator.task(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
         if as_json:
@@ -101,7 +120,9 @@ def sample(
         )
 
 
-def _first_comment(text: str) -> str:
-    """Return the sentence that a file begins with."""
-    line = text.partition("\n")[0]
-    return line.removeprefix("#").strip() if line.startswith("#") else ""
+def _first_sentence(text: str) -> str:
+    """Return the sentence that a file begins with, a comment of one line or more."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    comment = " ".join(line.lstrip("#").strip() for line in lines)
+    end = re.search(r"[.!?](?=\s+[A-Z`]|$)", comment)
+    return comment[: end.end()] if end else comment
