@@ -64,3 +64,18 @@ def test_an_export_says_that_its_run_is_not_finished(tmp_path):
     with RunFolder(run).opened({"purpose": "demo", "episodes": 1}):
         pass
     assert _unfinished(run) == ""
+
+
+def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):
+    (tmp_path / "tasks").mkdir()
+    broken = tmp_path / "tasks" / "broken.yaml"
+    broken.write_text("# Mine.\nskill: pick_upp\n")
+    (tmp_path / "tasks" / "whole.yaml").write_text("# Pick up, e.g. a\n# cube. Nothing else.\nskill: pick_up\n")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    result = CliRunner().invoke(group, ["tasks", "list"])
+    assert f"{broken} is not valid: skill (line 2)" in str(result.exception)
+    assert "  Pick up, e.g. a cube.\n" in result.stdout
+    assert f"{broken} is not valid: skill (line 2)" in mistake("tasks", "sample", "--task", broken)
+    assert "pick_cube.yaml with the command line's options is not valid" in mistake(
+        "tasks", "sample", "--colors", "puce"
+    )
