@@ -11,13 +11,13 @@ from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext
 from roboxim_tasks.config import TaskConfig, TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.rejection import RejectedError
-from roboxim_tasks.roles import description, fits_description, task_objects
+from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.solvable import CONSTRAINT, Solvability
 from roboxim_tasks.visible import Visibility
@@ -66,8 +66,11 @@ class EpisodeGenerator:
             ConfigError: When the configuration names what does not exist.
         """
         cell, ordinal = config.at(seed.index)
-        context = GenerationContext(seed=seed, config=cell, library=self._library, ordinal=ordinal)
-        return SKILLS[cell.skill].generate(context)
+        skill = SKILLS[cell.skill]
+        context = GenerationContext(
+            seed=seed, config=cell, library=self._library, roles=skill.roles, ordinal=ordinal
+        )  # fmt: skip
+        return skill.generate(context)
 
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
         """Draw the scene of a task.
@@ -80,7 +83,8 @@ class EpisodeGenerator:
             ConfigError: When the configuration names what does not exist.
         """
         base = named("scenes", config.scene, SceneSpec)
-        _check_unambiguous(base, config, task, self._library)
+        wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
+        _check_unambiguous(base, config, task, wording)
         arm = self._arm(base.robot.model)
         context = ResetContext(
             seed=seed,
@@ -103,6 +107,8 @@ class EpisodeGenerator:
             context.draws += 1
             try:
                 drawn = _apply(scene, [c for c in components if c.places], context)
+                if any(wording.mistakable(drawn, task)):
+                    raise RejectedError("instruction_unambiguous")
                 self._check(drawn, context)
                 return drawn
             except RejectedError as error:
@@ -127,16 +133,13 @@ class EpisodeGenerator:
         return self._arms[model]
 
 
-def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, library: ModelLibrary) -> None:
-    """Refuse a scene that already has an object which an instruction names."""
-    for entity in base.entities:
-        noun = library.entity_model(entity).name
-        thing = PhysicalObject(entity=entity.name, model=entity.model, name=noun, modifiers=entity.modifiers)
-        if any(fits_description(thing, named, library) for named in task_objects(task)):
-            raise ConfigError(
-                f"scene '{config.scene}' already has a {description(thing)} ('{entity.name}'), so '{task.instruction}' "
-                "would not name one solution; take it out of the scene or restrict the task's objects"
-            )
+def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, wording: Wording) -> None:
+    """Refuse a scene that already has an object which an instruction could mean."""
+    for thing in wording.mistakable(base, task):
+        raise ConfigError(
+            f"scene '{config.scene}' already has a {description(thing)} ('{thing.entity}'), so '{task.instruction}' "
+            "would not name one solution; take it out of the scene or restrict the task's objects"
+        )
 
 
 def _apply(scene: SceneSpec, components: list[ResetComponent], context: ResetContext) -> SceneSpec:
