@@ -34,7 +34,10 @@ _INT_RANGES = {
     for sign in ("", "u")
 } | {"octet": (0, 255)}
 SHOWN_ELEMENTS = 64
-"""Longer arrays are shortened unless asked for in full."""
+"""Longer arrays are shortened to so many elements unless asked for in full."""
+WHOLE_MESSAGES, SHOWN_MESSAGES = 16, 4
+"""Arrays of more messages than the first, e.g. a trajectory's points, are shortened to the second: each takes several
+lines."""
 
 
 def _share_folders() -> list[Path]:
@@ -189,7 +192,8 @@ def message_to_plain(message: Any, *, full: bool = False) -> Any:
 
     Args:
         message: The message.
-        full: Keep long arrays; otherwise they are cut to `SHOWN_ELEMENTS`, the last element saying so.
+        full: Keep long arrays; otherwise they are cut to `SHOWN_ELEMENTS`, or `SHOWN_MESSAGES` of more than
+            `WHOLE_MESSAGES`, the last element saying so.
     """
     if hasattr(message, "get_fields_and_field_types"):
         kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
@@ -201,7 +205,8 @@ def _plain(value: Any, kind: Any, full: bool) -> Any:
     if isinstance(kind, NamespacedType):
         return message_to_plain(value, full=full)
     if isinstance(kind, Array | AbstractSequence):
-        shown = value if full else value[:SHOWN_ELEMENTS]
+        messages = isinstance(kind.value_type, NamespacedType) and len(value) > WHOLE_MESSAGES
+        shown = value if full else value[: SHOWN_MESSAGES if messages else SHOWN_ELEMENTS]
         items = [_plain(item, kind.value_type, full) for item in _items(shown)]
         if len(value) > len(items):
             items.append(f"... {len(value) - len(items)} more, {len(value)} in all (--full shows them)")

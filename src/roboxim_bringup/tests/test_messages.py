@@ -5,6 +5,7 @@ from roboxim_interfaces.msg import TickNotice
 from roboxim_interfaces.srv import Tick
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import ByteMultiArray, Float32
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboxim_bringup import messages, yaml_text
 from roboxim_core.errors import ConfigError
@@ -84,6 +85,11 @@ def test_long_arrays_are_shortened_unless_asked_for():
     assert len(shown) == messages.SHOWN_ELEMENTS + 1
     assert "1000 in all" in shown[-1]
     assert len(messages.message_to_plain(image, full=True)["data"]) == 1000
+    points = [JointTrajectoryPoint(positions=[0.0] * 7) for _ in range(100)]
+    shown = messages.message_to_plain(JointTrajectory(points=points))["points"]
+    assert shown[-1] == "... 96 more, 100 in all (--full shows them)"
+    assert len(shown) == messages.SHOWN_MESSAGES + 1
+    assert len(messages.message_to_plain(JointTrajectory(points=points[:16]))["points"]) == 16
 
 
 def test_floats_are_as_short_as_they_are_exact():
