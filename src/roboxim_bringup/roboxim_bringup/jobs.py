@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from roboxim_bringup.workers import WORKER_DIED, Progress, WorkerPool
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError
+from roboxim_sim.rendering import RENDERERS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,16 @@ class Job:
     """Renderer of every worker's sim."""
     policies: tuple[PolicyLaunch, ...] = field(default=())
     """Policies that every worker serves."""
+    policy_files: Mapping[str, str] = field(default_factory=dict)
+    """What they are made of: file to its content's hash; see `roboxim_policies.identity`."""
+
+    def __post_init__(self) -> None:
+        """Check the renderer's name; whether it works here shows when a scene is loaded.
+
+        Raises:
+            ConfigError: When no renderer has the name.
+        """
+        RENDERERS[self.renderer]
 
     @property
     def looking_renderer(self) -> str:
@@ -58,6 +69,13 @@ class Job:
             "workers": self.workers,
             "renderer": self.renderer,
             "policies": [to_plain(launch) for launch in self.policies],
+            **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
+        }
+
+    def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
+        """Return by index which of a folder's results are of this job and need no other try."""
+        return {
+            result.index: result for result in results if result.index < self.episodes and result.reason != WORKER_DIED
         }
 
 
@@ -90,11 +108,7 @@ def run_job(
         RoboximError: When a graph has a fault that a fresh worker does not cure.
     """
     with RunFolder(job.config.output_dir).opened(job.identity) as folder:
-        done = {
-            result.index: result
-            for result in folder.results()
-            if result.index < job.episodes and result.reason != WORKER_DIED
-        }
+        done = job.done(folder.results())
         missing = [index for index in range(job.episodes) if index not in done]
         for index in missing:
             folder.discard(index)

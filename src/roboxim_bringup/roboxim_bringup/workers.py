@@ -233,7 +233,7 @@ class _Worker(threading.Thread):
             index=job.index,
             outcome="error",
             reason=WORKER_DIED,
-            message=f"{MAX_TRIES} workers died at it; the last one: {message}",
+            message=f"{MAX_TRIES} workers died at it; the last one (its log: {self.log}): {message}",
         )
 
     def _run_episode(self, job: _Job) -> EpisodeResult:

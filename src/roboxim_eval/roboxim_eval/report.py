@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ class PolicyRun:
     """Name of the policy."""
     results: Sequence[EpisodeResult]
     """Its results."""
-    films: dict[str, Frames] = field(default_factory=dict)
+    films: Mapping[str, Frames] = field(default_factory=dict)
     """Episode id to frames, each of shape (height, width, 3), cameras side by side."""
     drawn: dict[str, dict[str, str]] = field(default_factory=dict)
     """Episode id to what its reset components have drawn by name, e.g. ``{"interaction_area": "left"}``."""

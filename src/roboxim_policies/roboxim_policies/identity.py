@@ -10,18 +10,20 @@ import ast
 import hashlib
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from roboxim_policies.base import find_policy
+from roboxim_core.policies import Policy
 from roboxim_policies.bc.checkpoint_file import checkpoint_file
 
 BLOCK = 1 << 20
 INSTALLED = {"site-packages", "dist-packages"}
 
 
-def policy_files(spec: str, options: Mapping[str, Any], *, exclude: Path | None = None) -> dict[str, str]:
+def policy_files(
+    spec: str, make: Callable[..., Policy], options: Mapping[str, Any], *, exclude: Path | None = None
+) -> dict[str, str]:
     """Return what a policy is made of.
 
     These are the Python file of its class, the files beside it (or in the working directory) that it imports, directly
@@ -30,6 +32,7 @@ def policy_files(spec: str, options: Mapping[str, Any], *, exclude: Path | None 
 
     Args:
         spec: As `load_policy` takes it.
+        make: What `find_policy` gives for it.
         options: Keyword arguments of its class.
         exclude: A folder that does not count, e.g. the one that results go to.
 
@@ -37,11 +40,10 @@ def policy_files(spec: str, options: Mapping[str, Any], *, exclude: Path | None 
         File as a user would name it to its content's hash, 32 hexadecimal digits; a folder has one hash.
 
     Raises:
-        ConfigError: When there is no such policy.
         OSError: When a file cannot be read.
     """
     found = {}
-    for path in _sources(spec):
+    for path in _sources(spec, make):
         found[_shown(path)] = _hash_file(path)
     for value in options.values():
         if not isinstance(value, str | Path) or not str(value):
@@ -54,13 +56,12 @@ def policy_files(spec: str, options: Mapping[str, Any], *, exclude: Path | None 
     return found
 
 
-def _sources(spec: str) -> list[Path]:
+def _sources(spec: str, make: Callable[..., Policy]) -> list[Path]:
     """Return the policy's own Python files: that of its class, and what this imports of files beside it."""
-    made = find_policy(spec)
-    where = spec.rpartition(":")[0] or made.__module__
+    where = spec.rpartition(":")[0] or make.__module__
     if where.partition(".")[0] == "roboxim_policies":
         return []
-    first = Path(where if where.endswith(".py") else sys.modules[where].__file__ or inspect.getfile(made)).resolve()
+    first = Path(where if where.endswith(".py") else sys.modules[where].__file__ or inspect.getfile(make)).resolve()
     root = first.parent
     while (root / "__init__.py").is_file():  # absolute imports start beside the outermost package
         root = root.parent

@@ -1,0 +1,184 @@
+"""What the command line of ``evaluate`` says of policies: their names, and what each is given."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import roboxim_policies.builtin  # noqa: F401 - registers what ships
+from roboxim_bringup.graph import PolicyLaunch
+from roboxim_bringup.parameters import parse_options
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.policies import Policy
+from roboxim_policies import POLICIES
+from roboxim_policies.base import find_policy, require_arguments
+from roboxim_policies.bc.checkpoint_file import read_description
+from roboxim_policies.identity import policy_files
+
+EXPERT = "expert"
+CHECKPOINT = "checkpoint"
+NAME = r"\w[\w-]*"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenPolicy:
+    """A policy that is to be evaluated."""
+
+    name: str
+    """Its name in the report; of its folder too."""
+    spec: str
+    """Registered name, ``module:Class``, ``path/to/file.py:Class`` or ``expert``."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Keyword arguments of its class."""
+    make: Callable[..., Policy] | None = None
+    """Its class or factory; none for the expert."""
+
+    @property
+    def launch(self) -> PolicyLaunch | None:
+        """How a worker serves it; none for the expert, which the task node serves."""
+        return None if self.make is None else PolicyLaunch(spec=self.spec, options=self.options)
+
+    @property
+    def takes_checkpoint(self) -> bool:
+        """Whether its class has an argument ``checkpoint``."""
+        return self.make is not None and CHECKPOINT in inspect.signature(self.make).parameters
+
+    @property
+    def robot(self) -> str:
+        """The robot that it was trained with; empty where nothing says so."""
+        return str(read_description(Path(self.options[CHECKPOINT])).get("robot", "")) if self.spec == "bc" else ""
+
+    def files(self, out: Path) -> dict[str, str]:
+        """Return what it is made of, see `policy_files`; what lies in the results' folder does not count."""
+        return {} if self.make is None else policy_files(self.spec, self.make, self.options, exclude=out)
+
+
+def choose_policies(
+    policies: Sequence[str], checkpoints: Sequence[str] = (), options: Sequence[str] = ()
+) -> list[ChosenPolicy]:
+    """Read the options, and find each policy without making it.
+
+    Args:
+        policies: ``[NAME=]SPEC``; the name is the class's or the registered one if none is given.
+        checkpoints: ``[NAME=]PATH``; without a name it is for the policies that take a checkpoint and have no other.
+        options: ``[NAME.]KEY=VALUE``; without a name it is for the first policy.
+
+    Raises:
+        ConfigError: When names are equal, there is no such policy, or one is given what it does not take.
+        PolicyError: When the module of one raises, saying where.
+    """
+    chosen: dict[str, ChosenPolicy] = {}
+    for word in policies:
+        policy = _named(word)
+        if policy.name in chosen:
+            raise ConfigError(
+                f"two policies are called '{policy.name}'; give one another name, e.g. --policy {policy.name}-2="
+                f"{policy.spec}"
+            )
+        chosen[policy.name] = policy
+    for name, given in _options(list(chosen), options).items():
+        chosen[name] = replace(chosen[name], options=given)
+    for name, path in _checkpoints(chosen, checkpoints).items():
+        chosen[name] = replace(chosen[name], options={**chosen[name].options, CHECKPOINT: path})
+    for policy in chosen.values():
+        _require_whole(policy)
+    return list(chosen.values())
+
+
+def _named(word: str) -> ChosenPolicy:
+    """Find a policy by ``[NAME=]SPEC``."""
+    found = re.fullmatch(rf"({NAME})=(.+)", word)
+    spec = found[2] if found else word
+    make = _find(spec)
+    name = found[1] if found else Path(spec).name.rpartition(":")[2] or spec
+    if not re.fullmatch(NAME, name):
+        raise ConfigError(
+            f"--policy {word} gives no name for its folder; name it with letters, digits, - and _, e.g. "
+            "--policy mine=file.py:MyPolicy"
+        )
+    return ChosenPolicy(name=name, spec=spec, make=make)
+
+
+def _find(spec: str) -> Callable[..., Policy] | None:
+    if spec == EXPERT:
+        return None
+    if ":" not in spec and spec not in POLICIES:
+        hint = f"; a class in a file is {spec}:CLASS" if spec.endswith(".py") else ""
+        raise ConfigError(f"unknown policy '{spec}'; {one_of([*POLICIES, EXPERT], spec)}{hint}")
+    return find_policy(spec)
+
+
+def _options(names: Sequence[str], words: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the options by policy."""
+    sorted_words: dict[str, list[str]] = {}
+    for word in words:
+        name, dot, _ = word.partition("=")[0].partition(".")
+        if dot and name not in names:
+            raise ConfigError(f"--option {word}: no policy '{name}'; {one_of(names, name)}")
+        sorted_words.setdefault(name if dot else names[0], []).append(word[len(name) + 1 :] if dot else word)
+    return {name: parse_options(given) for name, given in sorted_words.items()}
+
+
+def _checkpoints(chosen: dict[str, ChosenPolicy], words: Sequence[str]) -> dict[str, str]:
+    """Return the checkpoints by policy, as absolute paths."""
+    found: dict[str, str] = {}
+    shared: list[str] = []
+    for word in words:
+        name, equals, path = word.partition("=")
+        if not equals or Path(word).exists():
+            shared.append(word)
+        elif name not in chosen:
+            raise ConfigError(f"--checkpoint {word}: no policy '{name}'; {one_of(chosen, name)}")
+        elif name in found:
+            raise ConfigError(f"--checkpoint gives '{name}' two, {found[name]} and {path}")
+        else:
+            found[name] = path
+    if len(shared) > 1:
+        raise ConfigError(
+            f"--checkpoint {' and '.join(shared)}: say which policy each is for, e.g. --checkpoint "
+            f"{next(iter(chosen))}={shared[0]}"
+        )
+    for path in shared:
+        open_ones = [
+            policy.name for policy in chosen.values()
+            if policy.takes_checkpoint and policy.name not in found and CHECKPOINT not in policy.options
+        ]  # fmt: skip
+        if not open_ones:
+            raise ConfigError(
+                f"--checkpoint {path}: none of the policies takes it ({', '.join(chosen)}); leave it out, or name the "
+                "policy that it is for with --checkpoint NAME=PATH"
+            )
+        kinds = Counter(chosen[name].spec for name in open_ones)
+        if len(kinds) > 1:
+            raise ConfigError(
+                f"--checkpoint {path}: {' and '.join(open_ones)} take one; say which it is for, e.g. --checkpoint "
+                f"{open_ones[0]}={path}"
+            )
+        found |= dict.fromkeys(open_ones, path)
+    for name, path in found.items():
+        if not Path(path).exists():
+            raise ConfigError(f"no checkpoint at {path}; give a file or a folder, e.g. what roboxim train bc wrote")
+        if CHECKPOINT in chosen[name].options:
+            raise ConfigError(f"policy '{name}' has a checkpoint by --option and by --checkpoint; give one of them")
+    return {name: str(Path(path).resolve()) for name, path in found.items()}
+
+
+def _require_whole(policy: ChosenPolicy) -> None:
+    """Check what a policy is given as far as that needs no network and no GPU."""
+    if policy.make is None:
+        if policy.options:
+            raise ConfigError(f"the expert takes no options, got {', '.join(policy.options)}")
+        return
+    if policy.spec == "bc" and CHECKPOINT not in policy.options:
+        raise ConfigError(
+            f"policy '{policy.name}' needs --checkpoint, e.g. the folder that roboxim train bc wrote; for one of "
+            f"several policies: --checkpoint {policy.name}=PATH"
+        )
+    require_arguments(policy.spec, policy.make, policy.options)
+    if policy.spec == "bc":
+        read_description(Path(policy.options[CHECKPOINT]))
