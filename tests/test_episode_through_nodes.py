@@ -88,6 +88,19 @@ def test_failed_attempts_are_set_apart_and_nothing_partial_stays(graph, tmp_path
     assert not list(Path(tmp_path, ".partial").glob("*"))
 
 
+def test_an_episode_whose_scene_is_not_settled_leaves_no_bag_and_does_not_stop_the_run(graph, tmp_path):
+    scene = tmp_path / "falling.yaml"
+    scene.write_text("entities: [{name: ball, model: apple, pose: {position: [0.3, 0.4, 0.5]}}]\n")
+    task = f"scene: {scene}\nskill: pick_up\nreset: {{cameras: {{names: []}}}}\n"
+    config = RunConfig(purpose="demo", output_dir=str(tmp_path), max_steps=2, max_attempts=2, task_config=task)
+    results = run(graph, config, (0, 1))
+    assert [(r.outcome, r.reason, r.attempt, r.bag) for r in results] == [("error", "reset_infeasible", 1, "")] * 2
+    assert all("ball_unsettled" in result.message for result in results)
+    assert not list(tmp_path.rglob("*.mcap"))
+    (result,) = run(graph, RunConfig(**SMALL, output_dir=str(tmp_path), max_steps=2))
+    assert result.reason == "not_grasped", "the sim is free again"
+
+
 def test_wrong_configuration_is_refused_with_its_reason(graph, tmp_path):
     bad_task = "skill: pick_upp\n"
     with pytest.raises(RoboximError, match="pick_up"):
