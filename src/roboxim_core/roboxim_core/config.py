@@ -74,13 +74,13 @@ def _misfits(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tup
     """Yield where a list or a mapping is expected and something else given: its path, and what is wrong."""
     arms = [arm for arm in get_args(kind) if arm is not type(None)]
     if get_origin(kind) in (Union, type(str | int)) and len(arms) == 1:
+        if value is None:
+            return
         kind, arms = arms[0], list(get_args(arms[0]))
-    origin = get_origin(kind)
-    if value is None:
-        return
+    origin, given = get_origin(kind), "nothing" if value is None else repr(value)
     if origin in (tuple, list):
         if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-            yield path, f"expected a list, got {value!r}"
+            yield path, f"expected a list, got {given}"
             return
         kinds = arms if origin is tuple and Ellipsis not in arms else itertools.repeat(arms[0])
         if any(get_origin(arm) is not None for arm in arms):
@@ -88,7 +88,7 @@ def _misfits(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tup
                 yield from _misfits(below, item, (*path, index))
     elif origin in (dict, Mapping):
         if not isinstance(value, Mapping):
-            yield path, f"expected a mapping, got {value!r}"
+            yield path, f"expected a mapping, got {given}"
             return
         for key, item in value.items():
             yield from _misfits(arms[1], item, (*path, key))

@@ -113,6 +113,11 @@ def test_data_of_two_files_says_which_line_of_which():
         ("{entities: [{name: a, model: cube, modifiers: [red]}]}", "modifiers.*expected a mapping"),
         ("robot: {joint_positions: 3}", "joint_positions.*expected a list, got 3"),
         ("{entities: [{name: a, model: cube, joint_positions: 3}]}", r"entities\.0\.joint_positions \(line 1\)"),
+        ("entities:", r"entities \(line 1\): expected a list, got nothing"),
+        (
+            "entities:\n  - {name: a, model: cube, modifiers: }",
+            r"modifiers \(line 2\): expected a mapping, got nothing",
+        ),
         ("control_rate_hz: .nan", "control_rate_hz.*finite"),
         ("\0", "not valid YAML"),
     ],

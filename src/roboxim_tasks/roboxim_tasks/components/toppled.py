@@ -21,6 +21,16 @@ class ToppledResetConfig:
     gap_m: float = 0.03
     """Free space around it [m]."""
 
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: On a yaw that is no number, or a negative gap.
+        """
+        self.yaw_rad.require_numbers("yaw_rad")
+        if self.gap_m < 0:
+            raise ConfigError(f"gap_m must be >= 0, got {self.gap_m:g}")
+
 
 @register
 class ToppledReset(ResetComponent):
