@@ -47,6 +47,7 @@ def data(count: int = 24) -> Demonstrations:
         [episode(rng, ("red", "blue")[i % 2]) for i in range(count)],
         camera_sizes={"workspace": (32, 32), "wrist": (16, 16)},
         semantics=ActionSemantics(),
+        robot="panda",
     )
 
 
@@ -98,6 +99,7 @@ def test_it_describes_what_it_was_trained_on(trained):
     assert description.semantics == ActionSemantics()
     assert description.version.startswith("step 300, ")
     assert not description.privileged
+    assert load_checkpoint(trained[0]).robot == "panda"
     with pytest.raises(ConfigError, match="1..4"):
         BCPolicy(trained[0], execute=5)
 

@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import digest as digest_of
 from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
@@ -44,6 +45,7 @@ METADATA = {
     "skill": "text",
     "success": "bool",
     "actor": "text",
+    "robot": "text",
     "action_semantics": "text",
     "cameras": "text",
     "task": "text",
@@ -147,6 +149,7 @@ def export_rlds(
     sources, left_out = _select(bags, config)
     cameras = _cameras(sources, config)
     semantics = _semantics(sources)
+    _require_one_robot(sources)
     identity = _identity(sources, config)
     path = Path(target) / config.name / config.version
     if if_exists == "keep" and _exported_identity(path) == identity:
@@ -164,7 +167,7 @@ def export_rlds(
             name=config.name,
             version=config.version,
             description=_describe(sources, semantics),
-            identity=identity,
+            identity=f"{identity} {digest_of(METADATA)}",
             overwrite=if_exists == "overwrite",
             shard_bytes=config.shard_mib << 20,
         )
@@ -245,6 +248,18 @@ def _semantics(sources: Sequence[_Source]) -> ActionSemantics:
                 ErrorCode.EXPORT_REFUSED,
             )
     return semantics
+
+
+def _require_one_robot(sources: Sequence[_Source]) -> None:
+    bags: dict[str, list[Path]] = {}
+    for source in sources:
+        bags.setdefault(source.info.scene.robot.model, []).append(source.path)
+    if len(bags) > 1:
+        counts = ", ".join(f"{len(paths)} of {robot} (e.g. {paths[0].name})" for robot, paths in sorted(bags.items()))
+        raise RecorderError(
+            f"the bags are of several robots: {counts}; export each from a folder of its own",
+            ErrorCode.EXPORT_REFUSED,
+        )
 
 
 def _identity(sources: Sequence[_Source], config: ExportConfig) -> str:
@@ -332,6 +347,7 @@ def _metadata(source: _Source, cameras: dict[str, str]) -> dict[str, MetaValue]:
         "skill": info.task.skill,
         "success": source.result.outcome == "success",
         "actor": info.actor,
+        "robot": info.scene.robot.model,
         "action_semantics": to_json(info.semantics),
         "cameras": json.dumps({key: name for name, key in cameras.items()}, sort_keys=True),
         "task": to_json(info.task),

@@ -31,6 +31,7 @@ def bag_info(path: Path | str) -> str:
         f"task          {info.task.skill}: " + ", ".join(f"{r}={o.entity}" for r, o in info.task.objects.items()),
         f"outcome       {_outcome(reader)}",
         f"ticks         {len(reader)} ({seconds:g} s at {info.scene.control_rate_hz:g} Hz)",
+        f"robot         {info.scene.robot.model}",
         f"actor         {info.actor}",
         f"seed          run {info.run_seed}, {info.purpose}, index {info.index}, attempt {info.attempt}",
         "cameras       " + ", ".join(f"{c.name} {c.width}x{c.height}" for c in info.scene.cameras),
@@ -74,6 +75,8 @@ class DatasetSummary:
     """Reason of failure to number of bags, set apart ones included."""
     instructions: dict[str, int]
     """Instruction to number of kept bags."""
+    robots: dict[str, int]
+    """Robot to number of kept bags; a good data set has one."""
     semantics: tuple[ActionSemantics, ...]
     """Action semantics that occur; a good data set has one."""
 
@@ -92,6 +95,7 @@ class DatasetSummary:
                 f"size          {self.size_bytes / 2**20:.1f} MiB",
                 f"failures      {listed(self.reasons)}",
                 f"instructions  {listed(self.instructions)}",
+                f"robots        {listed(self.robots)}",
                 f"semantics     {len(self.semantics)} kind(s)",
             ]
         )
@@ -107,12 +111,14 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
     outcomes: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
     instructions: Counter[str] = Counter()
+    robots: Counter[str] = Counter()
     semantics: dict[ActionSemantics, None] = {}
     ticks = size = 0
     for bag in bags:
         reader = BagReader(bag)
         outcomes[_named(reader.result)] += 1
         instructions[reader.info.task.instruction] += 1
+        robots[reader.info.scene.robot.model] += 1
         semantics[reader.info.semantics] = None
         ticks += len(reader)
         size += reader.file.stat().st_size
@@ -129,6 +135,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
         outcomes=dict(outcomes.most_common()),
         reasons=dict(reasons.most_common()),
         instructions=dict(instructions.most_common()),
+        robots=dict(robots.most_common()),
         semantics=tuple(semantics),
     )
 

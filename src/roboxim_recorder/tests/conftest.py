@@ -20,7 +20,7 @@ from tf2_msgs.msg import TFMessage
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, SceneSpec, TaskSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, RobotSpec, SceneSpec, TaskSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.recording import EpisodeRecording
@@ -38,11 +38,12 @@ class FakeEpisode:
     settle: int = 2
     outcome: str = "success"
     instruction: str = "Pick up the red cube"
+    robot: str = "panda"
 
     @property
     def scene(self) -> SceneSpec:
         cube = EntitySpec(name="target", model="cube", modifiers={"color": "red", "scale": 1.5})
-        return SceneSpec(entities=(cube,), cameras=CAMERAS)
+        return SceneSpec(robot=RobotSpec(model=self.robot), entities=(cube,), cameras=CAMERAS)
 
     @property
     def info(self) -> EpisodeInfo:

@@ -13,6 +13,7 @@ from roboxim_core.config import from_json
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_core.rlds import RldsReader
 from roboxim_recorder.rlds import ExportConfig, export_rlds
+from roboxim_recorder.summary import bag_info, dataset_summary
 
 PNG = ExportConfig(encoding="png")
 
@@ -38,6 +39,7 @@ def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
     for index, exported in zip((0, 1, 2, 4), episodes, strict=True):
         episode = fake(index=index)
         assert exported.metadata["episode_id"] == episode.info.episode_id
+        assert exported.metadata["robot"] == "panda"
         assert from_json(exported.metadata["action_semantics"], ActionSemantics) == episode.info.semantics
         assert exported.instruction == episode.instruction
         assert exported.reward.tolist() == [0, 0, 0, 0, 1]
@@ -127,6 +129,16 @@ def test_images_are_resized_and_cameras_chosen(run, tmp_path):
     assert next(reader.episodes("train")).frames("hand").shape == (5, 8, 12, 3)
     with pytest.raises(InvalidRequestError, match="no camera 'wirst'.*did you mean 'wrist'"):
         export_rlds(run, tmp_path / "out", ExportConfig(cameras={"wirst": "image"}))
+
+
+def test_bags_of_several_robots_are_refused_and_named(tmp_path, fake):
+    fake(index=0).record(tmp_path / "run")
+    fake(index=1, robot="ur5").record(tmp_path / "run")
+    with pytest.raises(RecorderError, match=r"1 of panda .*demo-0-00000-0.*, 1 of ur5 .*demo-0-00001-0") as caught:
+        export_rlds(tmp_path / "run", tmp_path / "out")
+    assert caught.value.code == ErrorCode.EXPORT_REFUSED
+    assert dataset_summary(tmp_path / "run").robots == {"panda": 1, "ur5": 1}
+    assert "robot         ur5" in bag_info(tmp_path / "run" / "episodes" / "demo-0-00001-0")
 
 
 def test_nothing_to_export_is_refused(tmp_path, fake):

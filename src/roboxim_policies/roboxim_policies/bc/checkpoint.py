@@ -68,6 +68,8 @@ class Checkpoint:
     """Camera name to the side of the network's input [px]."""
     semantics: ActionSemantics
     """Meaning of the actions."""
+    robot: str
+    """Id of the robot model that demonstrated; empty where nothing said so."""
     identity: str
     """Hash of configuration and data."""
     digest: str
@@ -126,6 +128,7 @@ def save_checkpoint(
         "camera_sizes": {name: list(size) for name, size in data.camera_sizes.items()},
         "input_sizes": {name: int(images.shape[1]) for name, images in data.images.items()},
         "semantics": to_plain(data.semantics),
+        "robot": data.robot,
         "identity": Checkpoint.identity_of(config, data),
         "digest": hashlib.blake2b(arrays[-1].tobytes(), digest_size=8).hexdigest(),
         "episodes": data.episodes,
@@ -165,6 +168,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         camera_sizes={name: (int(w), int(h)) for name, (w, h) in said["camera_sizes"].items()},
         input_sizes=said["input_sizes"],
         semantics=from_plain(said["semantics"], ActionSemantics, source=str(file)),
+        robot=said.get("robot", ""),
         identity=said["identity"],
         digest=said["digest"],
         arrays=arrays,

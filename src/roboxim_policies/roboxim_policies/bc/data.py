@@ -70,6 +70,8 @@ class Demonstrations:
     """Meaning of the actions."""
     episodes: int
     """Number of episodes."""
+    robot: str = ""
+    """Id of the robot model that demonstrated; empty where the data set does not say."""
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -119,6 +121,7 @@ def assemble(
     *,
     camera_sizes: Mapping[str, tuple[int, int]],
     semantics: ActionSemantics,
+    robot: str = "",
 ) -> Demonstrations:
     """Put demonstrations together.
 
@@ -126,6 +129,7 @@ def assemble(
         episodes: At least one, all with the same cameras.
         camera_sizes: Camera name to (width, height) before resizing [px].
         semantics: Meaning of the actions.
+        robot: Id of the robot model; empty: unknown.
 
     Raises:
         ConfigError: When there is none.
@@ -150,6 +154,7 @@ def assemble(
         camera_sizes=dict(camera_sizes),
         semantics=semantics,
         episodes=len(kept),
+        robot=robot,
     )
 
 
@@ -187,13 +192,14 @@ def load_rlds(
         progress: Called with (episodes read, episodes in all).
 
     Raises:
-        ConfigError: When a camera is not in the export, or episodes differ in their actions' meaning.
+        ConfigError: When a camera is not in the export, or episodes differ in their actions' meaning or their robot.
         RecorderError: When the export is missing or damaged.
     """
     reader = RldsReader(path)
     total = min(reader.count(split), limit or reader.count(split))
     episodes: list[Demonstration] = []
     semantics: ActionSemantics | None = None
+    robots: set[str] = set()
     for index, episode in enumerate(reader.episodes(split)):
         if index == total:
             break
@@ -206,6 +212,7 @@ def load_rlds(
         if semantics is not None:
             said.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
         semantics = said
+        robots.add(str(episode.metadata.get("robot", "")))
         episodes.append(
             Demonstration(
                 images={camera: _frames(episode, cameras[camera], side) for camera, side in sizes.items()},
@@ -217,11 +224,13 @@ def load_rlds(
         progress(index + 1, total)
     if semantics is None:
         raise ConfigError(f"{path}: split '{split}' has no episodes")
+    if len(robots) > 1:
+        raise ConfigError(f"{path}: episodes of several robots ({', '.join(sorted(robots))}); export each robot apart")
     camera_sizes = {
         camera: (reader.features.images[cameras[camera]][1], reader.features.images[cameras[camera]][0])
         for camera in sizes
     }
-    return assemble(episodes, camera_sizes=camera_sizes, semantics=semantics)
+    return assemble(episodes, camera_sizes=camera_sizes, semantics=semantics, robot=robots.pop())
 
 
 def _cameras(episode: RldsEpisode) -> dict[str, str]:
