@@ -28,6 +28,7 @@ class ProgressLine:
         self._title, self._total, self._done = title, total, done
         self._unit = f" {unit}" if unit else ""
         self._note = ""
+        self._told: tuple[int, str] | None = None
         self._started = self._last = time.monotonic()
         self._bar: Progress | None = None
         if sys.stdout.isatty():
@@ -51,7 +52,7 @@ class ProgressLine:
         """Leave the last state on the screen."""
         if self._bar is not None:
             self._bar.stop()
-        elif error is None:
+        elif error is None and self._told != (self._done, self._note):
             self._line()
 
     def update(self, done: int, note: str = "", *, total: int | None = None) -> None:
@@ -77,7 +78,7 @@ class ProgressLine:
             click.echo(text)
 
     def _line(self) -> None:
-        self._last = time.monotonic()
+        self._last, self._told = time.monotonic(), (self._done, self._note)
         seconds = self._last - self._started
         note = f"; {self._note}" if self._note else ""
         click.echo(f"{self._title}: {self._done} of {self._total}{self._unit} after {seconds:.0f} s{note}")

@@ -1,32 +1,32 @@
-"""PyBullet, imported without the line that its library prints: standard output is for what a command answers."""
+"""PyBullet, imported without the line that it heads every command's output with, its build time."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
-import sys
 from collections.abc import Iterator
+
+_GREETING = b"pybullet build time"
 
 
 @contextlib.contextmanager
-def _without_stdout() -> Iterator[None]:
-    """Drop what is written to file descriptor 1; C has a buffer of its own."""
-    libc = ctypes.CDLL(None)
-    sys.stdout.flush()
-    libc.fflush(None)
-    kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(sink, 1)
-    os.close(sink)
-    try:
-        yield
-    finally:
-        libc.fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
+def _without_greeting() -> Iterator[None]:
+    """Hold back what is written to file descriptor 2, and then pass on all but the greeting."""
+    kept = os.dup(2)
+    with os.fdopen(os.memfd_create("stderr"), "r+b") as held:
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            held.seek(0)
+            rest = b"".join(line for line in held if not line.startswith(_GREETING))
+            if rest:
+                os.write(2, rest)
 
 
-with _without_stdout():
+with _without_greeting():
     import pybullet
 
 __all__ = ["pybullet"]

@@ -69,7 +69,9 @@ def rlds(
     except KeyboardInterrupt:
         click.echo("the same command goes on where it stopped", err=True)
         raise
-    splits = ", ".join(f"{count} episodes in {split}" for split, count in report.splits.items())
+    splits = ", ".join(
+        f"{count} {'episode' if count == 1 else 'episodes'} in {s}" for s, count in report.splits.items()
+    )
     click.echo(f"{report.path}: {splits}, {report.steps} steps")
     for reason, count in report.left_out.items():
         click.echo(f"  left out: {count} ({reason})")

@@ -1,0 +1,10 @@
+import subprocess
+import sys
+
+
+def test_pybullet_is_imported_without_its_greeting_and_errors_still_come_through():
+    code = (
+        "import os, roboxim_sim.bullet as b\nwith b._without_greeting(): os.write(2, b'an error\\n')\nprint('answer')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("answer\n", "an error\n")
