@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from roboxim_tasks.components.base import ResetContext
 
 TRIES_PER_OBJECT = 50
+TRIES_PER_POSITION = 10
+"""Draws after which a list of positions in order steps on: one is taken by another object, at any yaw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +84,9 @@ def place(
     model = context.library.object(thing.model, thing.modifiers)
     room = Room.of(scene, context.library, config.gap_m, demand.gaps if demand else {})
     refused: dict[str, int] = {}
-    for _ in range(TRIES_PER_OBJECT * (2 if demand else 1)):
-        x, y = demand.position(rng) if demand and demand.position else config.area.draw(rng, index)
+    for attempt in range(TRIES_PER_OBJECT * (2 if demand else 1)):
+        step = attempt // TRIES_PER_POSITION
+        x, y = demand.position(rng) if demand and demand.position else config.area.draw(rng, index + step)
         yaw = config.yaw_rad.draw_number(rng, index)
         pose = scene.robot.pose @ turned((x, y, 0.0), yaw)
         height = scene.table.center[2] + model.rest_height

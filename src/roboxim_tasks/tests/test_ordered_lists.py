@@ -86,6 +86,20 @@ exclude: [{target: {model: apple, color: green}}, {target: {model: onion}}]
     assert all(thing.modifiers["color"] == "red" for thing in drawn if thing.model == "apple")
 
 
+def test_one_list_of_positions_for_two_objects(draw):
+    text = """
+skill: stack
+objects:
+  support: {models: {values: [cube]}, modifiers: {color: {values: [red]}}}
+  target: {models: {values: [cube]}, modifiers: {color: {values: [blue]}}}
+reset: {objects: {area: {values: [[0.45, -0.1], [0.45, 0.1], [0.55, 0.0]], order: in_order}}}
+"""
+    scenes = [draw(index, parse_task_config(text)).scene for index in range(3)]
+    placed = [[tuple(round(v, 3) for v in e.pose.position[:2]) for e in scene.entities] for scene in scenes]
+    first, second, third = (0.45, -0.1), (0.45, 0.1), (0.55, 0.0)
+    assert placed == [[first, second], [second, third], [third, first]]
+
+
 def test_what_no_order_can_help_is_still_refused(tasks):
     color = "modifiers: {color: {values: [red], order: in_order}}"
     with pytest.raises(TaskError, match="objects_distinct refused most of 1 draws"):
