@@ -84,9 +84,7 @@ def test_the_same_policy_is_not_run_again_and_that_is_said(folder):
 def test_results_of_an_earlier_state_of_a_policy_are_refused(folder):
     evaluate("--policy", "mine.py:Mine")
     (folder / "mine.py").write_text(MINE.replace("0.0", "0.1"))
-    with pytest.raises(
-        ConfigError, match=r"the 2 results in out/Mine are of an earlier .*: mine.py has changed; .*--out"
-    ):
+    with pytest.raises(ConfigError, match=r"out/Mine holds 2 episodes of an earlier .*: mine.py has changed; .*--out"):
         evaluate("--policy", "zero", "--policy", "mine.py:Mine")
     assert len(Pool.asked) == 1, "nothing may run before every folder is looked at"
     (folder / "mine.py").write_text(MINE)
@@ -109,7 +107,7 @@ def test_a_folder_of_an_older_version_is_refused_only_for_policies_with_files(fo
         said.pop("policy_files", None)
         path.write_text(json.dumps(said))
     assert "nothing is run" in evaluate("--policy", "zero")
-    with pytest.raises(ConfigError, match="did not record what a policy is made of.*mine.py; choose another --out"):
+    with pytest.raises(ConfigError, match="older version.*state of mine.py; choose another --out"):
         evaluate("--policy", "mine.py:Mine")
 
 

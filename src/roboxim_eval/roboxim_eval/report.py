@@ -95,7 +95,7 @@ def verdict_line(runs: Sequence[PolicyRun]) -> str:
     if len(runs) < 2:
         return ""
     sentences = [
-        f"{run.policy} is compared with nothing: most of its episodes ended in errors."
+        f"{run.policy} is not compared: most of its episodes ended in errors."
         for run in runs
         if not is_measured(run.results)
     ]

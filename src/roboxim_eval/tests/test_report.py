@@ -59,7 +59,7 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
     assert (numbers["measured"], numbers["rate"], numbers["high"]) == (False, None, None)
     assert numbers["errors"] == {"policy_fault": 3}
     assert "by_instruction" not in numbers
-    assert "mine is compared with nothing" in said["comparison"]
+    assert "mine is not compared" in said["comparison"]
     assert "overlaps that of shaky" in said["comparison"]
     assert "overlaps" not in verdict_line([broken, zero, shaky])
 

@@ -106,7 +106,7 @@ def command(
     broken = [run.policy for run in runs if not is_measured(run.results)]
     if broken:
         raise EvaluationError(
-            f"nothing is known of {' and '.join(broken)}: most episodes ended in errors, and the reasons above say "
+            f"{' and '.join(broken)} could not be measured: most episodes ended in errors, and the reasons above say "
             f"what to change; then choose another --out or remove {', '.join(str(out / name) for name in broken)}"
         )
 
@@ -144,21 +144,19 @@ def _require_same_policy(name: str, job: Job, folder: Path) -> None:
     if results and job.policy_files:
         stored = run.config()
         files = stored.get("policy_files")
+        holds = f"{folder} holds {len(results)} episode{'s' * (len(results) != 1)}"
         todo = f"choose another --out, or remove {folder} to run it again"
         if files is None:
             raise ConfigError(
-                f"the {len(results)} results in {folder} are of an older version, which did not record what a policy "
-                f"is made of, so they may be of another state of {', '.join(job.policy_files)}; {todo}"
+                f"{holds} from an older version, which did not record what a policy is made of: they may be of another "
+                f"state of {', '.join(job.policy_files)}; {todo}"
             )
         if files != job.policy_files and stored.get("policies") == job.identity["policies"]:
             now = job.policy_files
             changes = [f"{file} has changed" for file in files if file in now and now[file] != files[file]]
             changes += [f"{file} is a part of it now" for file in now if file not in files]
             changes += [f"{file} was a part of it then" for file in files if file not in now]
-            raise ConfigError(
-                f"the {len(results)} results in {folder} are of an earlier state of policy '{name}': "
-                f"{', '.join(changes)}; {todo}"
-            )
+            raise ConfigError(f"{holds} of an earlier state of policy '{name}': {', '.join(changes)}; {todo}")
     with run.opened(job.identity):
         pass
 
@@ -219,14 +217,17 @@ def _report(
         }  # fmt: skip
         facts |= {f"camera {c.name}": f"{c.width} x {c.height}" for c in info.scene.cameras}
         for name, version in info.versions.items():
-            versions[f"policy {run.policy}" if name.startswith("policy ") else name] = version
+            if name.startswith("policy "):
+                name, version = f"policy {run.policy}", version.removeprefix("unnamed").removeprefix(", ")
+            if version:
+                versions[name] = version
     report = Report(
         title=f"Evaluation of {' and '.join(run.policy for run in runs)} on {task}",
         runs=runs, facts=facts, versions=versions, command=shlex.join(["roboxim", *sys.argv[1:]]),
     )  # fmt: skip
     page = write_report(report, out)
     for name, version in versions.items():
-        if name.startswith("policy ") and version.endswith(", privileged"):
+        if name.startswith("policy ") and version.endswith("privileged"):
             click.echo(f"{name} is privileged: it was told task, scene and state, which no policy under test may see")
     if len(runs) > 1:
         click.echo(verdict_line(runs))
