@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import roboxim_policies.builtin  # noqa: F401 - registers what ships
+import roboxim_policies.builtin
 from roboxim_bringup.graph import PolicyLaunch
 from roboxim_bringup.parameters import parse_options
 from roboxim_core.errors import ConfigError, one_of
@@ -182,3 +182,5 @@ def _require_whole(policy: ChosenPolicy) -> None:
     require_arguments(policy.spec, policy.make, policy.options)
     if policy.spec == "bc":
         read_description(Path(policy.options[CHECKPOINT]))
+    elif policy.make.__module__ == roboxim_policies.builtin.__name__:
+        policy.make(**policy.options)  # quick, and says which value is wrong
