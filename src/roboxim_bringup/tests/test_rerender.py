@@ -78,7 +78,7 @@ def test_cameras_lights_and_size_change_and_nothing_else(recorded: Path, tmp_pat
         "--texture", "table=marble", "--background", "plain", "--depth", "--no-segmentation",
     ]  # fmt: skip
     done = CliRunner().invoke(command, arguments, catch_exceptions=False)
-    assert "1 episodes rendered" in done.output
+    assert "1 episode rendered" in done.output
     assert (tmp_path / "out" / "first_episode.png").exists()
     old, new = BagReader(bag), BagReader(tmp_path / "out" / "episodes" / bag.name)
     assert check_bag(new.path).ok
