@@ -73,7 +73,8 @@ def test_doing_nothing_does_not_solve_it(skill, run):
 @pytest.mark.slow
 @pytest.mark.parametrize("skill", SKILL_NAMES)
 def test_whole_episodes_of_nothing_do_not_solve_it(skill, run):
-    results = [run(skill, index, lambda _: CoreActor(ZeroPolicy()), keep="none") for index in range(2, 7)]
+    rolled = {"purpose": "eval", "keep": "none"}
+    results = [run(skill, index, lambda _: CoreActor(ZeroPolicy()), **rolled) for index in range(5)]
     assert not any(result.success_ever for result in results)
 
 
@@ -84,11 +85,12 @@ FLOORS = dict.fromkeys(("push_button", "open_drawer", "close_drawer"), 0.10)
 @pytest.mark.slow
 @pytest.mark.parametrize("skill", SKILL_NAMES)
 def test_whole_episodes_of_anything_stay_at_the_floor(skill, run):
-    episodes = 15 if skill in FLOORS else 5
-    results = [run(skill, index, lambda _: CoreActor(RandomPolicy()), keep="none") for index in range(2, 2 + episodes)]
+    episodes = 40 if skill in FLOORS else 10
+    rolled = {"purpose": "eval", "keep": "none"}  # judged by the lenient thresholds, as a policy under test is
+    results = [run(skill, index, lambda _: CoreActor(RandomPolicy()), **rolled) for index in range(episodes)]
     solved = sum(result.success_ever for result in results)
     above_floor = binomtest(solved, episodes, FLOORS[skill], alternative="greater").pvalue if skill in FLOORS else 0.0
-    assert solved == 0 or above_floor > 0.01
+    assert solved == 0 or above_floor > 0.05
 
 
 @pytest.mark.parametrize("skill", SKILL_NAMES)

@@ -50,6 +50,9 @@ def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_j
         ({"objects": ("plate",)}, ["plate", "graspable"]),
         ({"task": "skill_object_baseline", "objects": ("cube",)}, ["mix", "--object"]),
         ({"distractors": "many"}, ["--distractors", "1-3"]),
+        ({"skill": "put_into", "objects": ("banana",)}, ["objects", "the banana is too long for the bowl"]),
+        ({"skill": "put_into", "objects": ("bottle",)}, ["the bottle stands out of the bowl"]),
+        ({"skill": "stack", "objects": ("tray",)}, ["the tray is too long to lie on the cube", "on the block"]),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_what_would(given, said):
@@ -65,6 +68,9 @@ def test_list_names_every_skill_and_what_suits_it():
     assert "plate" in listed["skills"]["place_on"]["roles"]["support"]
     assert "plate" not in listed["skills"]["pick_up"]["roles"]["target"]
     assert listed["tasks"]["skill_object_leave_out"]["episodes"] == 324
+    put_into = listed["skills"]["put_into"]["roles"]
+    assert "banana" not in put_into["target"] or "tray" in put_into["container"]
+    assert "mug" not in put_into["container"]  # nothing fits into it
     text = roboxim("list")
     assert all(name in text for name in SKILLS)
 

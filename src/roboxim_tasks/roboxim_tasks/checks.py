@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from string import Formatter
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 from roboxim_core.config import complaint_at, from_plain, section_of
 from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import Scalar, SceneSpec
@@ -22,7 +23,7 @@ from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.exclusions import MODEL, all_excluded
 from roboxim_tasks.files import named
 from roboxim_tasks.roles import SPOKEN
-from roboxim_tasks.skills import SKILLS, Role
+from roboxim_tasks.skills import SKILLS, Role, Skill
 
 if TYPE_CHECKING:
     from roboxim_tasks.choices import Choice
@@ -158,6 +159,18 @@ def check_arguments(document: Document, config: TaskConfig, library: ModelLibrar
                 ("arguments", *drawn)[:2] if len(drawn) == 1 else ("arguments",) if drawn else (key,)
             ):
                 skill.check(replace(base, **drawn), models)
+            with document.section(("objects",)):
+                _check_together(skill, replace(base, **drawn), models)
+
+
+def _check_together(skill: Skill, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
+    """Refuse roles of which no combination of models makes sense."""
+    reasons = [
+        skill.mismatch(parameters, dict(zip(models, combination, strict=True)))
+        for combination in itertools.product(*models.values())
+    ]
+    if reasons and all(reasons):
+        raise ConfigError("; ".join(dict.fromkeys(reasons)))
 
 
 def _combinations(arguments: Mapping[str, Choice]) -> Iterator[dict[str, Scalar]]:

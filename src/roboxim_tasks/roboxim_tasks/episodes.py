@@ -68,8 +68,8 @@ class EpisodeGenerator:
         cell, ordinal = config.at(seed.index)
         skill = SKILLS[cell.skill]
         context = GenerationContext(
-            seed=seed, config=cell, library=self._library, roles=skill.roles, ordinal=ordinal
-        )  # fmt: skip
+            seed=seed, config=cell, library=self._library, roles=skill.roles, mismatch=skill.mismatch, ordinal=ordinal
+        )
         return skill.generate(context)
 
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:

@@ -48,6 +48,8 @@ class GenerationContext:
     """Where the objects' nouns come from."""
     roles: Mapping[str, Role]
     """Roles of the skill, and what may fill them."""
+    mismatch: Callable[[Any, Mapping[str, ObjectModel]], str] = lambda parameters, models: ""
+    """Tells why models by role make no sense together with the skill's parameters; empty if they do."""
     ordinal: int | None = None
     """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
 
@@ -111,9 +113,7 @@ def generate_object(
     return PhysicalObject(entity=entity, model=model, name=noun, modifiers=drawn)
 
 
-def generate_objects(
-    context: GenerationContext, suits: Callable[[Mapping[str, ObjectModel]], bool]
-) -> dict[str, PhysicalObject]:
+def generate_objects(context: GenerationContext) -> dict[str, PhysicalObject]:
     """Draw the objects that the instruction speaks of: each can be told from the others, and together they suit.
 
     Lists in order step on, the last one first, where what is at random cannot help: with one list of colours for both
@@ -121,7 +121,6 @@ def generate_objects(
 
     Args:
         context: What to draw from.
-        suits: Whether models by role make sense together, e.g. whether the one fits into the other.
 
     Returns:
         Role to object.
@@ -134,7 +133,7 @@ def generate_objects(
     ordered = {(role, name): count for role, config in configs.items() for name, count in _ordered(config).items()}
     for steps in _steps(ordered):
         by_role = {role: {name: step for (other, name), step in steps.items() if other == role} for role in configs}
-        objects, last = _together(context, by_role, suits, refused)
+        objects, last = _together(context, by_role, refused)
         if objects:
             return objects
         if refused.total() >= ENOUGH_DRAWS:
@@ -151,7 +150,6 @@ def generate_objects(
 def _together(
     context: GenerationContext,
     steps: Mapping[str, Mapping[str, int]],
-    suits: Callable[[Mapping[str, ObjectModel]], bool],
     refused: Counter[str],
 ) -> tuple[dict[str, PhysicalObject], PhysicalObject]:
     """Draw an object for each role, with ordered lists where they are.
@@ -159,7 +157,6 @@ def _together(
     Args:
         context: What to draw from.
         steps: Role to how far each of its ordered lists steps on.
-        suits: Whether models by role make sense together.
         refused: Counts why draws were refused.
 
     Returns:
@@ -173,7 +170,7 @@ def _together(
             tries = TRIES_A_ROUND if _varies(config) else 1
             for attempt in range(start * TRIES_A_ROUND, start * TRIES_A_ROUND + tries):
                 thing = generate_object(context, role, config.models, config.modifiers, attempt, steps[role])
-                reason = _refusal(context, objects, {role: thing}, suits)
+                reason = _refusal(context, objects, {role: thing})
                 if not reason:
                     objects[role] = thing
                     break
@@ -206,7 +203,6 @@ def _refusal(
     context: GenerationContext,
     objects: Mapping[str, PhysicalObject],
     another: Mapping[str, PhysicalObject],
-    suits: Callable[[Mapping[str, ObjectModel]], bool],
 ) -> str:
     """Return why an object cannot join those drawn before it, or nothing."""
     library = context.library
@@ -220,7 +216,8 @@ def _refusal(
     if any(matches(drawn, combination, library) for combination in context.config.exclude):
         return "excluded"
     complete = len(drawn) == len(context.config.objects)
-    if complete and not suits({role: library.object(t.model, t.modifiers) for role, t in drawn.items()}):
+    models = {role: library.object(thing.model, thing.modifiers) for role, thing in drawn.items()}
+    if complete and context.mismatch(context.parameters, models):
         return "objects_suit"
     return ""
 
@@ -309,7 +306,6 @@ def generate_task(
     *,
     arguments: Any = None,
     words: Mapping[str, str] | None = None,
-    suits: Callable[[Mapping[str, ObjectModel]], bool] = lambda _: True,
 ) -> TaskSpec:
     """Compose a task: an object per role, distractors, the instruction, and the skill's parameters as arguments.
 
@@ -317,13 +313,12 @@ def generate_task(
         context: What to draw from.
         arguments: Frozen dataclass of scalars: what the skill's evaluator needs to know; none: the parameters.
         words: What else than roles a template may name.
-        suits: Whether models by role make sense together.
 
     Raises:
         TaskError: With code ``RESET_INFEASIBLE`` when no objects suit or no distinct distractor can be drawn.
         ConfigError: When the configuration names what does not exist.
     """
-    objects = generate_objects(context, suits)
+    objects = generate_objects(context)
     stay_m = context.config.distractors.stay_m
     return TaskSpec(
         skill=context.config.skill,

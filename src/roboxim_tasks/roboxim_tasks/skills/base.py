@@ -70,6 +70,15 @@ class Skill(ABC):
             ConfigError: Naming the parameter and what is allowed.
         """
 
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return why models make no sense together, e.g. that one does not fit into another; empty if they do.
+
+        Args:
+            parameters: Instance of `Parameters`.
+            models: Role to model.
+        """
+        return ""
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task (generator)."""
         return generate_task(context)

@@ -12,10 +12,12 @@ highest point, because a rim may be in its way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -25,6 +27,9 @@ from roboxim_tasks.predicates import Condition, Conditions, above, force, horizo
 from roboxim_tasks.reach import above_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
+
+LONGEST = 2.5
+"""Longest side of an object that makes sense on a support, over the longest side of its surface or of its rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +64,14 @@ class PlaceOn(Skill):
     )
     max_steps = 200
     Parameters = PlaceOnParameters
+
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Tell of a target that is so long that it tips off the support, or off its rim."""
+        target, support = models["target"], models["support"]
+        room_m = max(max(region.size[:2]) for region in support.regions if region.kind in ("surface", "interior"))
+        if max(target.size[:2]) > LONGEST * room_m:
+            return f"the {target.name} is too long to lie on the {support.name}"
+        return ""
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task and the bound on the distance that follows from its support."""

@@ -34,6 +34,10 @@ from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, reg
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 
 DROPS_M = (0.01, 0.03, 0.05)
+RIM_M = 0.01
+"""How far the origin of what is inside may be above the rim [m]."""
+OPEN_SHARE = 0.5
+"""Share of its travel by which a drawer must be open to put something into it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,14 +99,20 @@ class PutInto(Skill):
         for model in models["container"]:
             region_of(model, "interior", parameters.drawer)
 
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Tell of a target that does not fit into the interior at every yaw, or stands out of it."""
+        target, container = models["target"], models["container"]
+        interior = region_of(container, "interior", parameters.drawer)
+        if not fits(target, interior):
+            return f"the {target.name} is too long for the {container.name}"
+        if target.rest_height > interior.size[2] + RIM_M:
+            return f"the {target.name} stands out of the {container.name}"
+        return ""
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a target that fits into the container, and note where the interior is."""
         drawer = context.parameters.drawer
-
-        def suits(models: Mapping[str, ObjectModel]) -> bool:
-            return fits(models["target"], region_of(models["container"], "interior", drawer))
-
-        task = generate_task(context, suits=suits)
+        task = generate_task(context)
         container = task.objects["container"]
         interior = interior_arguments(context.library.object(container.model, container.modifiers), drawer)
         instruction = task.instruction
@@ -124,7 +134,15 @@ class PutInto(Skill):
             inside = (scene.robot.pose.inverse() @ spec.pose).apply(floor) + (0.0, 0.0, parameters.depth_m)
             return downward_reachable(context, inside.tolist())
 
+        def open_enough(scene: SceneSpec) -> bool:
+            spec = scene.entity(container)
+            joints = {joint.name: joint for joint in context.library.entity_model(spec).joints}
+            if parameters.joint not in joints:
+                return True
+            return spec.joint_positions.get(parameters.joint, 0.0) >= OPEN_SHARE * joints[parameters.joint].upper
+
         return (
+            Constraint(name="container_open", holds=open_enough),
             graspable(context, "target"),
             Constraint(name="container_reachable", holds=reachable),
             start_clear(context),
@@ -157,7 +175,7 @@ class PutInto(Skill):
         depth = Measure(name="above_floor_m", of=lambda state: float(inside(state)[2]))
         placed = (
             Condition(name="inside", measure=Measure(name="sideways_share", of=sideways), most=1.0),
-            Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + 0.01, reason="not_inside"),
+            Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + RIM_M, reason="not_inside"),
             Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
         )
         return Conditions(lies_still(target, initial, placed, container), hold_s=parameters.hold_s)
