@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +14,10 @@ import numpy as np
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.bounds import shape_bounds
-from roboxim_core.models.description import Shape
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
-from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
+from roboxim_core.specs import EntitySpec, PhysicalObject, Scalar, SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.rejection import RejectedError
 
@@ -169,26 +170,43 @@ def centre(entity: EntitySpec, library: ModelLibrary) -> Array:
 
 def nearest_distance(entity: EntitySpec, point: Array, library: ModelLibrary) -> float:
     """Return the distance from a point of the world to the nearest point of an object's collision shapes [m]."""
-    model = library.entity_model(entity)
-    links = object_link_poses(model, entity.joint_positions)
-    return min(
-        _shape_distance(shape, (entity.pose @ links[link.name] @ shape.pose).inverse().apply(point))
-        for link in model.links
-        for shape in link.collision
-    )
+    modifiers, joints = tuple(sorted(entity.modifiers.items())), tuple(sorted(entity.joint_positions.items()))
+    return _surface(library, entity.model, modifiers, joints).distance(entity.pose.inverse().apply(point))
 
 
-def _shape_distance(shape: Shape, point: Array) -> float:
-    """Return the distance from a point in a shape's own frame; 0 inside. A hull counts as the box around it."""
-    if shape.kind in ("box", "hull"):
-        low, high = shape_bounds(replace(shape, pose=Pose()))
-        outside = np.maximum(np.maximum(low - point, point - high), 0.0)
-        return float(np.linalg.norm(outside))
-    radius, half = shape.size[0], shape.size[-1] / 2 if len(shape.size) > 1 else 0.0
-    across, along = float(np.hypot(point[0], point[1])), max(abs(float(point[2])) - half, 0.0)
-    if shape.kind == "cylinder":
-        return math.hypot(max(across - radius, 0.0), along)
-    return max(math.hypot(across, along) - radius, 0.0)
+class _Surface:
+    """The collision shapes of an object, all asked at once. A hull counts as the box around it."""
+
+    def __init__(self, model: ObjectModel, joint_positions: dict[str, float]) -> None:
+        links = object_link_poses(model, joint_positions)
+        shapes = [(links[link.name] @ shape.pose, shape) for link in model.links for shape in link.collision]
+        self._rotations = np.stack([pose.quaternion.matrix() for pose, _ in shapes])
+        self._origins = np.array([pose.position for pose, _ in shapes])
+        kinds = np.array([shape.kind for _, shape in shapes])
+        self._boxed, self._flat = np.isin(kinds, ("box", "hull")), kinds == "cylinder"
+        bounds = [shape_bounds(replace(shape, pose=Pose())) for _, shape in shapes]
+        self._low, self._high = np.stack(bounds, axis=1)
+        self._radius = np.array(
+            [0.0 if boxed else s.size[0] for boxed, (_, s) in zip(self._boxed, shapes, strict=True)]
+        )
+        self._half = np.array([shape.size[-1] / 2 if len(shape.size) > 1 else 0.0 for _, shape in shapes])
+
+    def distance(self, point: Array) -> float:
+        """Return the distance from a point of shape (3,) in the object's frame [m]; 0 inside."""
+        local = np.einsum("nji,nj->ni", self._rotations, point - self._origins)
+        outside = np.maximum(np.maximum(self._low - local, local - self._high), 0.0)
+        across, along = np.hypot(local[:, 0], local[:, 1]), np.maximum(np.abs(local[:, 2]) - self._half, 0.0)
+        flat = np.hypot(np.maximum(across - self._radius, 0.0), along)
+        round_ = np.maximum(np.hypot(across, along) - self._radius, 0.0)
+        distances = np.where(self._boxed, np.linalg.norm(outside, axis=1), np.where(self._flat, flat, round_))
+        return float(distances.min())
+
+
+@lru_cache(maxsize=256)
+def _surface(
+    library: ModelLibrary, model: str, modifiers: tuple[tuple[str, Scalar], ...], joints: tuple[tuple[str, float], ...]
+) -> _Surface:
+    return _Surface(library.object(model, dict(modifiers)), dict(joints))
 
 
 def footprint(entity: EntitySpec, library: ModelLibrary) -> Array:
