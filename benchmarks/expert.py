@@ -189,7 +189,7 @@ def floors(
     replays = [o for o in together if o["replayed"] is not None]
     if replays:
         yield line("replays with every hash and verdict equal", share(replays, "replayed"), 100.0, at_least=True)
-    abandoned = sum(o["reason"].startswith("RESET_INFEASIBLE") for o in together)
+    abandoned = sum(o["reason"].lower().startswith("reset_infeasible") for o in together)
     yield line("resets abandoned", abandoned, 0, at_least=False, unit="")
     draws = {name: float(np.median([o["draws"] for o in found])) for name, found in by_cell.items() if found}
     most = max(draws, key=lambda name: draws[name])
