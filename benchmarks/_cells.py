@@ -12,7 +12,6 @@ from roboxim_bringup.task_choice import task_text
 from roboxim_core.models.library import ModelLibrary
 from roboxim_tasks.config import merged
 from roboxim_tasks.skills import SKILLS
-from roboxim_tasks.skills.placing import fits, region_of
 
 OBJECTS = ("cube", "apple", "soda_can", "onion", "cucumber", "knife")
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
@@ -79,8 +78,9 @@ def _other_cells() -> Iterator[dict[str, Any]]:
         role = SKILLS[skill].roles["target"]
         models = [model for model in library.object_ids if role.suits(library.object(model))]
         if skill == "put_into":
-            bowl = region_of(library.object("bowl"), "interior")
-            models = [model for model in models if fits(library.object(model), bowl)]
+            task, bowl = SKILLS[skill], library.object("bowl")
+            apart = {model: {"container": bowl, "target": library.object(model)} for model in models}
+            models = [model for model in models if not task.mismatch(task.Parameters(), apart[model])]
         elif skill not in ANY_OBJECT:
             models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]
         for model in models:
