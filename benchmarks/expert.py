@@ -126,9 +126,11 @@ def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -
         try:
             for job in as_completed(jobs):
                 yield job.result()
-        except KeyboardInterrupt:
+        except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
-            raise SystemExit("stopped; the same command with --out goes on") from None
+            if isinstance(error, KeyboardInterrupt):
+                raise SystemExit("stopped; the same command with --out goes on") from None
+            raise
 
 
 def row(cell: Cell, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
