@@ -113,10 +113,20 @@ class PlaceRelation(Skill):
             along, lateral = _components(away, direction)
             return not (along > 0.0 and lateral < parameters.lateral_ratio * along)
 
+        last: dict[tuple[Pose, Pose], Pose] = {}
+
         def free(scene: SceneSpec) -> bool:
-            goals = free_goals(scene, target, reference, direction, parameters, context.library)
+            """Tell whether a place is left: the one that was found before, unless a new distractor has taken it."""
+            key = scene.entity(target).pose, scene.entity(reference).pose
+            if key in last and not _taken(scene, target, last[key], context.library):
+                return True
             base = scene.robot.pose.inverse()
-            return any(downward_reachable(context, (base @ goal).position) for goal in goals)
+            for goal in free_goals(scene, target, reference, direction, parameters, context.library):
+                if downward_reachable(context, (base @ goal).position):
+                    last.clear()
+                    last[key] = goal
+                    return True
+            return False
 
         return (
             graspable(context, "target"),
@@ -173,9 +183,8 @@ def free_goals(
     """
     spec, other = scene.entity(target), scene.entity(reference)
     model, other_model = library.entity_model(spec), library.entity_model(other)
-    others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
     side = np.array([-direction[1], direction[0]])
-    room = Room.of(others, library, FREE_GAP_M)
+    room = _room_without(scene, target, library)
     height = scene.table.center[2] + model.rest_height
     yaws = (*aligning_yaws(model, spec.pose, direction), *GOAL_YAWS[:3])
     turns = [upright(spec.pose, (0.0, 0.0, 0.0), yaw) for yaw in yaws]
@@ -195,6 +204,16 @@ def free_goals(
                     found += 1
                     if found == GOALS:
                         return
+
+
+def _room_without(scene: SceneSpec, target: str, library: ModelLibrary) -> Room:
+    others = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name != target))
+    return Room.of(others, library, FREE_GAP_M)
+
+
+def _taken(scene: SceneSpec, target: str, goal: Pose, library: ModelLibrary) -> bool:
+    """Tell whether something else is where the target is to go."""
+    return bool(_room_without(scene, target, library).refusal(replace(scene.entity(target), pose=goal)))
 
 
 def aligning_yaws(model: ObjectModel, pose: Pose, direction: Array) -> tuple[float, ...]:
