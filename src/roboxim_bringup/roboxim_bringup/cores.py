@@ -49,6 +49,7 @@ class CorePlanner:
         """Load a robot."""
         self._library = library
         self._planner = Planner(library.robot(robot))
+        self._last: tuple[tuple[object, ...], PlanningScene] | None = None
 
     def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
         """Return a collision-free joint path to a pose; see `roboxim_tasks.planning.PlannerPort`."""
@@ -63,9 +64,16 @@ class CorePlanner:
         return "" if finding.valid else str(finding)
 
     def _scene(self, around: Surroundings) -> PlanningScene:
-        scene = PlanningScene.from_state(around.scene, around.state_then, self._library)
+        scene = self._snapshot(around)
         if around.held:
             pose = next(body.pose for body in scene.bodies if body.name == around.held)
             scene = scene.attach(around.held, pose @ around.held_in_tcp.inverse())
         allowed = tuple(AllowedContact(body_a=a, body_b=b) for a, b in around.touching)
         return replace(scene, gripper_opening=around.opening, allowed=allowed)
+
+    def _snapshot(self, around: Surroundings) -> PlanningScene:
+        """Return what stands where; many motions are asked about in the same surroundings."""
+        asked = (around.scene, around.state, around.moved)
+        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], asked, strict=True)):
+            self._last = asked, PlanningScene.from_state(around.scene, around.state_then, self._library)
+        return self._last[1]
