@@ -28,7 +28,7 @@ from roboxim_tasks.reach import above_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 
-LONGEST = 2.5
+LONGEST = 2.4
 """Longest side of an object that makes sense on a support, over the longest side of its surface or of its rim."""
 
 
