@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
 
 from roboxim_bringup.task_choice import task_text
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_tasks.config import merged
 from roboxim_tasks.skills import SKILLS
@@ -18,8 +19,6 @@ RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behi
 ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
 """Skills that make sense for whatever can be grasped; the others for what their configuration lists."""
 DRAWERS = ("top", "middle", "bottom")
-NOT_AS_CONTAINER = ("cabinet", "mug")
-"""A cabinet's top drawer has a cell of its own; nothing fits into a mug."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,30 +71,25 @@ def _core_cells() -> Iterator[dict[str, Any]]:
 def _other_cells() -> Iterator[dict[str, Any]]:
     done = {(values["skill"], values["thing"]) for values in _core_cells()}
     library = ModelLibrary()
+    known = {model: library.object(model) for model in library.object_ids}
     for drawer in DRAWERS:
         yield {"skill": "close_drawer", "thing": drawer, "core": False, "change": _drawer(drawer)}
     for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button"}):
-        role = SKILLS[skill].roles["target"]
-        models = [model for model in library.object_ids if role.suits(library.object(model))]
-        if skill == "put_into":
-            task, bowl = SKILLS[skill], library.object("bowl")
-            apart = {model: {"container": bowl, "target": library.object(model)} for model in models}
-            models = [model for model in models if not task.mismatch(task.Parameters(), apart[model])]
-        elif skill not in ANY_OBJECT:
+        models = SKILLS[skill].suited(known, {"container": "bowl"})["target"]
+        if skill not in (*ANY_OBJECT, "put_into"):
             models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]
         for model in models:
             if (skill, model) not in done:
                 yield {"skill": skill, "thing": model, "core": False, "change": _objects(target=model)}
-    yield from _other_places(library)
+    yield from _other_places(known)
 
 
-def _other_places(library: ModelLibrary) -> Iterator[dict[str, Any]]:
+def _other_places(models: Mapping[str, ObjectModel]) -> Iterator[dict[str, Any]]:
     """Yield the cells of what a thing is put on or into, with the targets of the skill's own task."""
     for skill, role in (("place_on", "support"), ("stack", "support"), ("put_into", "container")):
         configured = yaml.safe_load(task_text(skill=skill))["objects"][role]["models"]["values"]
-        for model in library.object_ids:
-            known = configured + list(NOT_AS_CONTAINER if role == "container" else ())
-            if SKILLS[skill].roles[role].suits(library.object(model)) and model not in known:
+        for model in SKILLS[skill].suited(models)[role]:
+            if model not in configured and (skill, model) != ("put_into", "cabinet"):  # whose top drawer has its own
                 change = yaml.safe_load(task_text(skill=skill, objects=(f"{role}={model}",)))
                 yield {"skill": skill, "thing": f"{role}_{model}", "core": False, "change": change}
     yield {"skill": "put_into", "thing": "top_drawer", "core": False, "task": "put_into_drawer"}

@@ -196,9 +196,11 @@ def floors(
     draws = {name: float(np.median([o["draws"] for o in found])) for name, found in by_cell.items() if found}
     most = max(draws, key=lambda name: draws[name])
     yield line(f"most draws of a cell, median ({most})", draws[most], 4, at_least=False, unit="")
-    reset_ms = [o["reset_ms"] for o in together]
-    yield line("reset, median, on a free machine", float(np.median(reset_ms)), 100, at_least=False, unit="ms")
-    yield line("reset, 95 %, on a free machine", float(np.percentile(reset_ms, 95)), 400, at_least=False, unit="ms")
+    reset_ms = [o["reset_ms"] for o in together if o["index"] > 0]  # the first one also reads the cell's configuration
+    if reset_ms:
+        what = "reset, but for the first of each cell, on a free machine"
+        yield line(f"{what}, median", float(np.median(reset_ms)), 100, at_least=False, unit="ms")
+        yield line(f"{what}, 95 %", float(np.percentile(reset_ms, 95)), 400, at_least=False, unit="ms")
 
 
 def visible(outcome: dict[str, Any]) -> bool:

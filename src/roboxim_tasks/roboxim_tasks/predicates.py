@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.episode.start import SPEED_M_S, SPIN_RAD_S
 from roboxim_core.poses import Array, distance
 from roboxim_core.state import StateRecord
 from roboxim_tasks.motion import ROBOT, TABLE
@@ -133,7 +134,7 @@ def fallen_off(height_gain: Measure, name: str = "not_fallen") -> Condition:
     )  # fmt: skip
 
 
-def at_rest(entity: str, *, speed_m_s: float = 0.01, spin_rad_s: float = 0.2) -> tuple[Condition, ...]:
+def at_rest(entity: str, *, speed_m_s: float = SPEED_M_S, spin_rad_s: float = SPIN_RAD_S) -> tuple[Condition, ...]:
     """Return the conditions that an object lies still."""
     return (
         Condition(name="at_rest", measure=speed(entity), most=speed_m_s),

@@ -5,14 +5,12 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
-    from roboxim_core.models.description import ObjectModel
-    from roboxim_tasks.skills import Skill
+    pass
 
 
 @click.group()
@@ -38,7 +36,7 @@ def list_tasks(as_json: bool) -> None:
     skills = {
         name: {
             "instruction": SKILLS[name].templates[0],
-            "roles": _suited(SKILLS[name], models),
+            "roles": SKILLS[name].suited(models),
         }
         for name in SKILLS
     }
@@ -120,17 +118,6 @@ def sample(
         click.echo(
             f"{index:>4}  {digest(drawn)}  {drawn.instruction}" + (f"   (also there: {others})" if others else "")
         )
-
-
-def _suited(skill: Skill, models: Mapping[str, ObjectModel]) -> dict[str, list[str]]:
-    """Return the models that suit each role of a skill together with some models of its other roles."""
-    suited = {role: [i for i, model in models.items() if wanted.suits(model)] for role, wanted in skill.roles.items()}
-    found: dict[str, set[str]] = {role: set() for role in suited}
-    for chosen in itertools.product(*suited.values()):
-        if not skill.mismatch(skill.Parameters(), {role: models[i] for role, i in zip(suited, chosen, strict=True)}):
-            for role, model_id in zip(suited, chosen, strict=True):
-                found[role].add(model_id)
-    return {role: sorted(ids) for role, ids in found.items()}
 
 
 def _first_sentence(text: str) -> str:

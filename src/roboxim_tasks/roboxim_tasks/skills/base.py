@@ -5,6 +5,7 @@ Adding a skill touches one new file here and one task YAML.
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -78,6 +79,25 @@ class Skill(ABC):
             models: Role to model.
         """
         return ""
+
+    def suited(self, models: Mapping[str, ObjectModel], fixed: Mapping[str, str] | None = None) -> dict[str, list[str]]:
+        """Return the models that suit each role together with some models of the other roles.
+
+        Args:
+            models: Model id to model.
+            fixed: Role to the id of the only model that may fill it.
+        """
+        fills = {
+            role: [i for i, model in models.items() if wanted.suits(model) and i == (fixed or {}).get(role, i)]
+            for role, wanted in self.roles.items()
+        }
+        found: dict[str, set[str]] = {role: set() for role in fills}
+        for chosen in itertools.product(*fills.values()):
+            by_role = dict(zip(fills, chosen, strict=True))
+            if not self.mismatch(self.Parameters(), {role: models[i] for role, i in by_role.items()}):
+                for role, model_id in by_role.items():
+                    found[role].add(model_id)
+        return {role: sorted(ids) for role, ids in found.items()}
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task (generator)."""

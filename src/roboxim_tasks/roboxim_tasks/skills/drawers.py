@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.episode.start import SPEED_M_S
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import Handle, JointModel, ObjectModel
@@ -26,7 +27,6 @@ from roboxim_tasks.reach import reaches_in_lines
 APPROACH_M = 0.08
 OVERSHOOT_M = 0.02
 OTHERS_M = 0.02
-AT_REST_M_S = 0.01
 CLEARANCE_M = 0.02
 PITCHES = tuple(math.radians(angle) for angle in (0, -6, 6, -12, 12))
 CABINET_PLACES: Mapping[str, Any] = {
@@ -177,7 +177,7 @@ def drawer_rests(task: TaskSpec, initial: StateRecord, goal: Condition) -> tuple
         Condition(name="others_stayed", measure=_others_moved(cabinet, joint, initial), most=OTHERS_M,
                   reason="moved_other_drawer"),
         released(cabinet),
-        Condition(name="at_rest", measure=_joint_speed(cabinet, joint, initial), most=AT_REST_M_S),
+        Condition(name="at_rest", measure=_joint_speed(cabinet, joint, initial), most=SPEED_M_S),
     )  # fmt: skip
 
 
