@@ -1,0 +1,88 @@
+"""Golden episodes: a refactoring must not change a state, an image or an action, bit for bit.
+
+`tests/golden.json` holds the hashes. Renew them only for a deliberate change, in a commit of its own that names the
+cause: ``.venv/bin/python tests/test_golden.py``.
+"""
+
+import hashlib
+import json
+import platform
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_recorder.bag import BagReader
+
+GOLDEN = Path(__file__).with_name("golden.json")
+EPISODES = {
+    "pick_cube_distractors": 0,
+    "place_on": 1,
+    "open_drawer": 2,
+    "rotate": 3,
+    "put_into": 4,
+}
+"""Task to the index of its episode; with other skills, objects and motions."""
+
+
+def episode_hashes(task: str, index: int, folder: Path) -> dict[str, str]:
+    """Record one demonstration and hash what it consists of."""
+    config = RunConfig(
+        run_seed=7, purpose="demo", task_config=task_text(task), image_width=64, image_height=64,
+        noise_translation_m=0.003, noise_rotation_rad=0.01, output_dir=str(folder),
+    )  # fmt: skip
+    with CoreGraph(folder) as graph:
+        result = EpisodeRunner(graph.ports, config).run_index(index)
+    states, images, actions = (hashlib.blake2b(digest_size=16) for _ in range(3))
+    for tick in BagReader(folder / result.bag).ticks():
+        states.update(tick.state.state_hash.encode())
+        actions.update(np.asarray([tick.step.action_label, tick.step.action_executed], np.float32).tobytes())
+        for camera in sorted(tick.images):
+            images.update(np.ascontiguousarray(tick.images[camera]).tobytes())
+    return {
+        "outcome": result.outcome,
+        "ticks": str(result.last_seq),
+        "states": states.hexdigest(),
+        "actions": actions.hexdigest(),
+        "images": images.hexdigest(),
+    }
+
+
+def machine() -> dict[str, str]:
+    """Return what bit-for-bit equality depends on besides the code: processor and software renderer."""
+    with CoreGraph(Path(tempfile.gettempdir())) as graph:
+        renderer = graph.sim.renderer
+    model = next(
+        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.machine(),
+    )
+    return {"processor": model, "renderer": renderer}
+
+
+@pytest.mark.parametrize("task", EPISODES)
+def test_an_episode_is_the_golden_one(task, tmp_path):
+    golden = json.loads(GOLDEN.read_text())
+    here = machine()
+    found = episode_hashes(task, EPISODES[task], tmp_path)
+    if found != golden["episodes"][task] and here != golden["machine"]:
+        pytest.skip(f"the golden hashes were taken on another type of machine: {golden['machine']}, this is {here}")
+    assert found == golden["episodes"][task]
+
+
+def renew() -> None:
+    """Write the hashes of the present code."""
+    episodes = {}
+    for task, index in EPISODES.items():
+        with tempfile.TemporaryDirectory() as folder:
+            episodes[task] = episode_hashes(task, index, Path(folder))
+        print(task, episodes[task])
+    GOLDEN.write_text(json.dumps({"machine": machine(), "episodes": episodes}, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(renew())
