@@ -31,7 +31,7 @@ lint: setup ## check style and format, changing nothing
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
-types: setup ## type-check the cores strictly
+types: setup ## type-check every package strictly
 	$(BIN)/mypy
 
 bench-%: setup ## run benchmarks/NAME.py; ARGS="--quick --json FILE" adds options

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,11 @@ def test_error_codes_are_mirrored():
 
     for code in ErrorCode:
         assert getattr(Message, code.name) == code
+
+
+def test_every_package_is_type_checked_and_built():
+    project = tomllib.loads((SRC.parent / "pyproject.toml").read_text())
+    checked = set(project["tool"]["mypy"]["packages"])
+    built = {Path(path).name for path in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]}
+    python_packages = {path.parent.name for path in SRC.glob("*/setup.py")}
+    assert checked == built == python_packages

@@ -113,7 +113,7 @@ class RerenderConfig:
         if self.ambient is not None:
             look = replace(look, ambient=self.ambient)
         for surface, texture in self.textures.items():
-            look = replace(look, **{surface: replace(getattr(look, surface), texture=texture)})  # type: ignore[arg-type]
+            look = replace(look, **{surface: replace(getattr(look, surface), texture=texture)})
         if self.background:
             look = replace(look, background=self.background)
         return replace(info.scene, look=look, cameras=tuple(self._cameras(info)))

@@ -53,7 +53,7 @@ def task_text(
     if colors:
         target = changed.setdefault("objects", {}).setdefault("target", {})
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
-    text = yaml.safe_dump(data, sort_keys=False)
+    text = str(yaml.safe_dump(data, sort_keys=False))
     any_task_config(data, source=f"{source} with the command line's options")
     return text
 

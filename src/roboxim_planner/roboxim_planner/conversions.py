@@ -128,9 +128,11 @@ def options_from_msg(msg: Any) -> MotionOptions:
         "max_tcp_speed_m_s": (msg.max_tcp_speed, math.inf),
         "max_tcp_rot_speed_rad_s": (msg.max_tcp_rot_speed, math.inf),
     }
-    values = {name: default if value == 0.0 else float(value) for name, (value, default) in numbers.items()}
+    values: dict[str, Any] = {
+        name: default if value == 0.0 else float(value) for name, (value, default) in numbers.items()
+    }
     padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
-    named = {"planner": msg.planner_id} if msg.planner_id else {}
+    named: dict[str, Any] = {"planner": msg.planner_id} if msg.planner_id else {}
     upright = upright_from_msg(msg.path_constraints)
     improve = int(msg.improve_iterations) or None
     return MotionOptions(
@@ -194,7 +196,7 @@ def _duration(seconds: float) -> Duration:
     return Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
-def trajectory_from_msg(msg: JointTrajectory, robot: RobotModel) -> dict[str, Array | None]:
+def trajectory_from_msg(msg: JointTrajectory, robot: RobotModel) -> dict[str, Any]:
     """Return positions, times, velocities, accelerations of a trajectory; none where it has no such numbers.
 
     Raises:
@@ -226,7 +228,7 @@ def _matrix(rows: Sequence[Any], order: list[int], what: str, *, required: bool 
         if len(row) != len(order):
             raise InvalidRequestError(f"point {i} of the trajectory has {len(row)} {what}, expected {len(order)}")
     values = np.array(rows, dtype=float)[:, order]
-    for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+    for i in map(int, np.flatnonzero(~np.isfinite(values).all(axis=1))):
         raise InvalidRequestError(f"point {i} of the trajectory: {what} must be finite, got {values[i].tolist()}")
     return values
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]
+import yaml
 from mcap.writer import CompressionType, Writer
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of

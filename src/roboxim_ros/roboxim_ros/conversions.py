@@ -20,7 +20,7 @@ import sys
 import types
 from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +85,7 @@ def to_msg(value: Any, msg_cls: type[T]) -> T:
         msg_cls: Message class with the same field names.
     """
     msg = msg_cls()
-    for name, set_field in _setters(type(value), msg_cls):
+    for name, set_field in _setters(type(value), msg_cls):  # type: ignore[arg-type]  # classes are hashable
         set_field(msg, getattr(value, name))
     return msg
 
@@ -153,7 +153,8 @@ def from_msg(msg: Any, cls: type[T]) -> T:
     Raises:
         InvalidRequestError: When a value does not fit the class (its own checks included).
     """
-    return cls(**{name: get_field(msg) for name, get_field in _getters(cls)})
+    getters = _getters(cls)  # type: ignore[arg-type]  # classes are hashable
+    return cls(**{name: get_field(msg) for name, get_field in getters})
 
 
 @cache
@@ -178,7 +179,7 @@ def _decoder(kind: Any) -> Convert:
     if kind is Pose:
         return pose_from_msg
     if dataclasses.is_dataclass(kind):
-        return lambda value: from_msg(value, kind)
+        return lambda value: from_msg(value, cast(type[Any], kind))
     optional = _optional_of(kind)
     if optional is not None:
         return lambda value: from_msg(value[0], optional) if len(value) else None
@@ -190,13 +191,13 @@ def _decoder(kind: Any) -> Convert:
     if origin is tuple:
         return lambda value: tuple(args[0](item) for item in value)
     if kind in (int, float, bool, str):
-        return kind
+        return cast(Convert, kind)
     return lambda value: value
 
 
 def _dict_decoder(kind: Any) -> Convert:
     if dataclasses.is_dataclass(kind):
-        return lambda pairs: {pair.role: from_msg(pair.object, kind) for pair in pairs}
+        return lambda pairs: {pair.role: from_msg(pair.object, cast(type[Any], kind)) for pair in pairs}
     if kind is float:
         return lambda pairs: {pair.name: float(pair.value) for pair in pairs}
     if kind is str:

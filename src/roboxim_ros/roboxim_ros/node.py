@@ -89,7 +89,8 @@ class RoboximNode(Node):
         hints = get_type_hints(cls)
         values = {}
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-            default = field.default if field.default is not dataclasses.MISSING else field.default_factory()  # type: ignore[misc]
+            made = field.default_factory is not dataclasses.MISSING
+            default = field.default_factory() if made else field.default  # type: ignore[operator]
             descriptor = _descriptor(field, hints[field.name])
             initial = list(default) if isinstance(default, tuple) else default
             try:

@@ -200,8 +200,9 @@ def _write(run: Run) -> None:
 
 def _read(path: Path) -> Run | None:
     try:
-        data: dict[str, Any] = json.loads(path.read_text())
-        return Run(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+        data = json.loads(path.read_text())
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+        return Run(**values)
     except (OSError, ValueError, TypeError):  # gone, or of another version
         return None
 

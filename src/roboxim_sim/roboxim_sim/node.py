@@ -36,7 +36,8 @@ from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
-from roboxim_sim.world import Snapshot, World
+from roboxim_sim.snapshots import Snapshot
+from roboxim_sim.world import World
 
 
 @dataclass(frozen=True, kw_only=True)

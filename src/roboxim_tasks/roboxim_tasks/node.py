@@ -22,7 +22,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
-from roboxim_tasks.config import DEFAULT_TASK, TaskConfig, load_task_config, parse_task_config
+from roboxim_tasks.config import DEFAULT_TASK, TaskConfig, TaskMix, load_task_config, parse_task_config
 from roboxim_tasks.conversions import fill_chunk, window_from_msg
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
@@ -106,7 +106,7 @@ class TaskNode(RoboximNode):
         self.serve(ResetPolicy, "expert/reset_policy", self._on_reset)
         self.serve(Act, "expert/act", self._on_act)
 
-    def _task_config(self, text: str) -> TaskConfig:
+    def _task_config(self, text: str) -> TaskConfig | TaskMix:
         return self._parse(text) if text.strip() else self._default_task
 
     def _on_generate(self, request: GenerateEpisode.Request, response: GenerateEpisode.Response) -> None:

@@ -89,7 +89,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     if code:
         raise RoboximError(f"{absolute(name)}: {response.error_msg}", code)
     result = getattr(response, "result", None)  # how simulation_interfaces says it
-    if hasattr(result, "RESULT_OK") and result.result != result.RESULT_OK:
+    if result is not None and hasattr(result, "RESULT_OK") and result.result != result.RESULT_OK:
         raise SimError(f"{absolute(name)}: {result.error_message}")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -43,7 +43,8 @@ def behaviour_cloning(
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
     settings = _settings(config)
-    settings = replace(settings, **{k: v for k, v in {"steps": steps, "seed": seed}.items() if v is not None})
+    given: dict[str, Any] = {key: value for key, value in {"steps": steps, "seed": seed}.items() if value is not None}
+    settings = replace(settings, **given)
     if out.is_file():
         make_folder(out)  # says so
     started = time.monotonic()
