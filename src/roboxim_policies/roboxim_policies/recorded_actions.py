@@ -14,7 +14,7 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.config import from_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
-from roboxim_core.rlds import RldsEpisode, RldsReader
+from roboxim_datasets.rlds import RldsEpisode, RldsReader
 
 STEP_TOPIC = "evaluator/step"
 

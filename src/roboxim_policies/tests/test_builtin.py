@@ -11,8 +11,8 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, ObservationWindow
-from roboxim_core.rlds import RldsEpisode, RldsFeatures, encode_image
-from roboxim_core.rlds_writer import RldsWriter
+from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, encode_image
+from roboxim_datasets.rlds.writer import RldsWriter
 from roboxim_policies import load_policy
 
 ACTIONS = np.random.default_rng(0).normal(scale=0.01, size=(5, 7)).astype(np.float32)

@@ -1,1 +1,1 @@
-"""Recordings, exports, data set audits, and the recorder node."""
+"""Recordings, exports, dataset audits, and the recorder node."""

@@ -76,9 +76,9 @@ class DatasetSummary:
     instructions: dict[str, int]
     """Instruction to number of kept bags."""
     robots: dict[str, int]
-    """Robot to number of kept bags; a good data set has one."""
+    """Robot to number of kept bags; a good dataset has one."""
     semantics: tuple[ActionSemantics, ...]
-    """Action semantics that occur; a good data set has one."""
+    """Action semantics that occur; a good dataset has one."""
 
     @property
     def text(self) -> str:

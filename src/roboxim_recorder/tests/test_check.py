@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag, list_bags, repair_bag
-from roboxim_recorder.rlds import export_rlds
+from roboxim_recorder.export.rlds import export_rlds
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 

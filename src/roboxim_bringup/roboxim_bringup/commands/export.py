@@ -46,7 +46,7 @@ def rlds(
     from roboxim_bringup.jobs import parse_size
     from roboxim_bringup.progress import ProgressLine
     from roboxim_core.errors import ConfigError
-    from roboxim_recorder.rlds import ExportConfig, export_rlds
+    from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 
     for word in cameras:
         if "=" not in word:

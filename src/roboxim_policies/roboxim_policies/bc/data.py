@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.rlds import RldsEpisode, RldsReader
+from roboxim_datasets.rlds import RldsEpisode, RldsReader
 from roboxim_policies.recorded_actions import rlds_semantics
 
 Floats = npt.NDArray[np.float32]

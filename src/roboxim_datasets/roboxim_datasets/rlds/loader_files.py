@@ -1,4 +1,4 @@
-"""What stands beside an exported data set: its statistics, and how the usual loaders are told of it."""
+"""What stands beside an exported dataset: its statistics, and how the usual loaders are told of it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.rlds import ACTION_SIZE, STATE_SIZE, RldsFeatures
-from roboxim_core.tfrecord import decode_example, read_records
+from roboxim_datasets.rlds.format import ACTION_SIZE, STATE_SIZE, RldsFeatures
+from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 
 STATISTICS_FILE = "dataset_statistics.json"
 ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
@@ -56,7 +56,7 @@ def _summary(values: npt.NDArray[np.float32]) -> dict[str, list[float]]:
 
 
 def action_statistics(path: Path) -> dict[str, list[float]]:
-    """Return the statistics of an exported data set's actions by name (``mean``, ``std``, ``q01`` ...)."""
+    """Return the statistics of an exported dataset's actions by name (``mean``, ``std``, ``q01`` ...)."""
     statistics: dict[str, list[float]] = json.loads((path / STATISTICS_FILE).read_text())["action"]
     return statistics
 
@@ -69,7 +69,7 @@ def dead_dimensions(statistics: dict[str, list[float]]) -> tuple[str, ...]:
 def loader_files(
     name: str, version: str, features: RldsFeatures, semantics: ActionSemantics, statistics: dict[str, Any]
 ) -> dict[str, str]:
-    """Return file name to text of what helps to load a data set."""
+    """Return file name to text of what helps to load a dataset."""
     keys = sorted(features.images)
     wrist = next((key for key in keys if "wrist" in key), None)
     primary = "image" if "image" in keys else next(key for key in keys if key != wrist or len(keys) == 1)
@@ -89,11 +89,11 @@ def loader_files(
     }
 
 
-_REGISTER = '''"""Tells OpenVLA of the data set `{name}`: import this and call `register()` before training."""
+_REGISTER = '''"""Tells OpenVLA of the dataset `{name}`: import this and call `register()` before training."""
 
 
 def register() -> None:
-    """Add the data set to OpenVLA's configurations; its actions need no transform."""
+    """Add the dataset to OpenVLA's configurations; its actions need no transform."""
     from prismatic.vla.datasets.rlds.oxe.configs import OXE_DATASET_CONFIGS, ActionEncoding, StateEncoding
     from prismatic.vla.datasets.rlds.oxe.transforms import OXE_STANDARDIZATION_TRANSFORMS
 
@@ -109,7 +109,7 @@ def register() -> None:
 
 _README = """# {name} {version}
 
-RLDS data set exported by RoboXim from its bags: {episodes} episodes and {steps} steps in the split `train`.
+RLDS dataset exported by RoboXim from its bags: {episodes} episodes and {steps} steps in the split `train`.
 
 ```python
 import tensorflow_datasets as tfds

@@ -1,6 +1,6 @@
 """TFRecord files of ``tf.train.Example`` messages without TensorFlow.
 
-Only what data sets need: length-prefixed records with masked CRC32C, and the three list types of an Example.
+Only what datasets need: length-prefixed records with masked CRC32C, and the three list types of an Example.
 
 Source: the record format of TensorFlow's ``io/record_writer.h``; ``core/example/{example,feature}.proto``.
 """
@@ -57,7 +57,7 @@ def read_records(path: Path) -> Iterator[bytes]:
 
 
 def _damaged(path: Path, index: int) -> RecorderError:
-    return RecorderError(f"{path}: record {index} is damaged; export the data set again", ErrorCode.BAG_DAMAGED)
+    return RecorderError(f"{path}: record {index} is damaged; export the dataset again", ErrorCode.BAG_DAMAGED)
 
 
 def _varint(value: int) -> bytes:

@@ -11,8 +11,8 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.rlds import RldsReader
-from roboxim_recorder.rlds import ExportConfig, export_rlds
+from roboxim_datasets.rlds import RldsReader
+from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 PNG = ExportConfig(encoding="png")
@@ -81,7 +81,7 @@ def test_two_exports_are_the_same_bytes(run, tmp_path):
 
 
 def test_an_interrupted_export_is_not_taken_for_whole_and_goes_on(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("roboxim_recorder.rlds.RldsWriter", small_shards())
+    monkeypatch.setattr("roboxim_recorder.export.rlds.RldsWriter", small_shards())
 
     def interrupt(done, total):
         if done == 2:
@@ -89,7 +89,7 @@ def test_an_interrupted_export_is_not_taken_for_whole_and_goes_on(run, tmp_path,
 
     with pytest.raises(KeyboardInterrupt):
         export_rlds(run, tmp_path / "out", progress=interrupt)
-    with pytest.raises(RecorderError, match="0 data sets"):
+    with pytest.raises(RecorderError, match="0 datasets"):
         RldsReader(tmp_path / "out")
     resumed = export_rlds(run, tmp_path / "out")
     assert resumed.resumed == 2
@@ -99,7 +99,7 @@ def test_an_interrupted_export_is_not_taken_for_whole_and_goes_on(run, tmp_path,
 
 
 def small_shards():
-    from roboxim_core.rlds_writer import RldsWriter
+    from roboxim_datasets.rlds.writer import RldsWriter
 
     class Small(RldsWriter):
         def __init__(self, *args, **options):

@@ -1,4 +1,4 @@
-"""Exports bags as an RLDS data set, without TensorFlow; the files themselves are `roboxim_core.rlds_writer`'s.
+"""Exports bags as an RLDS dataset, without TensorFlow; the files themselves are `roboxim_datasets.rlds.writer`'s.
 
 A step pairs the observation of tick k with the action that leads to tick k + 1, as an imitator should output it
 (``action_label``: without the noise that was injected). The ticks of settling at the end are not exported.
@@ -23,12 +23,13 @@ from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.policies import proprio_of
-from roboxim_core.rlds import MetaValue, RldsEpisode, RldsFeatures, RldsReader, encode_image
-from roboxim_core.rlds_writer import RldsWriter
+from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader, encode_image
+from roboxim_datasets.rlds.format import MetaValue
+from roboxim_datasets.rlds.loader_files import action_statistics, dead_dimensions, loader_files, statistics_of
+from roboxim_datasets.rlds.writer import RldsWriter
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.check import list_bags
-from roboxim_recorder.rlds_files import action_statistics, dead_dimensions, loader_files, statistics_of
 
 Progress = Callable[[int, int], None]
 EXPORT_FILE = "export.json"
@@ -57,9 +58,9 @@ class ExportConfig:
     """What an export holds."""
 
     name: str = "roboxim"
-    """Name of the data set, lower case with underscores; never one that loaders treat specially, as ``bridge_*``."""
+    """Name of the dataset, lower case with underscores; never one that loaders treat specially, as ``bridge_*``."""
     version: str = "1.0.0"
-    """Version of the data set."""
+    """Version of the dataset."""
     cameras: dict[str, str] = field(default_factory=dict)
     """Camera to image key; empty: every camera, ``workspace`` as ``image`` and ``wrist`` as ``wrist_image``."""
     encoding: str = "jpeg"
@@ -81,14 +82,14 @@ class ExportConfig:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a fraction or size out of range, or a name of another data set's family.
+            InvalidRequestError: On a fraction or size out of range, or a name of another dataset's family.
         """
         if not 0.0 <= self.val_fraction < 1.0 or self.shard_mib < 1:
             raise InvalidRequestError("val_fraction must be in 0..1 (1 excluded) and shard_mib at least 1")
         if (self.image_height > 0) != (self.image_width > 0) or min(self.image_height, self.image_width) < 0:
             raise InvalidRequestError("give image_height and image_width both, or neither")
         if self.name.startswith("bridge"):
-            raise InvalidRequestError("loaders rewrite the actions of data sets called bridge*; choose another name")
+            raise InvalidRequestError("loaders rewrite the actions of datasets called bridge*; choose another name")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +97,7 @@ class ExportReport:
     """What was exported."""
 
     path: Path
-    """The data set, ``<target>/<name>/<version>``."""
+    """The dataset, ``<target>/<name>/<version>``."""
     splits: dict[str, int]
     """Split to number of episodes."""
     steps: int
@@ -128,21 +129,21 @@ def export_rlds(
 ) -> ExportReport:
     """Export a run's folder, a folder of bags or one bag.
 
-    An interrupted export goes on after its last finished shard; nothing carries the data set's name before it is whole.
+    An interrupted export goes on after its last finished shard; nothing carries the dataset's name before it is whole.
     Equal bags and configuration give equal bytes.
 
     Args:
         source: Where the bags are; set apart ones are not taken.
         target: Data directory to write ``<name>/<version>`` into.
         config: What to export; none: the defaults.
-        if_exists: Whether an existing data set is an error, is replaced when the new one is whole, or is left as it is
+        if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
             when it is of the same bags and configuration (an error otherwise).
         progress: Called with the episodes done and their total.
 
     Raises:
         InvalidRequestError: On a name, camera or size that does not fit.
         RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags do not fit together or when the
-            data set exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
+            dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
     """
     config = config or ExportConfig()
     bags = list_bags(source)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.rlds import RldsEpisode, RldsFeatures, RldsReader, encode_image
-from roboxim_core.rlds_writer import RldsWriter
-from roboxim_core.tfrecord import decode_example, encode_example
+from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader, encode_image
+from roboxim_datasets.rlds.tfrecord import decode_example, encode_example
+from roboxim_datasets.rlds.writer import RldsWriter
 
 FEATURES = RldsFeatures(
     images={"image": (16, 24)},
@@ -72,7 +72,7 @@ def interrupt_after_one(folder: Path) -> None:
 
 def test_interrupted_build_leaves_nothing_and_goes_on(tmp_path: Path) -> None:
     interrupt_after_one(tmp_path)
-    with pytest.raises(RecorderError, match="0 data sets"):
+    with pytest.raises(RecorderError, match="0 datasets"):
         RldsReader(tmp_path)
     with make_writer(tmp_path, identity="x", shard_bytes=1) as writer:
         assert writer.resumed("train") == 1

@@ -1,8 +1,4 @@
-"""Data sets of episodes in the RLDS format of TensorFlow Datasets, without TensorFlow.
-
-The format is shared: the recorder exports it, a policy's training reads it. A data set is a folder
-``<data_dir>/<name>/<version>`` with one Example per episode in sharded TFRecord files, ``features.json`` and
-``dataset_info.json``. `rlds_writer` writes it.
+"""The RLDS format of TensorFlow Datasets: what a dataset's episodes hold, and one episode as one Example.
 
 Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps.
 """
@@ -10,18 +6,16 @@ Step k holds observation k and the action that leads from it to observation k + 
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_core.tfrecord import Feature, decode_example, encode_example, read_records
+from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
 MetaValue = str | int | float | bool
@@ -34,7 +28,7 @@ _CLASS = "tensorflow_datasets.core.features."
 
 @dataclass(frozen=True, kw_only=True)
 class RldsFeatures:
-    """What a data set's episodes hold."""
+    """What a dataset's episodes hold."""
 
     images: dict[str, tuple[int, int]]
     """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]."""
@@ -219,77 +213,8 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
     return RldsFeatures(images=images, encoding=encoding, metadata=kinds)
 
 
-class RldsReader:
-    """Reads a data set as `RldsWriter` makes it."""
-
-    def __init__(self, path: Path | str) -> None:
-        """Open a data set.
-
-        Args:
-            path: The folder that holds ``dataset_info.json``, or one above it that holds a single data set.
-
-        Raises:
-            RecorderError: When there is no data set or its description is damaged.
-        """
-        found = sorted(p for p in Path(path).glob("**/dataset_info.json") if ".partial" not in str(p.parent))
-        if len(found) != 1:
-            raise RecorderError(_not_one(Path(path), [file.parent for file in found]))
-        self.path = found[0].parent
-        try:
-            info = json.loads(found[0].read_text())
-            self.features = features_from_json(json.loads((self.path / "features.json").read_text()))
-            self.name: str = info["name"]
-            self.version: str = info["version"]
-            self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
-            """Split to the number of episodes in each of its shards."""
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise RecorderError(f"{self.path} is not a data set that this reader knows: {error!r}") from None
-
-    def count(self, split: str) -> int:
-        """Count the episodes of a split; 0 when there is none of that name."""
-        return sum(self.splits.get(split, []))
-
-    def episodes(self, split: str) -> Iterator[RldsEpisode]:
-        """Yield the episodes of a split in order, images still encoded.
-
-        Raises:
-            InvalidRequestError: When there is no such split.
-            RecorderError: With code ``BAG_DAMAGED``, naming the file.
-        """
-        if split not in self.splits:
-            raise InvalidRequestError(f"{self.path}: no split '{split}'; {one_of(self.splits, split)}")
-        lengths = self.splits[split]
-        for index, length in enumerate(lengths):
-            path = self.path / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(lengths):05d}"
-            count = 0
-            for payload in _records(path):
-                yield decode_episode(payload, self.features)
-                count += 1
-            if count != length:
-                raise RecorderError(f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED)
-
-
-def _not_one(path: Path, found: list[Path]) -> str:
-    """Say why a path is not one data set, and what to do."""
-    if found:
-        names = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
-        return f"{path} holds {len(found)} data sets; name one of {names}"
-    if not path.exists():
-        return f"no such folder: {path}; expected a data set, as 'roboxim export rlds' makes it"
-    if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
-        return f"{path} holds bags, not a data set; export them first: roboxim export rlds {path} {path}-rlds"
-    return f"{path} holds 0 data sets; name the folder of one, which holds dataset_info.json"
-
-
-def _records(path: Path) -> Iterator[bytes]:
-    try:
-        yield from read_records(path)
-    except OSError as error:
-        raise RecorderError(f"cannot read {path}: {error.strerror or error}", ErrorCode.BAG_DAMAGED) from None
-
-
 def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
-    """Turn a record of a data set into an episode, images still encoded."""
+    """Turn a record of a dataset into an episode, images still encoded."""
     example: dict[str, Any] = decode_example(payload)
     metadata = {
         key: example[f"episode_metadata/{key}"][0].decode() if kind == "text" else META_TYPES[kind](value[0])

@@ -1,4 +1,4 @@
-"""Writes a data set in the RLDS format: sharded, atomic, resumable, the same bytes for the same episodes.
+"""Writes a dataset in the RLDS format: sharded, atomic, resumable, the same bytes for the same episodes.
 
 It is built in a hidden folder beside its place and renamed when complete, so what carries the name is whole;
 an interrupted build goes on after its last finished shard.
@@ -14,12 +14,12 @@ from types import TracebackType
 from typing import Any
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.rlds import RldsEpisode, RldsFeatures, encode_episode, features_to_json
-from roboxim_core.tfrecord import write_record
+from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, encode_episode, features_to_json
+from roboxim_datasets.rlds.tfrecord import write_record
 
 
 class RldsWriter:
-    """Writes a data set; a context manager that completes it on a clean exit, else leaves it resumable.
+    """Writes a dataset; a context manager that completes it on a clean exit, else leaves it resumable.
 
     Non-obvious: after an interruption the next writer of the same ``identity`` keeps the finished shards; the
     caller skips the first ``resumed(split)`` episodes of each split. Another identity starts afresh.
@@ -40,23 +40,23 @@ class RldsWriter:
         """Start or go on.
 
         Args:
-            folder: Data directory; the data set is written to ``folder/name/version``.
+            folder: Data directory; the dataset is written to ``folder/name/version``.
             features: What the episodes hold.
-            name: Name of the data set, lower case with underscores.
+            name: Name of the dataset, lower case with underscores.
             version: ``major.minor.patch``.
             description: For ``dataset_info.json``.
             identity: What tells this build from another; empty: never resumed.
-            overwrite: Whether an existing data set of this name and version is replaced at the end.
+            overwrite: Whether an existing dataset of this name and version is replaced at the end.
             shard_bytes: Size at which a shard is finished [B].
 
         Raises:
             InvalidRequestError: On a name or version that TensorFlow Datasets does not accept.
-            RecorderError: With code ``EXPORT_REFUSED`` when the data set exists.
+            RecorderError: With code ``EXPORT_REFUSED`` when the dataset exists.
         """
         if not name.isidentifier() or name != name.lower():
-            raise InvalidRequestError(f"a data set's name must be lower case with underscores, got '{name}'")
+            raise InvalidRequestError(f"a dataset's name must be lower case with underscores, got '{name}'")
         if [part for part in version.split(".") if part.isdigit()] != version.split(".") or version.count(".") != 2:
-            raise InvalidRequestError(f"a data set's version must be like 1.0.0, got '{version}'")
+            raise InvalidRequestError(f"a dataset's version must be like 1.0.0, got '{version}'")
         self.path = folder / name / version
         if self.path.exists() and not overwrite:
             raise RecorderError(
@@ -111,7 +111,7 @@ class RldsWriter:
         scratch.replace(self._partial / "journal.json")
 
     def finish_shards(self) -> None:
-        """Write what is pending, so that the shards can be read back before the data set is completed."""
+        """Write what is pending, so that the shards can be read back before the dataset is completed."""
         for split in list(self._pending):
             self._finish_shard(split)
 
@@ -120,17 +120,17 @@ class RldsWriter:
         return [self._partial / shard["file"] for shard in self._journal["shards"].get(split, [])]
 
     def complete(self, files: Mapping[str, str] | None = None) -> Path:
-        """Finish the data set and put it in its place.
+        """Finish the dataset and put it in its place.
 
         Args:
             files: Further text files by name, e.g. a README.
 
         Returns:
-            The data set's folder.
+            The dataset's folder.
         """
         self.finish_shards()
         if not self._journal["shards"]:
-            raise RecorderError("a data set needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED)
+            raise RecorderError("a dataset needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED)
         splits = []
         for split, shards in sorted(self._journal["shards"].items()):
             for index, shard in enumerate(shards):
@@ -168,6 +168,6 @@ class RldsWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        """Complete the data set unless an error is on its way or it was completed."""
+        """Complete the dataset unless an error is on its way or it was completed."""
         if kind is None and self._partial.exists():
             self.complete()

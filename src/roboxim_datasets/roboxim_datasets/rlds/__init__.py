@@ -1,0 +1,11 @@
+"""Datasets in the RLDS format of TensorFlow Datasets, read and written without TensorFlow.
+
+A dataset is a folder ``<data_dir>/<name>/<version>`` with one Example per episode in sharded TFRecord files,
+``features.json`` and ``dataset_info.json``.
+"""
+
+from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, encode_image
+from roboxim_datasets.rlds.reader import RldsReader
+from roboxim_datasets.rlds.writer import RldsWriter
+
+__all__ = ["RldsEpisode", "RldsFeatures", "RldsReader", "RldsWriter", "encode_image"]
