@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
 def die_with_parent(parent: int) -> None:
@@ -36,7 +37,7 @@ def spawn(module: str, arguments: Sequence[str], *, output: IO[Any] | None = Non
         output: Where its stdout and stderr go; none: where this process's go.
     """
     # One thread per library: the parallelism is in the processes.
-    defaults = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name not in os.environ}
+    defaults = {name: "1" for name in _THREAD_COUNTS if name not in os.environ}
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         env={**os.environ, **defaults, "ROBOXIM_PARENT": str(os.getpid()), "PYTHONUNBUFFERED": "1"},

@@ -1,7 +1,7 @@
 """The camera model: YAML files of ``config/cameras``, and where a point of the scene is in the image.
 
 Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel, u to the right,
-v down. Lens distortion is the model ``plumb_bob`` of ROS and OpenCV.
+v down. Lens distortion is the model ``plumb_bob`` of ROS; OpenCV computes it.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -20,7 +21,10 @@ from roboxim_core.poses import Array, Pose, Vec3, look_at
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraNoise, CameraSpec
 
-MAX_ITERATIONS = 40
+MAX_ERROR_PX = 0.01
+"""Largest distance of a pixel from where its ray is projected [px]; more: the distortion cannot be inverted."""
+_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-9)
+"""When `cv2.undistortPoints` stops: iterations, error [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,29 +141,10 @@ def project(camera: CameraSpec, points: npt.ArrayLike) -> Array:
 
     Returns:
         u, v of each point [px], shape (N, 2); pixel centres are at whole numbers.
-
-    Source: OpenCV's documentation of ``calib3d``, the model with k1, k2, p1, p2, k3.
     """
-    xyz = np.asarray(points, dtype=float).reshape(-1, 3)
-    fx, fy, cx, cy = camera.matrix
-    return distort(camera, xyz[:, :2] / xyz[:, 2:]) * (fx, fy) + (cx, cy)
-
-
-def distort(camera: CameraSpec, rays: Array) -> Array:
-    """Return the distorted normalised image coordinates of undistorted ones, both of shape (N, 2)."""
-    if not any(camera.distortion):
-        return rays
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = rays[:, 0], rays[:, 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
-    )
+    xyz = np.asarray(points, dtype=float).reshape(-1, 1, 3)
+    pixels, _ = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), *_calibration(camera))
+    return np.asarray(pixels, dtype=float).reshape(-1, 2)
 
 
 def rays_of_pixels(camera: CameraSpec) -> Array:
@@ -168,30 +153,33 @@ def rays_of_pixels(camera: CameraSpec) -> Array:
     Raises:
         InvalidRequestError: When the distortion folds the image, so that a pixel sees no point or several.
     """
-    fx, fy, cx, cy = camera.matrix
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    pixels: Array = np.asarray((np.stack([u, v], axis=-1).reshape(-1, 2) - (cx, cy)) / (fx, fy), dtype=float)
-    rays = pixels.copy()
-    if any(camera.distortion):
-        with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(MAX_ITERATIONS):  # Newton's method with the radial part's derivative
-                rays += (pixels - distort(camera, rays)) / _stretch(camera, rays)[:, None]
-            error = float(np.abs(distort(camera, rays) - pixels).max()) * max(fx, fy)
-        if not error < 0.01 or (_stretch(camera, rays) <= 0).any():
-            raise InvalidRequestError(
-                f"camera '{camera.name}': the distortion {camera.distortion} folds the image at its edges; "
-                "it was calibrated for a narrower field of view"
-            )
+    u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    pixels = np.stack([u, v], axis=-1)
+    found = cv2.undistortPoints(pixels.reshape(-1, 1, 2), *_calibration(camera), criteria=_UNTIL)
+    rays: Array = np.asarray(found, dtype=float).reshape(-1, 2)
+    error = project(camera, np.column_stack([rays, np.ones(len(rays))])) - pixels.reshape(-1, 2)
+    if not np.abs(error).max() < MAX_ERROR_PX or (_radial_derivative(camera, rays) <= 0).any():
+        raise InvalidRequestError(
+            f"camera '{camera.name}': the distortion {camera.distortion} folds the image at its edges; "
+            "it was calibrated for a narrower field of view"
+        )
     shaped: Array = rays.reshape(camera.height, camera.width, 2)
     return shaped
 
 
-def _stretch(camera: CameraSpec, rays: Array) -> Array:
-    """Return the derivative of the distorted radius by the undistorted one, shape (N,)."""
-    k1, k2, _, _, k3 = camera.distortion
+def _calibration(camera: CameraSpec) -> tuple[Array, Array]:
+    """Return a camera's matrix K, shape (3, 3) [px], and its distortion coefficients D, shape (5,), as OpenCV wants."""
+    fx, fy, cx, cy = camera.matrix
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return matrix, np.array(camera.distortion or (0.0,) * 5)
+
+
+def _radial_derivative(camera: CameraSpec, rays: Array) -> Array:
+    """Return the derivative of the distorted radius with respect to the undistorted one at rays, shape (N,)."""
+    k1, k2, _, _, k3 = camera.distortion or (0.0,) * 5
     r2 = (rays**2).sum(axis=1)
-    stretch: Array = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
-    return stretch
+    derivative: Array = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
+    return derivative
 
 
 def ideal_camera(camera: CameraSpec) -> CameraSpec:

@@ -6,11 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
+from sensor_msgs.msg import CameraInfo
 
-from roboxim_core.cameras import distort, project
+from roboxim_core.cameras import project
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.rendering import RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
@@ -61,6 +63,12 @@ def floor(renderer: Renderer) -> Renderer:
     return renderer
 
 
+def projected(info: CameraInfo, points: np.ndarray) -> np.ndarray:
+    """Project points of the optical frame as a user of the message would."""
+    matrix = np.array(info.k).reshape(3, 3)
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(info.d))[0].reshape(-1, 2)
+
+
 @pytest.mark.parametrize(
     ("renderer", "camera"),
     [("raster", PLAIN), ("raster", CALIBRATED), ("raster", BARREL), ("raster", PINCUSHION), ("tiny", CALIBRATED)],
@@ -71,13 +79,11 @@ def test_known_points_are_where_camera_info_says(renderer: Renderer, camera: Cam
     """Projected with the message's K and D alone, as a user would, within half a pixel."""
     info = camera_info_msg(0, camera)
     assert (info.width, info.height, info.distortion_model) == (camera.width, camera.height, "plumb_bob")
-    focal, centre = np.array([info.k[0], info.k[4]]), np.array([info.k[2], info.k[5]])
     points = np.random.default_rng(2).uniform(-0.24, 0.24, (8, 3))
     renderer.load(world(len(points)))
     optical = EYE.inverse().apply(points)
-    rays = distort(replace(camera, distortion=tuple(info.d)), optical[:, :2] / optical[:, 2:])
     seen = 0
-    for i, expected in enumerate(rays * focal + centre):
+    for i, expected in enumerate(projected(info, optical)):
         poses = {f"p{j}": Pose(position=(0.0, 0.0, -50.0)) for j in range(len(points))}
         poses[f"p{i}"] = Pose.from_arrays(points[i])
         ids = draw_frames(renderer, 0, poses, [(camera, EYE)])["eye"].segmentation
@@ -100,6 +106,24 @@ def test_depth_stays_metric_through_a_bending_lens(renderer: Renderer) -> None:
     assert np.abs(images.depth - 1.2).max() < 1e-3
     assert images.rgb.shape == (270, 360, 3)
     assert images.depth.shape == (270, 360)
+
+
+def test_opencv_undistorts_the_image_to_the_pinholes(renderer: Renderer) -> None:
+    """`cv2.undistort` with the message's K and D, as a user would rectify, gives what a perfect lens sees."""
+    renderer.load(world(30))
+    points = np.random.default_rng(2).uniform(-0.24, 0.24, (30, 3))
+    poses = {f"p{i}": Pose.from_arrays(point) for i, point in enumerate(points)}
+    near = look_at((0.6, 0.35, 0.4), (0.0, 0.05, 0.0))
+    bent, straight = (draw_frames(renderer, 0, poses, [(camera, near)])["eye"].rgb for camera in (BARREL, CALIBRATED))
+    info = camera_info_msg(0, BARREL)
+    rectified = cv2.undistort(bent, np.array(info.k).reshape(3, 3), np.array(info.d))
+
+    def error(image: np.ndarray) -> float:
+        """Mean difference from the perfect lens' image, whose edges are sharper."""
+        smooth, ideal = (cv2.GaussianBlur(each.astype(float), (0, 0), 1.5) for each in (image, straight))
+        return float(np.abs(smooth - ideal)[30:-30, 30:-30].mean())
+
+    assert error(bent) > 4 * error(rectified)
 
 
 def test_noise_is_of_the_seed_the_camera_and_the_tick(renderer: Renderer) -> None:
@@ -163,5 +187,4 @@ def test_the_projection_is_the_cores(renderer: Renderer) -> None:
     """`project` and the message agree, so that a user may take either."""
     point = np.array([[0.1, -0.05, 0.9]])
     info = camera_info_msg(0, BARREL)
-    rays = distort(BARREL, point[:, :2] / point[:, 2:])
-    assert project(BARREL, point)[0] == pytest.approx(rays[0] * [info.k[0], info.k[4]] + [info.k[2], info.k[5]])
+    assert project(BARREL, point)[0] == pytest.approx(projected(info, point)[0])

@@ -5,23 +5,21 @@ Step k holds observation k and the action that leads from it to observation k + 
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
-from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.images import ENCODINGS, decode_image
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
 MetaValue = str | int | float | bool
 STATE_SIZE = 8
 ACTION_SIZE = 7
-JPEG_QUALITY = 95
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
 _CLASS = "tensorflow_datasets.core.features."
 
@@ -43,8 +41,8 @@ class RldsFeatures:
         Raises:
             InvalidRequestError: On an unknown encoding or metadata type.
         """
-        if self.encoding not in ("jpeg", "png"):
-            raise InvalidRequestError(f"unknown image encoding '{self.encoding}'; expected one of: jpeg, png")
+        if self.encoding not in ENCODINGS:
+            raise InvalidRequestError(f"unknown image encoding '{self.encoding}'; {one_of(ENCODINGS, self.encoding)}")
         for key, kind in self.metadata.items():
             if kind not in META_TYPES:
                 raise InvalidRequestError(f"metadata '{key}': unknown type '{kind}'; {one_of(META_TYPES, kind)}")
@@ -72,31 +70,19 @@ class RldsEpisode:
         return len(self.action)
 
     def frame(self, key: str, step: int) -> npt.NDArray[np.uint8]:
-        """Decode one image, uint8, shape (height, width, 3)."""
-        return np.asarray(Image.open(io.BytesIO(self.images[key][step])))
+        """Decode one image, uint8, shape (height, width, 3).
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when its bytes are not an image.
+        """
+        try:
+            return decode_image(self.images[key][step])
+        except InvalidRequestError as error:
+            raise RecorderError(f"step {step}, image '{key}': {error}", ErrorCode.BAG_DAMAGED) from None
 
     def frames(self, key: str) -> npt.NDArray[np.uint8]:
         """Decode all images of a key, uint8, shape (T, height, width, 3)."""
         return np.stack([self.frame(key, step) for step in range(len(self))])
-
-
-def encode_image(image: npt.NDArray[np.uint8], encoding: str, size: tuple[int, int] | None = None) -> bytes:
-    """Encode an RGB image.
-
-    Args:
-        image: uint8, shape (height, width, 3).
-        encoding: ``jpeg`` (quality 95, no chroma subsampling) or ``png``.
-        size: (height, width) to resize to (Lanczos); none: as it is.
-    """
-    picture = Image.fromarray(image)
-    if size is not None and size != image.shape[:2]:
-        picture = picture.resize((size[1], size[0]), Image.Resampling.LANCZOS)
-    buffer = io.BytesIO()
-    if encoding == "jpeg":
-        picture.save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
-    else:
-        picture.save(buffer, "PNG", compress_level=3)
-    return buffer.getvalue()
 
 
 def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.images import resized
 from roboxim_datasets.rlds import RldsEpisode, RldsReader
 from roboxim_policies.recorded_actions import rlds_semantics
 
@@ -88,16 +88,6 @@ def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> 
     index = {word: i + 1 for i, word in enumerate(vocabulary)}
     known = [index[word] for word in split_words(instruction) if word in index][:length]
     return np.array(known + [0] * (length - len(known)), np.int32)
-
-
-def resize(image: Images, side: int) -> Images:
-    """Resize an RGB image to a square, averaging over the pixels that fall together.
-
-    Training and policy both come through here, so that the network meets the same pixels in both.
-    """
-    if image.shape[:2] == (side, side):
-        return image
-    return np.asarray(Image.fromarray(image).resize((side, side), Image.Resampling.BOX))
 
 
 def proprio_features(proprio: Floats) -> Floats:
@@ -241,4 +231,4 @@ def _cameras(episode: RldsEpisode) -> dict[str, str]:
 
 
 def _frames(episode: RldsEpisode, key: str, side: int) -> Images:
-    return np.stack([resize(episode.frame(key, step), side) for step in range(len(episode))])
+    return np.stack([resized(episode.frame(key, step), side, side) for step in range(len(episode))])

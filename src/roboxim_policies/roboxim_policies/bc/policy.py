@@ -11,10 +11,11 @@ import numpy as np
 
 from roboxim_core.actions import ActionArray
 from roboxim_core.errors import ConfigError
+from roboxim_core.images import resized
 from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
-from roboxim_policies.bc.data import Floats, Images, proprio_features, resize, word_indices
+from roboxim_policies.bc.data import Floats, Images, proprio_features, word_indices
 from roboxim_policies.bc.network import Prediction, make_network
 
 
@@ -77,7 +78,7 @@ class BCPolicy(BasePolicy):
         if not np.any(proprio[3:7]):
             proprio = np.array([*proprio[:3], 0, 0, 0, 1, proprio[7]], np.float32)
         pixels = {
-            name: jnp.asarray(resize(images[name], side), jnp.float32)[None] / 255.0 - 0.5
+            name: jnp.asarray(resized(images[name], side, side), jnp.float32)[None] / 255.0 - 0.5
             for name, side in self._said.input_sizes.items()
         }
         inputs = self._said.stats.normalize_proprio(proprio_features(proprio[None]))

@@ -22,8 +22,9 @@ from roboxim_core.config import digest as digest_of
 from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.images import encode_image
 from roboxim_core.policies import proprio_of
-from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader, encode_image
+from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader
 from roboxim_datasets.rlds.format import MetaValue
 from roboxim_datasets.rlds.loader_files import action_statistics, dead_dimensions, loader_files, statistics_of
 from roboxim_datasets.rlds.writer import RldsWriter
