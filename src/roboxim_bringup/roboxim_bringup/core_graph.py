@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 import zlib
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,8 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_recorder.schemas import message_schema, typestore
 from roboxim_ros.conversions import fill_stamp, to_msg
 from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
 from roboxim_sim.rendering import make_renderer
@@ -201,38 +202,23 @@ class CoreRecorder:
         self._sim = sim
         self._output_dir = output_dir
         self._recording: EpisodeRecording | None = None
-        kinds = [StateRecordMsg, EpisodeInfoMsg, EpisodeResultMsg, EpisodeStepMsg]
-        names = [f"roboxim_interfaces/msg/{kind.__name__}" for kind in kinds]
-        self._store = typestore([message_schema(name) for name in names])
-        self._definitions = {name: self._store.get_msgdef(name) for name in names}
-
-    def _serialize(self, message: Any) -> bytes:
-        """Serialise as the middleware does on the wire.
-
-        `serialize_message` returns as many bytes as the message may need at most; with empty sequences that is more
-        than it needs, and readers take the rest for damage.
-        """
-        cdr = bytes(serialize_message(message))
-        definition = self._definitions.get(f"roboxim_interfaces/msg/{type(message).__name__}")
-        if definition is None:
-            return cdr
-        return cdr[: 4 + definition.deserialize_cdr_le(cdr[4:], 0, definition.cls, self._store)[1]]
 
     def open(self, info: EpisodeInfo) -> None:
         """Open the episode's bag."""
-        self._recording = EpisodeRecording(self._output_dir, info, self._serialize(to_msg(info, EpisodeInfoMsg)))
+        self._recording = EpisodeRecording(self._output_dir, info, serialize_message(to_msg(info, EpisodeInfoMsg)))
 
     def step(self, step: EpisodeStep) -> None:
         """Write a tick."""
         assert self._recording is not None
         for topic, message in self._sim.messages.items():
-            self._recording.message(f"/{topic}", self._serialize(message))
-        self._recording.message("/evaluator/step", self._serialize(to_msg(step, EpisodeStepMsg)))
+            self._recording.message(f"/{topic}", serialize_message(message))
+        self._recording.message("/evaluator/step", serialize_message(to_msg(step, EpisodeStepMsg)))
 
     def close(self, result: EpisodeResult, keep: str) -> str:
         """Close the bag."""
         assert self._recording is not None
-        path = self._recording.close(result, self._serialize(to_msg(result, EpisodeResultMsg)), keep)
+        result = replace(result, bag=bag_path(result.episode_id, keep))
+        path = self._recording.close(result, serialize_message(to_msg(result, EpisodeResultMsg)), keep)
         self._recording = None
         return path
 

@@ -11,7 +11,7 @@ import errno
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 from mcap.writer import CompressionType, Writer
@@ -69,7 +69,7 @@ class McapFile:
         folder.mkdir(parents=True)
         self.path = folder / f"{name}_0.mcap"
         self._file = self.path.open("wb")
-        self._writer = Writer(self._file, chunk_size=16 << 20, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._file, chunk_size=16 << 20, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="roboxim")
         self._channels: dict[str, int] = {}
         self._schema_ids: dict[str, int] = {}
@@ -94,9 +94,10 @@ class McapFile:
         self._schemas[topic] = schema
         self.counts[topic] = 0
 
-    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+    def write(self, topic: str, cdr: bytes | bytearray, stamp_ns: int) -> None:
         """Append a serialised message."""
-        self._writer.add_message(self._channels[topic], stamp_ns, cdr, stamp_ns, self.counts[topic])
+        data = cast(bytes, cdr)  # a bytearray does as well, without a copy
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self.counts[topic])
         first, last = self._span if any(self.counts.values()) else (stamp_ns, stamp_ns)
         self._span = (min(first, stamp_ns), max(last, stamp_ns))
         self.counts[topic] += 1
@@ -195,7 +196,7 @@ class BagWriter:
         """Announce a topic; its messages may follow."""
         self._mcap.add_topic(topic, schema)
 
-    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+    def write(self, topic: str, cdr: bytes | bytearray, stamp_ns: int) -> None:
         """Append a serialised message.
 
         Args:

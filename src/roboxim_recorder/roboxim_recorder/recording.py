@@ -1,14 +1,17 @@
-"""Puts an episode's messages together, tick by tick, and writes each tick once it is whole.
+"""Assembles an episode's messages tick by tick and writes each tick once it is whole.
 
-Messages come raw and in any order of topics. A tick is whole when the sim's notice of it, every message that the notice
-names, and the loop's step are there; it is then written in a fixed order, so that two recordings of one episode hold
-the same sequence of messages. Nothing here knows rclpy.
+Messages arrive raw and in any order of topics. A tick is whole when the sim's notice of it, every message that the
+notice names, and the loop's step have arrived. It is then written in a fixed order. Undefined bytes and wall times do
+not go into a bag, so two recordings of one episode are equal, byte for byte; topics that a user adds are excepted.
+Nothing here knows rclpy.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,8 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import BagWriter
-from roboxim_recorder.schemas import decode, message_schema, typestore
+from roboxim_recorder.cdr import CleanMessage
+from roboxim_recorder.schemas import message_layout, message_schema, typestore
 from roboxim_ros.conversions import stamp_to_ns
 
 FLUSH_TICKS = 4
@@ -26,18 +30,16 @@ FLUSH_TICKS = 4
 4.6 with four, 4.3 with eight; at zstd's levels 1, 3 and 4: 6.8, 4.5, 4.4 MiB in 49, 72, 88 ms."""
 
 
-def stamp_of(message: Any) -> int | None:
-    """Return a message's simulated time [ns]; None when its type has no stamp."""
-    if hasattr(message, "stamp_ns"):
-        return int(message.stamp_ns)
-    if hasattr(message, "header"):
-        return int(stamp_to_ns(message.header.stamp))
-    if hasattr(message, "transforms"):
-        return int(stamp_to_ns(message.transforms[0].header.stamp)) if message.transforms else None
-    for name in ("clock", "stamp"):
-        if hasattr(message, name):
-            return int(stamp_to_ns(getattr(message, name)))
-    return None
+@dataclass(frozen=True, kw_only=True)
+class _Notice:
+    """What the sim says of a tick."""
+
+    message: CleanMessage
+    """The notice itself."""
+    stamp_ns: int
+    """The tick's stamp [ns]."""
+    wanted: dict[str, int]
+    """Topic, by its name in the bag, to the CRC-32 of the image on it; 0: not an image."""
 
 
 class EpisodeRecording:
@@ -62,19 +64,20 @@ class EpisodeRecording:
         self.extra = {name: kind for name, kind in (extra_topics or {}).items() if name not in self.expected}
         kinds = {**topics.OWN, **self.expected, **self.extra}
         schemas = {topic: message_schema(kind) for topic, kind in kinds.items()}
-        self._store = typestore(schemas.values())
-        self._kinds = kinds
+        self._layouts = {topic: message_layout(schema) for topic, schema in schemas.items()}
+        self._notice_store = typestore((schemas[topics.NOTICE],))
         self._next = 0
         self._last_stamp_ns = 0
-        self._notices: dict[int, tuple[Any, bytes]] = {}
-        self._steps: dict[int, bytes] = {}
-        self._arrived: dict[tuple[str, int], bytes] = {}
-        self._extras: list[tuple[str, bytes]] = []
+        self._notices: dict[int, _Notice] = {}
+        self._steps: dict[int, CleanMessage] = {}
+        self._arrived: dict[tuple[str, int], CleanMessage] = {}
+        self._stampless: dict[str, CleanMessage] = {}
+        self._extras: list[tuple[str, CleanMessage]] = []
         self._writer = BagWriter(output_dir, info.episode_id)
         for topic, schema in schemas.items():
             self._writer.add_topic(topic, schema)
         try:
-            self._writer.write(topics.INFO, self._decode(topics.INFO, info_cdr)[1], 0)
+            self._writer.write(topics.INFO, self._clean(topics.INFO, info_cdr).data, 0)
             self._writer.flush()
         except RecorderError:
             self._writer.drop()
@@ -113,59 +116,77 @@ class EpisodeRecording:
             RecorderError: ``EPISODE_GAP`` when a tick needs a topic that is not recorded, ``DISK`` when it cannot be
                 written.
         """
-        message, cdr = self._decode(topic, cdr)
+        message = self._clean(topic, cdr)
         if topic in self.extra:
-            self._extras.append((topic, cdr))
+            self._extras.append((topic, message))
             return []
-        if getattr(message, "episode_id", self.info.episode_id) != self.info.episode_id:
+        if "episode_id" in message and message.text("episode_id") != self.info.episode_id:
             return []
         if topic == topics.NOTICE:
-            self._take_notice(message, cdr)
+            self._take_notice(message)
         elif topic == topics.STEP:
-            self._steps[message.seq] = cdr
+            self._steps[message.uint32("seq")] = message
         else:
-            stamp = stamp_of(message)
-            if stamp is not None:
-                self._arrived[topic, stamp] = cdr
+            stamp = message.stamp_ns()
+            if stamp is None:
+                self._stampless[topic] = message
+            else:
+                self._arrived[topic, stamp] = message
         return self._write_whole_ticks()
 
-    def _decode(self, topic: str, cdr: bytes) -> tuple[Any, bytes]:
+    def _clean(self, topic: str, cdr: bytes) -> CleanMessage:
         try:
-            return decode(self._store, cdr, self._kinds[topic])
+            message = self._layouts[topic].clean(cdr)
         except SerdeError as error:
             raise RecorderError(
                 f"a message on {topic} cannot be read ({error}); is its publisher of another version?"
             ) from None
+        for field in topics.WALL_TIMES.get(topic, ()):
+            message.clear(field)
+        return message
 
-    def _take_notice(self, notice: Any, cdr: bytes) -> None:
-        unknown = [name for name in notice.topics if topics.absolute(name) not in self.expected]
+    def _take_notice(self, message: CleanMessage) -> None:
+        notice: Any = self._notice_store.deserialize_cdr(bytes(message.data), message.name)
+        names = [topics.absolute(name) for name in notice.topics]
+        tick = f"tick {notice.seq} of '{self.info.episode_id}'"
+        unknown = [name for name in names if name not in self.expected]
         if unknown:
             raise RecorderError(
-                f"tick {notice.seq} of '{self.info.episode_id}' has messages on {', '.join(unknown)}, which are not "
-                f"recorded; the episode's scene has the cameras {[c.name for c in self.info.scene.cameras]}",
+                f"{tick} has messages on {', '.join(unknown)}, which are not recorded; the episode's scene has the "
+                f"cameras {[c.name for c in self.info.scene.cameras]}",
                 ErrorCode.EPISODE_GAP,
             )
-        self._notices[notice.seq] = (notice, cdr)
+        if len(names) != len(notice.image_crc32):
+            raise RecorderError(
+                f"{tick}: expected a checksum for each of {len(names)} topics, got {len(notice.image_crc32)}"
+            )
+        wanted = dict(zip(names, map(int, notice.image_crc32), strict=True))
+        self._notices[notice.seq] = _Notice(message=message, stamp_ns=stamp_to_ns(notice.stamp), wanted=wanted)
 
     def missing(self, seq: int) -> list[str]:
         """Name what tick ``seq`` lacks."""
         missing = [] if seq in self._steps else [topics.STEP]
         if seq not in self._notices:
             return [topics.NOTICE, *missing]
-        notice = self._notices[seq][0]
-        stamp = stamp_to_ns(notice.stamp)
-        wanted = {topics.absolute(name): int(crc) for name, crc in zip(notice.topics, notice.image_crc32, strict=True)}
-        missing += [topic for topic in wanted if (topic, stamp) not in self._arrived]
+        notice = self._notices[seq]
+        missing += [topic for topic in notice.wanted if self._found(topic, notice.stamp_ns) is None]
         if missing:
-            return missing  # images are looked at once, when all else is there
-        return [topic for topic, crc32 in wanted.items() if crc32 and not self._is_image(topic, stamp, crc32)]
+            return missing  # checksums are compared once, when all messages are there
+        return [
+            topic
+            for topic, crc32 in notice.wanted.items()
+            if crc32 and not self._is_image(topic, notice.stamp_ns, crc32)
+        ]
 
-    def _is_image(self, topic: str, stamp: int, crc32: int) -> bool:
-        """Tell whether an image is the tick's; forget it if not: it is of another scene, and the right one follows."""
-        image, _ = self._decode(topic, self._arrived[topic, stamp])
-        if zlib.crc32(image.data) == crc32:
+    def _found(self, topic: str, stamp_ns: int) -> CleanMessage | None:
+        return self._arrived.get((topic, stamp_ns)) or self._stampless.get(topic)
+
+    def _is_image(self, topic: str, stamp_ns: int, crc32: int) -> bool:
+        """Tell whether an image is the tick's. If not, it is of an earlier scene: forget it, the right one follows."""
+        image = self._found(topic, stamp_ns)
+        if image is not None and zlib.crc32(image.bytes_of("data")) == crc32:
             return True
-        del self._arrived[topic, stamp]
+        self._arrived.pop((topic, stamp_ns), None)
         return False
 
     def _write_whole_ticks(self) -> list[int]:
@@ -177,20 +198,22 @@ class EpisodeRecording:
         return written
 
     def _write_tick(self, seq: int) -> None:
-        notice, notice_cdr = self._notices.pop(seq)
-        stamp = self._last_stamp_ns = stamp_to_ns(notice.stamp)
-        self._writer.write(topics.NOTICE, notice_cdr, stamp)
-        for topic in sorted(map(topics.absolute, notice.topics)):
-            self._writer.write(topic, self._arrived[topic, stamp], stamp)
-        self._writer.write(topics.STEP, self._steps.pop(seq), stamp)
+        notice = self._notices.pop(seq)
+        stamp = self._last_stamp_ns = notice.stamp_ns
+        self._writer.write(topics.NOTICE, notice.message.data, stamp)
+        for topic in sorted(notice.wanted):
+            message = self._found(topic, stamp)
+            assert message is not None, topic  # `missing` looked
+            self._writer.write(topic, message.data, stamp)
+        self._writer.write(topics.STEP, self._steps.pop(seq).data, stamp)
         self._write_extras()
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
         if seq % FLUSH_TICKS == 0:
             self._writer.flush()
 
     def _write_extras(self) -> None:
-        for topic, cdr in self._extras:
-            self._writer.write(topic, cdr, self._last_stamp_ns)
+        for topic, message in sorted(self._extras, key=itemgetter(0)):
+            self._writer.write(topic, message.data, self._last_stamp_ns)
         self._extras.clear()
 
     def close(self, result: EpisodeResult, result_cdr: bytes, keep: str) -> str:
@@ -213,7 +236,7 @@ class EpisodeRecording:
             raise RecorderError(gap, ErrorCode.EPISODE_GAP)
         try:
             self._write_extras()
-            self._writer.write(topics.RESULT, self._decode(topics.RESULT, result_cdr)[1], self._last_stamp_ns)
+            self._writer.write(topics.RESULT, self._clean(topics.RESULT, result_cdr).data, self._last_stamp_ns)
         except RecorderError:
             self.drop()
             raise

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
 
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_recorder.cdr import MessageLayout
 
 _BUILTIN = re.compile(r"^(bool|byte|char|float32|float64|u?int(8|16|32|64)|w?string)\b")
 _SEPARATOR = "=" * 80
@@ -113,28 +111,11 @@ def _typestore(definitions: tuple[tuple[str, str], ...]) -> Typestore:
     return store
 
 
-def decode(store: Typestore, cdr: bytes, name: str) -> tuple[Any, bytes]:
-    """Decode a message and cut what does not belong to it.
-
-    rmw_fastrtps rounds the length of what it serialises up, so that up to dozens of undefined bytes follow the message;
-    strict readers (`rosbags`) refuse more than three.
-
-    Args:
-        store: Store that knows the type.
-        cdr: The serialised message with its encapsulation header, little endian.
-        name: Its type.
-
-    Returns:
-        The message, whose arrays share memory with ``cdr``, and the bytes that belong to it.
+@lru_cache(maxsize=256)
+def message_layout(schema: MessageSchema) -> MessageLayout:
+    """Return how messages of a schema lie in CDR; made once per schema.
 
     Raises:
-        SerdeError: When the bytes are not such a message.
+        InvalidRequestError: When the type has fields that bags cannot hold.
     """
-    if cdr[:2] != b"\x00\x01":
-        raise SerdeError(f"{name}: expected little-endian CDR, got encapsulation {bytes(cdr[:2]).hex()}")
-    definition = store.get_msgdef(name)
-    try:
-        message, end = definition.deserialize_cdr_le(memoryview(cdr)[4:], 0, definition.cls, store)
-    except (struct.error, UnicodeDecodeError, ValueError) as error:
-        raise SerdeError(f"not a {name}: {error}") from error
-    return message, cdr if len(cdr) <= end + 4 else cdr[: end + 4]
+    return MessageLayout(typestore((schema,)), schema.name)

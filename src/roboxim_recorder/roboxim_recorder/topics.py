@@ -22,6 +22,9 @@ ALWAYS = {
 }
 """Topics of every episode."""
 
+WALL_TIMES = {STEP: ("inference_s",), RESULT: ("wall_s", "inference_s")}
+"""Fields that hold wall time [s]; they are 0 in bags, so that equal episodes give equal bytes."""
+
 
 def image_topic(camera: str, kind: str = "image") -> str:
     """Return a camera's topic; kinds: ``image``, ``camera_info``, ``depth``, ``segmentation``."""

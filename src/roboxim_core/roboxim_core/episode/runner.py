@@ -154,7 +154,7 @@ class EpisodeRunner:
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
             renderer=self.ports.sim.renderer,
             versions=self.versions | (self._library.hashes(scene) if self._library else {}),
-            config_json=f'{{"run":{to_json(self.config)},"task":{draw.config_json}}}',
+            config_json=f'{{"run":{to_json(replace(self.config, output_dir=""))},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip
         episode = _Episode(self, info, seed, self.config.max_steps or draw.max_steps, cancelled)
