@@ -1,4 +1,4 @@
-"""What tells two configurations apart, in the few words that an error message has for it."""
+"""Describe the differences of two configurations in a few words, for error messages."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _MISSING = object()
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: Collection[str] = ()) -> str:
     """Say where two configurations differ, by their innermost keys.
 
-    A text that holds YAML, as a run's ``task_config`` does, is looked into.
+    YAML text, such as a run's ``task_config``, is compared key by key.
 
     Args:
         there: The configuration that exists, plain data.
-        asked: The one that is wanted, plain data.
+        asked: The requested configuration, plain data.
         ignore: Outermost keys that may differ.
 
     Returns:

@@ -1,4 +1,4 @@
-"""One tree of errors, and the numeric codes that travel in every service and action result.
+"""The tree of errors, and the numeric codes in every service and action result.
 
 Each package raises its own subclass; a node turns it into ``error_code`` + ``error_msg`` and a client turns those back
 into the same class, so an error looks the same on both sides of a service call. The codes are mirrored as constants in
@@ -103,13 +103,13 @@ class ConfigError(RoboximError):
 
 
 class RequestTimeoutError(RoboximError):
-    """A deadline passed. A deadline never changes a result, it only ever ends in this error."""
+    """A deadline passed. A deadline ends in this error and never changes a result."""
 
     code = ErrorCode.TIMEOUT
 
 
 class UnavailableError(RoboximError):
-    """A peer (node, service, policy, library) is not there or has died."""
+    """A peer (node, service, policy, library) is missing or has died."""
 
     code = ErrorCode.UNAVAILABLE
 

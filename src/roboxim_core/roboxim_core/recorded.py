@@ -1,4 +1,4 @@
-"""Recorded parameters: a registry of what is saved of a scene besides the ticks.
+"""The registry of recorded parameters: facts of a scene that are saved besides the ticks.
 
 A user's own is one class with a ``record`` method, registered under a name; its value lands in every bag's episode
 info as JSON.
@@ -69,12 +69,14 @@ def recorded_parameters(task: TaskSpec, scene: SceneSpec) -> dict[str, str]:
         Name to JSON text.
 
     Raises:
-        RecorderError: When one returns what JSON cannot hold, by name.
+        RecorderError: When a parameter returns a value that JSON cannot hold; the message names it.
     """
     values = {}
     for name in RECORDED_PARAMETERS:
         try:
             values[name] = json.dumps(RECORDED_PARAMETERS[name]().record(task, scene), sort_keys=True)
         except (TypeError, ValueError) as error:
-            raise RecorderError(f"recorded parameter '{name}' returned what JSON cannot hold: {error}") from None
+            raise RecorderError(
+                f"recorded parameter '{name}' returned a value that JSON cannot hold: {error}"
+            ) from None
     return values

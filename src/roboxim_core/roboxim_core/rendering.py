@@ -89,7 +89,7 @@ class Renderer(Protocol):
     name: str
     """Registered name, e.g. ``raster``."""
     device: str
-    """What draws: the GL renderer's string, or ``PyBullet TinyRenderer``."""
+    """The device that draws: the GL renderer's string, or ``PyBullet TinyRenderer``."""
 
     def load(self, world: RenderWorld) -> None:
         """Replace the world."""

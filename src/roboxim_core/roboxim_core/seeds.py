@@ -1,4 +1,4 @@
-"""Where all randomness comes from: one seed sequence per (run seed, purpose, index, attempt, component).
+"""The source of all randomness: one seed sequence per (run seed, purpose, index, attempt, component).
 
 Components never share a stream, demonstrations and evaluations never meet, and an episode depends on its own path
 alone: not on the number of workers, the order, or what ran before.
@@ -33,7 +33,7 @@ class SeedPath:
     index: int
     """Index of the episode in its run, from 0."""
     attempt: int = 0
-    """How often this index was tried before; a failed index is drawn again as ``attempt + 1``."""
+    """Number of earlier attempts at this index; a failed index is drawn again as ``attempt + 1``."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -52,5 +52,5 @@ class SeedPath:
         return np.random.default_rng(np.random.SeedSequence(self.run_seed, spawn_key=key))
 
     def derived_seed(self, component: str) -> int:
-        """Return a 31-bit seed of one component, for libraries and policies that want a number."""
+        """Return a 31-bit seed of one component, for libraries and policies that take an integer."""
         return int(self.rng(component).integers(2**31))

@@ -43,7 +43,7 @@ def pixels(name: str) -> Pixels:
             its geometries: that one's base colour. Empty: white.
 
     Raises:
-        ConfigError: When there is no such texture or image; lists those that there are.
+        ConfigError: When there is no such texture or image; the message lists the known ones.
     """
     if not name:
         factor = np.ones((SIZE, SIZE))
@@ -58,7 +58,7 @@ def pixels(name: str) -> Pixels:
 
 def _image(name: str) -> Image.Image:
     path, _, geometry = name.partition("#")
-    import trimesh  # half a second and 20 MiB, which a renderer of procedural textures does without
+    import trimesh  # costs half a second and 20 MiB, which procedural textures do not need
 
     try:
         if not geometry:
@@ -87,7 +87,7 @@ def _linear(image: Image.Image) -> Field:
 
 
 def noise(seed: int, cells_x: float, cells_y: float) -> Field:
-    """Return tileable smooth noise of zero mean and unit deviation with about so many blobs along x and y."""
+    """Return tileable smooth noise of zero mean and unit deviation; ``cells`` are blobs per side, roughly."""
     white = np.random.Generator(np.random.PCG64(seed)).standard_normal((SIZE, SIZE))
     fx, fy = np.fft.fftfreq(SIZE, 1 / SIZE)[None, :], np.fft.fftfreq(SIZE, 1 / SIZE)[:, None]
     weight = np.exp(-((fx / cells_x) ** 2) - (fy / cells_y) ** 2)

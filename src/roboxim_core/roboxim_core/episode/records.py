@@ -1,4 +1,4 @@
-"""What the episode loop is given, tells the recorder, and returns."""
+"""The values that the episode loop takes, sends to the recorder, and returns."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RunConfig:
     settle_ticks: int = 0
     """Hold actions after the end, before the final verdict; recorded, not exported; 0: those of one second."""
     keep: str = "all"
-    """``successful``: others are set apart with their reason; ``all``; ``none``: record nothing."""
+    """``successful`` (sets other episodes apart), ``all`` (keeps every episode) or ``none`` (records nothing)."""
     max_attempts: int = 1
     """Attempts per index until an episode is kept."""
     policy_timeout_s: float = 30.0
@@ -170,7 +170,7 @@ class EpisodeResult:
     success_ever: bool = False
     """Whether it was solved at any tick."""
     recovered: bool = False
-    """Whether the actor had to try again, e.g. needed a second grasp: solved, but no first-try success."""
+    """Whether the actor had to try again, e.g. needed a second grasp: solved, but not at the first try."""
     verdict: Verdict = Verdict()
     """Final verdict."""
     clipped: int = 0

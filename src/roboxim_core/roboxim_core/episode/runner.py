@@ -23,7 +23,7 @@ from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
 LEFT_WORKSPACE = "left_workspace"
 SETTLE_S = 1.0
-"""How long an episode holds still after its end, before the final verdict, if a run does not say."""
+"""Default time for which an episode holds still between its end and the final verdict."""
 
 
 def episode_id(seed: SeedPath) -> str:
@@ -168,7 +168,7 @@ class EpisodeRunner:
 
 
 def _infeasible(seed: SeedPath, message: str, task: TaskSpec | None = None) -> EpisodeResult:
-    """Return the result of an episode that did not begin; without a task none was drawn."""
+    """Return the result of an episode that did not begin; without a task, none was drawn."""
     return EpisodeResult(
         episode_id=episode_id(seed), index=seed.index, attempt=seed.attempt, outcome="error",
         reason="reset_infeasible", message=message,
@@ -230,8 +230,8 @@ class _Episode:
         return result
 
     def _after_settling(self, outcome: str, reason: str) -> tuple[str, str]:
-        """Return outcome and reason of an episode that ended as it did and then came to rest."""
-        if reason == LEFT_WORKSPACE:  # that ends it, whatever comes to rest where it should afterwards
+        """Return the final outcome and reason after the settle phase."""
+        if reason == LEFT_WORKSPACE:  # this failure is final, wherever the objects come to rest afterwards
             return outcome, reason
         if self.verdict.success:
             return "success", ""

@@ -1,8 +1,8 @@
-"""Whether an episode may begin: what a drawn scene promises, held against tick 0.
+"""Check at tick 0 that an episode may begin: the settled scene must match the drawn one.
 
-A scene is refused where it is drawn, before anything is simulated, as far as that can be told there. What is left only
-the simulator knows: whether everything rests where it was put. And of a skill's success only its own judge knows
-whether it is there already. Both are asked of every scene, whatever skill, object or file it comes from.
+Most infeasible scenes are refused when they are drawn, before anything is simulated. Two checks need the simulator:
+whether every object rests where it was put, and whether the skill's judge already sees success. Both apply to every
+scene, whatever skill, object or file it comes from.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from roboxim_core.verdicts import Verdict
 MOVED_M, TURNED_RAD = 0.002, math.radians(2.0)
 """What is further from where it was put does not rest there."""
 DROPPED_M = 0.01
-"""By how much it may have come down, as the height of what lies on something is seldom known exactly [m]."""
+"""How far an object may sink while settling: its initial height above a support is seldom exact [m]."""
 JOINT = 0.01
 """How far a joint may be from where it was put [m or rad]."""
 SPEED_M_S, SPIN_RAD_S = 0.01, 0.2
@@ -36,14 +36,14 @@ class Refusal:
 
 
 def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Refusal | None:
-    """Return the promise that tick 0 breaks; none: the episode may begin.
+    """Return the constraint that tick 0 violates; none: the episode may begin.
 
-    Non-obvious: a scene that is to begin in motion says so by ``settle_steps: 0``: tick 0 is then as drawn, at rest.
+    Non-obvious: a scene that must begin in motion sets ``settle_steps: 0``; tick 0 is then the drawn scene, at rest.
 
     Args:
         scene: The scene as drawn.
         state: Tick 0.
-        verdict: What the judge says of it.
+        verdict: The judge's verdict on tick 0.
     """
     specs = {entity.name: entity for entity in scene.entities}
     for entity in state.entities:
@@ -51,7 +51,7 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
             return Refusal(
                 constraint=f"{entity.name}_unsettled",
                 message=f"'{entity.name}' {found}; put its model ({specs[entity.name].model}) where it rests, see "
-                "`roboxim assets check`, or give the scene `settle_steps: 0` if it is to begin in motion",
+                "`roboxim assets check`, or give the scene `settle_steps: 0` if it must begin in motion",
             )
     if verdict.failed:
         return Refusal(
@@ -67,7 +67,7 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
 
 
 def _unrest(spec: EntitySpec, entity: EntityState) -> str:
-    """Return how an object fails to rest where it was put, or nothing."""
+    """Describe how an object fails to rest where it was put; empty if it rests."""
     x, y, z = (now - put for now, put in zip(entity.pose.position, spec.pose.position, strict=True))
     turned_rad = distance(spec.pose, entity.pose)[1]
     if math.hypot(x, y) > MOVED_M or not -DROPPED_M <= z <= MOVED_M or turned_rad > TURNED_RAD:

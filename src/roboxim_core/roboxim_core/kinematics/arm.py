@@ -1,7 +1,7 @@
 """Kinematics of a robot model with Pinocchio.
 
 The inverse kinematics here follow a moving target from tick to tick: start at the present joints, stay near them. It is
-local and deterministic on purpose; a search for any solution of a far pose is the planner's.
+local and deterministic on purpose; searching for solutions of distant poses is the planner's job.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class ArmKinematics:
         Args:
             target: Pose of the tool centre point in the base.
             seed: Arm joint positions to start at, shape (n,) [rad].
-            posture: Joints that the redundancy is pulled to; none: it stays.
+            posture: Joint positions that the redundancy moves towards; none: it stays.
             posture_gain: Share of the way to the posture per call.
             max_step: Largest change of each joint from the seed, shape (n,) [rad]; none: the limits alone.
 
@@ -146,7 +146,7 @@ class ArmKinematics:
                 break
             joints = np.clip(joints + self._step(error, joints, lower, upper, pull), lower, upper)
             if pull is not None:
-                pull, best_cost = None, np.inf  # once is enough; the rest of the iterations correct what it disturbs
+                pull, best_cost = None, np.inf  # once is enough; the remaining iterations correct its side effects
         converged = best_error[0] < POSITION_TOLERANCE_M and best_error[1] < ROTATION_TOLERANCE_RAD
         return IkResult(
             joints=best, converged=converged, position_error_m=best_error[0], rotation_error_rad=best_error[1]

@@ -1,8 +1,8 @@
 """The delta controller: how an action becomes joint targets, for policies, the expert's roll-out and replay alike.
 
 Deltas integrate on the *commanded* pose, never on the measured one: integrating on a measurement adds the arm's lag to
-every step and makes replay drift. The controller is a pure function of its state and the action, and its answer names
-the action that it integrated after clipping, which it accepts again unchanged: that is what makes replay exact.
+every step and makes replay drift. The controller is a pure function of its state and the action. Its result holds the
+action after clipping; stepping with that action again gives the same bits, so replay is exact.
 """
 
 from __future__ import annotations

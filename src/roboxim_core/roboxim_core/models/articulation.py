@@ -1,4 +1,4 @@
-"""Where the links of an articulated object are, without the weight of any mesh library."""
+"""Forward kinematics of articulated objects; needs no mesh library."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def link_poses(base: str, joints: tuple[JointModel, ...], joint_positions: dict[
     """Return the pose of each link in the base link, by link name.
 
     Raises:
-        ConfigError: When the joints do not hang together.
+        ConfigError: When the joints do not form a tree.
     """
     poses = {base: IDENTITY}
     pending = list(joints)

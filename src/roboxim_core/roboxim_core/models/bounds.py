@@ -15,7 +15,7 @@ def shape_bounds(shape: Shape, pose: Pose = IDENTITY) -> Array:
 
     Args:
         shape: Any but a ring.
-        pose: Pose of its link in the frame of the answer.
+        pose: Pose of its link in the frame of the result.
 
     Raises:
         ConfigError: When a hull's mesh cannot be read.
@@ -41,7 +41,7 @@ def links_bounds(links: tuple[LinkModel, ...], joints: tuple[JointModel, ...]) -
     """Return the lowest and highest corner of all links in the base's frame with all joints at 0, shape (2, 3) [m].
 
     Raises:
-        ValueError: When nothing collides.
+        ValueError: When no link has a collision shape.
         ConfigError: When a hull's mesh cannot be read.
     """
     poses = link_poses(links[0].name, joints, {})

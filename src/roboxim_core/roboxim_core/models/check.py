@@ -1,6 +1,6 @@
-"""Says what is wrong with an object's file before an episode does.
+"""Find the defects of an object's file before an episode does.
 
-Errors make an object unusable; warnings are what is probably not meant. Every built-in object passes without either.
+An error makes an object unusable; a warning points at a probable mistake. Every built-in object passes without either.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from roboxim_core.rendering import TriangleMesh
 from roboxim_core.textures import pixels
 
 LARGEST_M, SMALLEST_M = 1.5, 0.004
-"""An object whose longest side is beyond these is probably in another unit."""
+"""Limits of an object's longest side [m]; beyond them the file probably uses another unit."""
 DENSITIES = (15.0, 12_000.0)
-"""From foam to heavy metal [kg/m^3]."""
+"""Plausible densities, from foam to heavy metal [kg/m^3]."""
 SMALLEST_INERTIA = 1e-7
-"""Below it, contacts make an object jitter at the simulator's 240 Hz [kg m^2]."""
+"""Smallest stable inertia: below it, contacts make an object jitter at 240 Hz [kg m^2]."""
 MANY_TRIANGLES = 5000
-"""More of them slow a renderer without a GPU down."""
+"""Number of triangles above which rendering without a GPU becomes slow."""
 FAR_M = 0.01
-"""How far what is seen may be from what collides, at 98 of 100 points [m]."""
+"""Largest distance between the visual and the collision surface, at 98 of 100 sampled points [m]."""
 SAMPLES = 3000
 TOUCHING_M = 0.002
-"""Where two collision shapes are so close there is nothing between them to be seen [m]."""
+"""Gap below which two collision shapes count as touching [m]."""
 PAD_HALF_M = 0.01
 """Half the width and length of a finger's pad [m]."""
 GRIP_SLACK_M = 0.012
-"""What a grasp closes on may be so much wider than annotated on either side, where an object is bent or tapers [m]."""
+"""How much wider than annotated a grasped part may be on either side, where an object bends or tapers [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something wrong with an object."""
+    """A defect of an object."""
 
     severity: str
     """``error`` or ``warning``."""
@@ -55,14 +55,14 @@ class Finding:
 
 
 def check_object(file: Path, max_opening_m: float = 0.08) -> tuple[tuple[Finding, ...], ObjectModel | None]:
-    """Check an object's YAML file and all that it names.
+    """Check an object's YAML file and every file that it names.
 
     Args:
         file: The YAML file.
-        max_opening_m: Total opening of the gripper that shall grasp it [m].
+        max_opening_m: Total opening of the gripper that must grasp the object [m].
 
     Returns:
-        What is wrong, errors first; and the object without modifiers, or none when it cannot be loaded.
+        The findings, errors first, and the object without modifiers (none if it cannot be loaded).
     """
     found: list[Finding] = []
     try:
@@ -107,11 +107,9 @@ def check_mesh(path: Path, scale: float = 1.0) -> list[Finding]:
         found.append(_error(f"{path.name} would be {said} m large, too small to grasp; give it a larger scale"))
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight:
-        found.append(
-            _warning(f"{path.name} is not watertight: close its holes, or it will be seen through from some sides")
-        )
+        found.append(_warning(f"{path.name} is not watertight: close its holes; otherwise some sides look transparent"))
     elif mesh.volume < 0:
-        found.append(_warning(f"{path.name} is inside out: flip its faces, or it will not be seen from outside"))
+        found.append(_warning(f"{path.name} is inside out: flip its faces; otherwise it is invisible from outside"))
     if len(mesh.faces) > MANY_TRIANGLES:
         found.append(
             _warning(
@@ -135,7 +133,7 @@ def _sorted(found: list[Finding]) -> tuple[Finding, ...]:
 
 
 def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
-    """Return the meshes that a file names itself, and their scales; those of a URDF are found when it is read."""
+    """Return the meshes that the object's file names, with their scales; a URDF's meshes are found when it is read."""
     files = [(config.mesh, config.mesh_scale)]
     links = config.links
     if config.urdf:
@@ -150,7 +148,7 @@ def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
 
 
 def _missing_images(path: Path) -> list[Finding]:
-    """Return which material files and textures of an OBJ are not there; other formats' readers say it themselves."""
+    """Return the missing material files and textures of an OBJ; the readers of other formats report them themselves."""
     return [
         _error(f"{path.name} needs the {'material file' if file.suffix == '.mtl' else 'texture'} {name}: no such file")
         for name, file in obj_references(path).items()
@@ -162,7 +160,7 @@ def _urdf_inertias(path: Path) -> list[Finding]:
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
-        return []  # loading it says why
+        return []  # loading the file reports the reason
     found = []
     for link in root.findall("link"):
         element = link.find("inertial/inertia")
@@ -173,8 +171,8 @@ def _urdf_inertias(path: Path) -> list[Finding]:
         if low <= 0 or low + middle < high * (1 - 1e-6):
             found.append(
                 _warning(
-                    f"link '{link.get('name')}' has an inertia that no body has ({low:.2g}, {middle:.2g}, {high:.2g}); "
-                    "the one of its collision shapes is used instead"
+                    f"link '{link.get('name')}' has an impossible inertia ({low:.2g}, {middle:.2g}, {high:.2g}); "
+                    "the inertia of its collision shapes is used instead"
                 )
             )
     return found
@@ -188,7 +186,7 @@ def _masses(model: ObjectModel) -> list[Finding]:
             found.append(_error(f"{name} has no mass: give it `mass` in kilograms"))
             continue
         if not link.collision:
-            found.append(_error(f"{name} has a mass but no collision shape, so no inertia either: give it `collision`"))
+            found.append(_error(f"{name} has a mass but no collision shape, hence no inertia: give it `collision`"))
             continue
         density = link.mass / sum(_volume(shape) for shape in link.collision)
         if not DENSITIES[0] <= density <= DENSITIES[1]:
@@ -240,7 +238,7 @@ def _extents(model: ObjectModel, config: ObjectConfig) -> list[Finding]:
     size = (float(x), float(y), float(high[2] - low[2]))
     if config.size is not None and np.abs(np.subtract(model.size, size)).max() > 2e-3:
         said = ", ".join(f"{value:.4g}" for value in size)
-        found.append(_error(f"size is {list(model.size)} but the shapes' is [{said}]; leave size out, or give that"))
+        found.append(_error(f"size is {list(model.size)} but the shapes' is [{said}]; remove size, or set it to that"))
     return found
 
 
@@ -288,7 +286,7 @@ def _grasp(grasp: GraspAnnotation, model: ObjectModel, points: Array, max_openin
 
 
 def _likeness(model: ObjectModel, solid: Array) -> list[Finding]:
-    """Compare what is seen with what collides, at points all over both."""
+    """Compare the visual with the collision surface at points sampled on both."""
     seen, _ = _samples(model, seen=True)
     poses = object_link_poses(model, {})
     loose = np.ones(len(seen), dtype=bool)
@@ -298,23 +296,23 @@ def _likeness(model: ObjectModel, solid: Array) -> list[Finding]:
     solids, seens = KDTree(solid), KDTree(seen)
     beyond = float(np.quantile(np.where(loose, solids.query(seen)[0], 0.0), 0.98))
     empty = float(np.quantile(seens.query(solid)[0], 0.98))
-    # Points of one and the same surface are as far apart as points are scattered.
+    # Points sampled on one surface are as far apart as the samples are spaced.
     scatter = [float(np.quantile(tree.query(tree.data, k=2)[0][:, 1], 0.98)) for tree in (seens, solids)]
     found = []
     if empty > FAR_M + scatter[0]:
         found.append(
             _warning(
-                f"the collision shapes fill up to {1e3 * empty:.0f} mm that look empty (a hull closes every cavity): "
+                f"the collision shapes fill up to {1e3 * empty:.0f} mm that look empty (a hull fills every cavity): "
                 "give several hulls, primitives or rings instead"
             )
         )
     if beyond > FAR_M + scatter[1]:
-        found.append(_warning(f"up to {1e3 * beyond:.0f} mm of what is seen do not collide: add shapes there"))
+        found.append(_warning(f"up to {1e3 * beyond:.0f} mm of the visual have no collision shape: add shapes there"))
     return found
 
 
 def _outside(model: ObjectModel) -> Array:
-    """Return points on the outside of what collides, in the base's frame, shape (N, 3) [m]."""
+    """Return points on the outer collision surface in the base frame, shape (N, 3) [m]."""
     points, owners = _samples(model, seen=False)
     poses = object_link_poses(model, {})
     outside = np.ones(len(points), dtype=bool)
@@ -332,7 +330,7 @@ def _inside(points: Array, shape: Shape, pose: Pose) -> npt.NDArray[np.bool_]:
 
 
 def _samples(model: ObjectModel, *, seen: bool) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Return points on all visuals or collision shapes in the base's frame, shape (N, 3) [m], and whose they are."""
+    """Sample points on all visuals or collision shapes in the base frame, shape (N, 3) [m], and their shape indices."""
     poses = object_link_poses(model, {})
     meshes = []
     for link in model.links:

@@ -30,12 +30,12 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Visual:
-    """Something to draw in a link's frame."""
+    """A visual shape in a link's frame."""
 
     kind: str
     """A shape's kind, ``mesh``, or the name of a registered visual generator."""
     size: tuple[float, ...] = ()
-    """As for `Shape`; a generator's own numbers."""
+    """As for `Shape`; a generator defines its own numbers."""
     mesh: str = ""
     """For a mesh: absolute path."""
     scale: Vec3 = (1.0, 1.0, 1.0)
@@ -95,7 +95,7 @@ class JointModel:
     upper: float = 0.0
     """Upper limit [m or rad]."""
     resistance: float = 0.0
-    """Force or torque that holds it where it is, e.g. a drawer that stays open [N or N m]."""
+    """Friction force or torque that holds the joint in place, e.g. of a drawer that stays open [N or N m]."""
     damping: float = 0.0
     """Force or torque against its motion, proportional to its speed [N s/m or N m s/rad]."""
     spring: float = 0.0
@@ -106,7 +106,7 @@ class JointModel:
 class GraspAnnotation:
     """A family of grasps in the object's frame.
 
-    A gripper that is turned by 180 degrees about its own z axis grasps as well, so families name only one of the two.
+    A gripper turned by 180 degrees about its own z axis grasps equally well; a family lists one of the two poses.
     """
 
     name: str
@@ -116,7 +116,7 @@ class GraspAnnotation:
     pose: Pose
     """Pose of the tool centre point in the link (z of the tool points into the object, y is the closing direction)."""
     yaw_symmetry_rad: float = 0.0
-    """The grasp repeats every so many radians about the object's z axis; 0: only as given."""
+    """Angle about the object's z axis after which the grasp repeats [rad]; 0: no repetition."""
     opening_m: float = 0.08
     """Opening of the gripper before the grasp [m]."""
     width_m: float = 0.0
@@ -125,7 +125,7 @@ class GraspAnnotation:
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """Where other things can be put: on a surface, or inside."""
+    """A place for other objects: on a surface, or inside an interior."""
 
     name: str = ""
     """Name, e.g. ``top`` of three drawers; empty where there is only one."""
@@ -143,14 +143,14 @@ class Region:
 
 @dataclass(frozen=True, kw_only=True)
 class Handle:
-    """Something to open and close a part with."""
+    """A handle that opens and closes a part."""
 
     name: str
-    """Name of the part, as instructions say it, e.g. ``top``."""
+    """Name of the part in instructions, e.g. ``top``."""
     link: str
     """Link that it is on."""
     joint: str
-    """Joint that opens: `JointModel.lower` is shut, `JointModel.upper` wide open."""
+    """Joint that opens the part: closed at `JointModel.lower`, fully open at `JointModel.upper`."""
     pose: Pose
     """Pose of the middle of the bar in the link; x points where the link moves when it is opened."""
     grasps: tuple[GraspAnnotation, ...] = ()
@@ -164,17 +164,17 @@ class PressPoint:
     name: str = ""
     """Name, where there are several."""
     link: str
-    """Link that gives way."""
+    """Link that moves when pressed."""
     joint: str
     """Its joint; the position grows when it is pressed."""
     pose: Pose
     """Pose of the middle of the face in the link; z points out of it, against the press."""
     pressed_at: float
-    """Position of the joint from which on it counts as pressed [m]."""
+    """Joint position from which the button counts as pressed [m]."""
 
 
 AFFORDANCES = ("graspable", "support", "container", "articulated", "openable", "pressable", "upright", "pushable")
-"""What can be done with an object. ``support`` has surfaces, ``container`` interiors, ``openable`` handles,
+"""Abilities of an object: ``support`` has surfaces, ``container`` interiors, ``openable`` handles,
 ``pressable`` press points; ``upright`` can topple and be put upright; ``pushable`` moves steadily when pushed."""
 
 
@@ -202,15 +202,15 @@ class ObjectModel:
     affordances: tuple[str, ...] = ()
     """Of `AFFORDANCES`."""
     regions: tuple[Region, ...] = ()
-    """Where other things can be put, best first."""
+    """Places for other objects, best first."""
     handles: tuple[Handle, ...] = ()
-    """What it is opened with."""
+    """Handles that open it."""
     press_points: tuple[PressPoint, ...] = ()
     """What is pressed."""
     toppled: tuple[Pose, ...] = ()
     """Poses of the base, above a support whose surface is at z = 0, in which it lies toppled; any yaw."""
     yaw_symmetry_rad: float = 0.0
-    """The object looks the same every so many radians about z; 0: no symmetry."""
+    """Angle of rotational symmetry about z [rad]; 0: no symmetry."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +226,7 @@ class GripperModel:
     speed_m_s: float
     """Speed of each finger [m/s]."""
     links: tuple[str, ...] = ()
-    """Links of the hand and fingers, which may touch a held object; the hand's first."""
+    """Links of the hand and the fingers, which may touch a held object; the hand comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,14 +249,14 @@ class JointLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class ClosePair:
-    """Two links that may come so close that the collision mesh of one is too coarse; the SRDF disables them."""
+    """A pair of links that come so close that one's collision mesh is too coarse; the SRDF disables the pair."""
 
     link: str
-    """The one, checked with its collision geometry."""
+    """First link, checked with its collision geometry."""
     other: str
-    """The other, checked with ``parts`` against the one."""
+    """Second link, checked with ``parts`` against the first."""
     parts: tuple[str, ...]
-    """Convex mesh files in the other link's frame."""
+    """Convex mesh files in the second link's frame."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
-"""Convex hulls of mesh files, for whoever collides with them.
+"""Convex hulls of mesh files, for collision.
 
 A hull is written once, as an OBJ file in the user's cache, whatever the mesh was (GLB, COLLADA, a scene of many parts):
-so the simulator and the planner read one and the same shape.
+so the simulator and the planner read the same shape.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from roboxim_core.poses import Array
 
 
 def load_mesh(path: Path | str) -> trimesh.Trimesh:
-    """Return all of a mesh file as one mesh, in the file's units.
+    """Return a mesh file as a single mesh, in the file's units.
 
     Raises:
         ConfigError: When it is missing, cannot be read or is empty.
     """
     try:
         mesh = trimesh.load_scene(path, process=False).to_mesh()
-    except Exception as error:  # the readers of trimesh raise whatever they like
+    except Exception as error:  # trimesh's readers raise exceptions of any class
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise ConfigError(f"the mesh {path} has no faces")
@@ -37,7 +37,7 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
 
 @lru_cache(maxsize=128)
 def hull_file(path: str) -> str:
-    """Return the OBJ file of a mesh's convex hull, made if it is not there.
+    """Return the OBJ file of a mesh's convex hull; write it if it does not exist.
 
     Raises:
         ConfigError: When the mesh cannot be read or spans no volume, or the cache cannot be written.
@@ -59,7 +59,7 @@ def hull_file(path: str) -> str:
             os.replace(out.name, file)
         except OSError as error:
             raise ConfigError(
-                f"cannot write {file}: {error.strerror}; set XDG_CACHE_HOME to a folder of yours"
+                f"cannot write {file}: {error.strerror}; set XDG_CACHE_HOME to a writable folder"
             ) from None
     return str(file)
 
@@ -83,7 +83,7 @@ def hull_of(path: Path | str) -> trimesh.Trimesh:
 
 
 def obj_references(path: Path) -> dict[str, Path]:
-    """Return the material files that an OBJ file names, and the colour images that these name; others name none."""
+    """Return the material files of an OBJ file and the colour images that they name; empty for other formats."""
     if path.suffix.lower() != ".obj" or not path.is_file():
         return {}
     found = {}

@@ -1,6 +1,6 @@
-"""Loads robot and object models from ``config/`` and from the user's own directories.
+"""Load robot and object models from ``config/`` and from the user's own directories.
 
-Both kinds are a YAML file each, so a new object or robot is one new file.
+A robot or an object is one YAML file.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ class RobotConfig:
 
 
 MAX_MODIFIED = 512
-"""Modified objects that a library keeps, the newest: where a factor is drawn of a range, every episode has its own."""
+"""Number of modified objects that a library caches: a factor drawn from a range gives every episode its own object."""
 
 
 class ModelLibrary:
-    """The robots and objects of a config directory. Answers are frozen and cached."""
+    """The robots and objects of a config directory. Returned models are frozen and cached."""
 
     def __init__(self, config_dir: Path | str | None = None) -> None:
         """Make a library.
 
         Args:
-            config_dir: Directory with ``robots/`` and ``objects/``; none: RoboXim's own, after the user's
-                (`roboxim_core.config.config_dirs`). Where two have a file of one name, the first counts.
+            config_dir: Directory with ``robots/`` and ``objects/``; none: the user's directories, then RoboXim's own
+                (`roboxim_core.config.config_dirs`). A file hides later files of the same name.
         """
         self.search_path = (Path(config_dir),) if config_dir is not None else config_dirs()
         self._objects: dict[str, ObjectConfig] = {}
@@ -102,7 +102,7 @@ class ModelLibrary:
         """Return a robot.
 
         Raises:
-            ConfigError: When the id is unknown or the file is wrong; lists what there is.
+            ConfigError: When the id is unknown (the message lists the known ids) or the file is invalid.
         """
         if robot_id not in self._robots:
             path = self.path("robots", robot_id)
@@ -130,7 +130,7 @@ class ModelLibrary:
             modifiers: Modifier name to value; those left out take the model's default.
 
         Raises:
-            ConfigError: When the id, a modifier or its value is unknown; lists what there is.
+            ConfigError: When the id, a modifier or its value is unknown; the message lists the known ones.
         """
         config = self._object_config(object_id)
         key = (object_id, tuple(sorted((modifiers or {}).items())))
@@ -160,10 +160,10 @@ class ModelLibrary:
         return model
 
     def object_modifiers(self, object_id: str) -> dict[str, ModifierModel]:
-        """Return what modifiers an object takes.
+        """Return the modifiers that an object takes.
 
         Raises:
-            ConfigError: When the id is unknown; lists what there is.
+            ConfigError: When the id is unknown; the message lists the known ids.
         """
         return dict(self._object_config(object_id).modifiers)
 
@@ -174,7 +174,7 @@ class ModelLibrary:
             16 hexadecimal digits.
 
         Raises:
-            ConfigError: When the id is unknown; lists what there is.
+            ConfigError: When the id is unknown; the message lists the known ids.
         """
         kind = "robots" if model_id in self.robot_ids else "objects"
         path = self.path(kind, model_id)
@@ -188,19 +188,19 @@ class ModelLibrary:
         return hashed.hexdigest()
 
     def hashes(self, scene: SceneSpec) -> dict[str, str]:
-        """Return ``model <id>`` to `digest` of a scene's robot and objects, as an episode's record keeps them.
+        """Return the hashes of a scene's robot and objects, ``model <id>`` to `digest`, as an episode records them.
 
         Raises:
-            ConfigError: When an id is unknown; lists what there is.
+            ConfigError: When an id is unknown; the message lists the known ones.
         """
         models = dict.fromkeys([scene.robot.model, *(entity.model for entity in scene.entities)])
         return {f"{RECORDED}{model}": self.digest(model) for model in models}
 
     def changed(self, recorded: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the ids of recorded models that are not here any more or not the same.
+        """Return the ids of recorded models that are missing or have changed.
 
         Args:
-            recorded: What `hashes` gave then; other names are left alone.
+            recorded: Result of `hashes` at recording time; other names are ignored.
         """
         names = [name.removeprefix(RECORDED) for name in recorded if name.startswith(RECORDED)]
         known = {*self.robot_ids, *self.object_ids}
@@ -217,7 +217,7 @@ class ModelLibrary:
             model_id: Its id.
 
         Raises:
-            ConfigError: When the id is unknown; lists what there is.
+            ConfigError: When the id is unknown; the message lists the known ids.
         """
         for folder in self.search_path:
             if (path := folder / kind / f"{model_id}.yaml").is_file():
@@ -239,24 +239,24 @@ class ModelLibrary:
 
 @lru_cache(maxsize=256)
 def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
-    """Parse a file once for all libraries, and again when it changes; reading YAML is most of loading an object."""
+    """Parse a file once for all libraries and again when it changes: reading YAML dominates the loading time."""
     return load_config(path, ObjectConfig)
 
 
 RECORDED = "model "
-"""Put before a model's id among an episode's recorded versions."""
+"""Prefix of a model's id among an episode's recorded versions."""
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}
 
 
 @lru_cache(maxsize=256)
 def _named_files(path: Path, _: int) -> tuple[Path, ...]:
-    """Return the files that an object's YAML file names, and those that they name; the time only keys the cache."""
+    """Return the files that an object's YAML file names, directly or indirectly; the time is only a cache key."""
     return load_config(path, ObjectConfig).files(path.parent)
 
 
 @lru_cache(maxsize=8)
 def mesh_path(filename: str, urdf: Path) -> Path:
-    """Return the file that a URDF's mesh filename means.
+    """Resolve a mesh filename of a URDF.
 
     Args:
         filename: ``package://<package>/<path>`` or a path relative to the URDF.

@@ -1,4 +1,4 @@
-"""Meshes by name: the registry of visual generators, and the primitives."""
+"""The registry of visual generators, and the primitive meshes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from roboxim_core.registry import Registry
 from roboxim_core.rendering import TriangleMesh
 
 visual_generators: Registry[Callable[[tuple[float, ...]], TriangleMesh]] = Registry("visual generator")
-"""Name to a function from a visual's ``size`` to its mesh in the visual's frame."""
+"""Visual generators: functions from a visual's ``size`` to its mesh in the visual's frame."""
 
 
 @visual_generators.register("box")

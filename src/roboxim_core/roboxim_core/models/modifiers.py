@@ -1,7 +1,7 @@
-"""How an object may be modified: ``color``, ``material``, ``size`` (a word) and ``scale`` (a number).
+"""Modifiers of objects: ``color``, ``material``, ``size`` (a word) and ``scale`` (a number).
 
 A modifier that a model does not list is refused: a task that asks for a green apple must not silently get a red one.
-Every object takes ``mass`` and ``friction``, factors that nobody sees: they are for randomising the physics.
+Every object also takes ``mass`` and ``friction``, invisible factors for randomising the physics.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Finish:
     """What a ``material`` modifier changes."""
 
     surface: MaterialSpec
-    """Look; its colour is the natural one, which a ``color`` modifier that is given replaces."""
+    """Look, with the material's natural colour; a ``color`` modifier replaces the colour."""
     density: float
-    """Mass relative to plastic; objects are thought hollow, so a metal one stays within the gripper's strength."""
+    """Mass relative to plastic; objects count as hollow, so that the gripper can still lift a metal one."""
     friction: float
     """Lateral friction coefficient."""
 
@@ -71,24 +71,24 @@ KINDS = ("color", "material", "size", "scale")
 
 @dataclass(frozen=True, kw_only=True)
 class ModifierModel:
-    """What one modifier of an object allows."""
+    """Allowed values of one modifier of an object."""
 
     default: str | float
-    """Value when a scene does not say."""
+    """Default value."""
     choices: tuple[str, ...] = ()
     """Allowed colours or materials; empty: all of them."""
     factors: dict[str, float] = field(default_factory=dict)
-    """Of ``size``: word to uniform factor, e.g. ``{small: 0.8, large: 1.2}``."""
+    """For ``size``: word to uniform factor, e.g. ``{small: 0.8, large: 1.2}``."""
     lower: float = 1.0
-    """Of ``scale``: smallest factor."""
+    """For ``scale``: smallest factor."""
     upper: float = 1.0
-    """Of ``scale``: largest factor."""
+    """For ``scale``: largest factor."""
 
     def check(self, source: str, kind: str, value: Scalar) -> None:
         """Refuse a value that is not allowed.
 
         Raises:
-            ConfigError: Saying what is.
+            ConfigError: The message lists the allowed values.
         """
         if kind == "scale" or kind in PHYSICAL:
             if isinstance(value, bool) or not isinstance(value, float | int) or not self.lower <= value <= self.upper:
@@ -110,10 +110,10 @@ class ModifierModel:
         return self.words("color")
 
     def check_itself(self, kind: str) -> None:
-        """Refuse a modifier that makes no sense.
+        """Refuse an inconsistent modifier.
 
         Raises:
-            ConfigError: Saying what would.
+            ConfigError: The message says what is expected.
         """
         if kind not in KINDS:
             raise ConfigError(f"unknown modifier '{kind}'; {one_of(KINDS, kind)}")
@@ -142,12 +142,12 @@ def modified(
 
     Args:
         model: The object as its file describes it.
-        modifiers: What it allows, by kind.
+        modifiers: The object's modifiers by kind.
         given: Values by kind; those left out take their default.
-        source: The object, for messages.
+        source: Name of the object, for messages.
 
     Raises:
-        ConfigError: On a modifier or value that it does not allow; lists those that it does.
+        ConfigError: On a modifier or value that the object does not allow; the message lists the allowed ones.
     """
     for kind, value in given.items():
         allowed = modifiers.get(kind) or PHYSICAL.get(kind)
@@ -198,7 +198,7 @@ def _tinted(model: ObjectModel, color: RGB) -> ObjectModel:
 
 
 def scaled(model: ObjectModel, factor: float) -> ObjectModel:
-    """Return an object that is larger by a uniform factor, of the same density."""
+    """Scale an object by a uniform factor at constant density."""
 
     def times(vector: Vec3) -> Vec3:
         x, y, z = vector

@@ -50,7 +50,7 @@ class ObjectConfig:
     name: str
     """Noun used in instructions."""
     mesh: str = ""
-    """File of a mesh (GLB, OBJ, STL, ...) that is shown and whose convex hull collides; else ``urdf`` or ``links``."""
+    """Mesh file (GLB, OBJ, STL, ...) of the visual; its convex hull collides. Else give ``urdf`` or ``links``."""
     mesh_scale: float = 1.0
     """Factor on the coordinates of ``mesh``, e.g. 0.001 for millimetres."""
     mass: float = 0.0
@@ -80,12 +80,12 @@ class ObjectConfig:
     toppled: tuple[Pose, ...] = ()
     """Poses of the base above a support in which it lies toppled."""
     yaw_symmetry_rad: float = 0.0
-    """The object looks the same every so many radians about z; 0: no symmetry."""
+    """Angle of rotational symmetry about z [rad]; 0: no symmetry."""
     modifiers: dict[str, ModifierModel] = field(default_factory=dict)
     """Modifier name to what it allows."""
 
     def __post_init__(self) -> None:
-        """Check that the links hang together, and that everything names what there is.
+        """Check that the links form a tree and that every reference resolves.
 
         Raises:
             ConfigError: Naming the link, joint, affordance or modifier.
@@ -142,7 +142,7 @@ class ObjectConfig:
                     f"got '{joint.kind}', '{joint.parent}'"
                 )
             if joint.spring > 0 and joint.resistance > 0:
-                raise ConfigError(f"joint '{joint.name}' either springs back or stays: give spring or resistance")
+                raise ConfigError(f"joint '{joint.name}' cannot both spring back and stay: give spring or resistance")
         for link in self.links:
             for shape in link.collision:
                 if shape.kind not in SHAPE_SIZES:
@@ -158,13 +158,13 @@ class ObjectConfig:
                     raise ConfigError(f"link '{link.name}': a hull needs a mesh")
 
     def resolved(self, folder: Path) -> ObjectConfig:
-        """Return the same with links in place of a ``mesh`` or ``urdf``.
+        """Return the configuration with ``links`` in place of ``mesh`` or ``urdf``.
 
         Args:
             folder: Folder of the YAML file, which other files are relative to.
 
         Raises:
-            ConfigError: When a file cannot be read, or does not hold what the rest refers to.
+            ConfigError: When a file cannot be read or lacks an element that the configuration refers to.
         """
         if self.urdf:
             links, joints = urdf_object(folder / self.urdf)
@@ -182,7 +182,7 @@ class ObjectConfig:
         return self
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """Return the files that it names, and the material files and images that these name, as far as they exist.
+        """Return the existing files that the configuration names, with their material files and images.
 
         Args:
             folder: Folder of the YAML file, which other files are relative to.
@@ -200,14 +200,14 @@ class ObjectConfig:
         return tuple(file for file in found if file.is_file())
 
     def model(self, object_id: str, folder: Path) -> ObjectModel:
-        """Return the object without modifiers: files with their full paths, hulls in the cache, rings as boxes.
+        """Return the object without modifiers, with absolute paths, cached hulls, and rings as boxes.
 
         Args:
             object_id: Its id.
             folder: Folder of the YAML file, which mesh files are relative to.
 
         Raises:
-            ConfigError: When a file cannot be read, or nothing collides.
+            ConfigError: When a file cannot be read or the object has no collision shape.
         """
         if not self.links:
             return self.resolved(folder).model(object_id, folder)
@@ -231,7 +231,7 @@ class ObjectConfig:
 
 
 def _drawn(link: LinkModel) -> tuple[Visual, ...]:
-    """Return the collision shapes of a link that has nothing else to show."""
+    """Return a link's collision shapes as visuals, for a link without visuals."""
     return tuple(
         Visual(
             kind=part.kind,
@@ -270,7 +270,7 @@ def _bounds(links: tuple[LinkModel, ...], joints: tuple[JointModel, ...], object
 
 
 def convex_parts(shape: Shape) -> tuple[Shape, ...]:
-    """Return a shape as convex ones: a ring as boxes whose outer faces touch its cone, any other as it is."""
+    """Split a shape into convex ones: a ring becomes boxes whose outer faces touch its cone; others stay."""
     if shape.kind != "ring":
         return (shape,)
     low, high, height, thick = shape.size

@@ -1,4 +1,4 @@
-"""Visual generators of angular things: boxes with round edges, convex bodies, blades. See `turned` for the idea."""
+"""Visual generators of angular bodies: boxes with round edges, convex bodies, blades. `turned` explains the design."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SLOT_STEPS = 4
 def rounded_box(size: tuple[float, ...]) -> TriangleMesh:
     """Return a box with round edges: extents x, y, z, radius [m].
 
-    On each face u runs along its longer side and v along the other, 1 for the box's longest side: a texture is nowhere
-    stretched, and wood has its grain along.
+    On each face u runs along its longer side and v along the other, 1 for the box's longest side: a texture is
+    not stretched, and a wood grain runs lengthwise.
 
     Raises:
         ValueError: When the radius does not fit.

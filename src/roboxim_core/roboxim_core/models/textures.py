@@ -1,4 +1,4 @@
-"""Procedural textures of the objects: what an apple's skin or a can's print looks like.
+"""Procedural textures of the objects, e.g. an apple's skin or a can's print.
 
 Written for the texture coordinates of their generators (`turned`, `solids`): u around, v along the profile from the
 bottom, or from one end of a tube to the other.
@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise
 
 PLATE_LINES = ((0.538, 0.010), (0.561, 0.0035))
-"""Where along a plate's profile its painted lines are, and half their widths."""
+"""Painted lines of a plate: position along its profile and half width."""
 PLATE_COVE = 0.664
 """Where along a plate's profile the rim falls to the well."""
 

@@ -1,4 +1,4 @@
-"""Visual generators of round things: what a lathe turns, bent tubes, ribbons around them.
+"""Visual generators of round bodies: surfaces of revolution, bent tubes, ribbons around them.
 
 Each is a function of the numbers in a visual's ``size``, so that an object needs a YAML file and no code. Their texture
 coordinates: u around the axis, v along the profile or path, both from 0 to 1.
@@ -83,8 +83,8 @@ def ribbon(size: tuple[float, ...]) -> TriangleMesh:
     """Return a wavy ribbon around z.
 
     Args:
-        size: Radius, height of its middle line, width, amplitude of the wave [m], number of waves, number of times that
-            the texture repeats around it.
+        size: Radius, height of its middle line, width, amplitude of the wave [m], number of waves, number of
+            repetitions of the texture around it.
 
     Raises:
         ValueError: On another number of values.
@@ -173,7 +173,7 @@ def _cap(ring: Array, normal: Array, center: Array, v: float) -> TriangleMesh:
     faces = np.stack([index, index + 1, np.full(count - 1, count)], axis=1)
     if np.cross(ring[1] - ring[0], center - ring[0]) @ normal < 0:
         faces = faces[:, ::-1]
-    uv = np.tile([0.5, v], (count + 1, 1))  # one place: going round in so little space would fetch the whole's mean
+    uv = np.tile([0.5, v], (count + 1, 1))  # one point: a whole turn would sample the mean
     return triangles(vertices, np.tile(normal, (count + 1, 1)), faces, uv)
 
 

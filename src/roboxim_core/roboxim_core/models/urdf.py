@@ -1,4 +1,4 @@
-"""Objects from URDF: links, joints and shapes of a user's file as the values that an object's YAML file would hold."""
+"""Read objects from URDF, as the values that an object's YAML file would hold."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from roboxim_core.specs import MaterialSpec
 def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ...]]:
     """Read the links, the base first, and joints of a URDF file.
 
-    What hangs on a fixed joint becomes part of its parent. Collision meshes become their convex hulls. Inertias are not
-    read: the simulator has them from shapes and masses.
+    A link on a fixed joint becomes part of its parent. Collision meshes become their convex hulls. Inertias are not
+    read: the simulator computes them from shapes and masses.
 
     Raises:
-        ConfigError: When the file cannot be read or holds what an object cannot have; says what.
+        ConfigError: When the file cannot be read or holds an element that objects do not support.
     """
     try:
         root = ElementTree.parse(path).getroot()
@@ -72,7 +72,7 @@ class _Joint:
                 "continuous"
             )
         if element.find("mimic") is not None:
-            raise ConfigError(f"{path}: joint '{self.name}' mimics another one, which objects cannot")
+            raise ConfigError(f"{path}: joint '{self.name}' mimics another one, which objects do not support")
         self.parent, self.child = (_attribute(element, tag, "link") for tag in ("parent", "child"))
         self.pose = _origin(element)
         self.axis = _vector(_attribute(element, "axis", "xyz") or "1 0 0")
@@ -158,7 +158,7 @@ def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[floa
             return "mesh", (), str(found.resolve()), _vector(inner.get("scale", "1 1 1"))
     except (KeyError, ValueError) as error:
         raise ConfigError(f"{path}: <{inner.tag}> lacks or misspells {error}") from None
-    raise ConfigError(f"{path}: <{inner.tag}> is no geometry of URDF; expected box, sphere, cylinder or mesh")
+    raise ConfigError(f"{path}: <{inner.tag}> is not a geometry of URDF; expected box, sphere, cylinder or mesh")
 
 
 def _origin(element: ElementTree.Element) -> Pose:

@@ -1,7 +1,7 @@
 """Triangle meshes of links, and a scene as a renderer sees it.
 
-Everything here is a function of the scene spec, the models and a state record, so a live image and one that is rendered
-again from a bag come from the same numbers.
+Everything here is a function of the scene spec, the models and a state record, so a live image and one re-rendered
+from a bag come from the same numbers.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
 
 @lru_cache(maxsize=16)
 def robot_parts(robot_id: str, urdf: Path) -> dict[str, tuple[VisualPart, ...]]:
-    """Return what to draw for each link of a robot, from its URDF; links without visuals are left out.
+    """Return the visuals of each link of a robot, from its URDF; links without visuals are omitted.
 
     Raises:
         ConfigError: When a mesh of the URDF cannot be read.
@@ -86,7 +86,7 @@ def _drawn_links(urdf: Path) -> frozenset[str]:
 
 
 def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
-    """Return everything that is drawn in a scene: the room, the table, the robot, the entities.
+    """Return everything to draw of a scene: the room, the table, the robot, the entities.
 
     Raises:
         ConfigError: When a model or a modifier is unknown.
@@ -106,7 +106,7 @@ def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
 
 
 def drawn_entities(scene: SceneSpec) -> tuple[str, ...]:
-    """Return the entities of `render_world`, in the order of their segmentation ids: that of the first is 1."""
+    """Return the entities of `render_world`, in the order of their segmentation ids, which start at 1."""
     wall = ["wall"] if scene.look.background == "room" else []
     return ("table", "floor", *wall, "robot", *(entity.name for entity in scene.entities))
 
@@ -178,7 +178,7 @@ class ScenePoses:
 
 
 def camera_parent(camera: CameraSpec, arm: ArmKinematics) -> str:
-    """Return ``world`` or the link of a robot that a camera is on; ``gripper`` means the hand, whatever its name.
+    """Return ``world`` or the robot link that a camera is mounted on; ``gripper`` names the hand of any robot.
 
     Raises:
         ConfigError: When the robot has no such link.
@@ -202,7 +202,7 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
     legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
     under = z - thick
     top = _slab(table.size, (x, y, z - thick / 2), look.table)
-    # Without coordinates of its own a texture is as large as it is, not as the table.
+    # Without texture coordinates a texture keeps its own size instead of stretching over the table.
     parts = [replace(top, mesh=replace(top.mesh, uv=None))]
     for side_x in (-1, 1):
         for side_y in (-1, 1):
@@ -265,7 +265,7 @@ def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 
 def _material_of(mesh: trimesh.Trimesh, name: str) -> MaterialSpec:
-    """Return a mesh's own material; ``name`` is what `roboxim_core.textures.pixels` finds its image by."""
+    """Return a mesh's own material; `roboxim_core.textures.pixels` finds its image by ``name``."""
     material = getattr(mesh.visual, "material", None)
     texture = name if base_color_image(mesh) is not None and getattr(mesh.visual, "uv", None) is not None else ""
     if isinstance(material, trimesh.visual.material.PBRMaterial):
