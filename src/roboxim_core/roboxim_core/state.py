@@ -21,6 +21,8 @@ class EntityState:
     """Velocity of its base link in the world [m/s]."""
     angular_velocity: Vec3 = (0.0, 0.0, 0.0)
     """Angular velocity of its base link in the world [rad/s]."""
+    fastest_fall: float = 0.0
+    """Largest downward speed of its base link over the tick's physics steps, 0 if it never moved down [m/s]."""
     joint_names: tuple[str, ...] = ()
     """Names of its joints; empty for a rigid object."""
     joint_positions: tuple[float, ...] = ()
@@ -71,6 +73,8 @@ class Contact:
     """Normal force in the tick's last physics step [N]."""
     force_max: float
     """Largest normal force over the tick's physics steps [N]."""
+    force_on_b: Vec3 = (0.0, 0.0, 0.0)
+    """Sum of the normal forces on the second body in the last physics step, in the world [N]."""
 
 
 @dataclass(frozen=True, kw_only=True)

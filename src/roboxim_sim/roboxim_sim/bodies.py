@@ -259,12 +259,15 @@ class ObjectBody:
         states = pybullet.getJointStates(self.id, range(len(self.joint_names)), physicsClientId=self._client)
         return tuple(s[0] for s in states), tuple(s[1] for s in states)
 
-    def read(self, lowest: tuple[float, ...], highest: tuple[float, ...]) -> tuple[EntityState, tuple[float, ...]]:
+    def read(
+        self, lowest: tuple[float, ...], highest: tuple[float, ...], fastest_fall: float = 0.0
+    ) -> tuple[EntityState, tuple[float, ...]]:
         """Return the state and the joint velocities.
 
         Args:
             lowest: Lowest joint positions of the tick.
             highest: Highest joint positions of the tick.
+            fastest_fall: Largest downward speed of the base over the tick [m/s].
         """
         position, quat = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
         linear, angular = pybullet.getBaseVelocity(self.id, physicsClientId=self._client)
@@ -277,6 +280,7 @@ class ObjectBody:
             pose=pose,
             linear_velocity=linear,
             angular_velocity=angular,
+            fastest_fall=fastest_fall,
             joint_names=self.joint_names,
             joint_positions=joints,
             joint_lowest=lowest,

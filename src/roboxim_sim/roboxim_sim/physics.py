@@ -109,7 +109,9 @@ class Physics:
         """
         try:
             robot, joints = read_robot(self.robot, arm.model, arm, command, self._base)
-            read = [body.read(*self._observer.extremes(body)) for body in self.objects]
+            read = [
+                body.read(*self._observer.extremes(body), self._observer.fastest_fall(body)) for body in self.objects
+            ]
         except InvalidRequestError as error:
             raise SimError(f"the physics has blown up in tick {seq}: {error}", ErrorCode.SIM_FAULT) from None
         entities = tuple(entity for entity, _ in read)

@@ -1,4 +1,4 @@
-"""What happened during a tick: contacts and joint extremes over its physics steps, and the state at its end."""
+"""What happened during a tick: contacts, falls and joint extremes over its physics steps, and the state at its end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from roboxim_core.kinematics import ArmKinematics, ControllerState
 from roboxim_core.models.description import RobotModel
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.state import Contact, EntityState, RobotState, hash_floats
 from roboxim_sim.bodies import ObjectBody, RobotBody
 from roboxim_sim.bullet import pybullet
@@ -30,7 +30,9 @@ class TickObserver:
         self._names = {**fixed, robot.id: "robot", **{body.id: body.name for body in objects}}
         self._links = {robot.id: robot.link_names, **{body.id: body.link_names for body in objects}}
         self._jointed = [body for body in objects if body.joint_names]
+        self._falling = [(body.id, body.name) for body in objects]
         self._pairs: dict[tuple[int, int, int, int], _Pair] = {}
+        self._swapped: set[tuple[int, int, int, int]] = set()
         self.begin()
 
     def begin(self) -> None:
@@ -38,6 +40,7 @@ class TickObserver:
         self._last: dict[_Pair, float] = {}
         self._highest_force: dict[_Pair, float] = {}
         self._extremes: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}
+        self._lowest_velocity = {name: 0.0 for _, name in self._falling}
 
     def after_step(self) -> None:
         """Take in one physics step."""
@@ -53,6 +56,11 @@ class TickObserver:
             if pair not in highest_force or force > highest_force[pair]:
                 highest_force[pair] = force
         self._last = last
+        lowest_velocity = self._lowest_velocity
+        for body_id, name in self._falling:
+            velocity = pybullet.getBaseVelocity(body_id, physicsClientId=self._client)[0][2]
+            if velocity < lowest_velocity[name]:
+                lowest_velocity[name] = velocity
         for body in self._jointed:
             now, _ = body.read_joints()
             lowest, highest = self._extremes.get(body.name, (now, now))
@@ -60,6 +68,7 @@ class TickObserver:
 
     def contacts(self) -> tuple[Contact, ...]:
         """Return the tick's contacts, sorted."""
+        vectors = self._force_vectors()
         return tuple(
             Contact(
                 body_a=pair[0],
@@ -68,22 +77,45 @@ class TickObserver:
                 link_b=pair[3],
                 force_last=self._last.get(pair, 0.0),
                 force_max=self._highest_force[pair],
+                force_on_b=vectors.get(pair, (0.0, 0.0, 0.0)),
             )
             for pair in sorted(self._highest_force)
         )
+
+    def fastest_fall(self, body: ObjectBody) -> float:
+        """Return the largest downward speed of an object's base over the tick [m/s]."""
+        return 0.0 - self._lowest_velocity[body.name]
 
     def extremes(self, body: ObjectBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the lowest and highest joint positions of an object over the tick."""
         now, _ = body.read_joints()
         return self._extremes.get(body.name, (now, now))
 
+    def _force_vectors(self) -> dict[_Pair, Vec3]:
+        """Return the sum of the normal forces on the second body of each pair in the last physics step [N]."""
+        vectors: dict[_Pair, Vec3] = {}
+        if not self._last:
+            return vectors
+        for point in pybullet.getContactPoints(physicsClientId=self._client):
+            key, force = point[1:5], point[9]
+            if force > 0.0:
+                pair = self._pairs[key]
+                sign = force if key in self._swapped else -force  # Bullet's normal points towards its first body
+                x, y, z = vectors.get(pair, (0.0, 0.0, 0.0))
+                dx, dy, dz = point[7]
+                vectors[pair] = (x + sign * dx, y + sign * dy, z + sign * dz)
+        return vectors
+
     def _name(self, key: tuple[int, int, int, int]) -> _Pair:
         body_a, body_b, link_a, link_b = key
-        ends = sorted(
+        first, second = (
             (self._names[body], self._links[body][link] if body in self._links else "")
             for body, link in ((body_a, link_a), (body_b, link_b))
         )
-        self._pairs[key] = (*ends[0], *ends[1])
+        if second < first:
+            self._swapped.add(key)
+            first, second = second, first
+        self._pairs[key] = (*first, *second)
         return self._pairs[key]
 
 

@@ -353,3 +353,21 @@ def test_a_held_cube_does_not_slip(world: World) -> None:
     slip = distance(held, now)
     assert slip[0] < 0.002
     assert slip[1] < 0.03
+
+
+def test_the_record_tells_how_fast_a_thing_fell_and_which_way_contacts_push(world: World) -> None:
+    scene = cubes(5)
+    world.load(scene)
+    high = Pose(position=(0.5, 0.0, 0.0225 + 0.2))
+    world.set_entity_state("cube_0", pose=high)
+    falls = [world.tick(seq, hold_action(1.0)).entity("cube_0").fastest_fall for seq in range(1, 6)]
+    assert max(falls) == pytest.approx(math.sqrt(2 * 9.81 * 0.2), rel=0.05)  # within the tick in which it landed
+    assert falls[-1] < 0.01
+    (contact,) = world.record.contacts_between("table", "cube_0")
+    sign = 1.0 if contact.body_b == "cube_0" else -1.0
+    assert sign * np.array(contact.force_on_b) == pytest.approx([0.0, 0.0, 0.08 * 9.81], abs=0.05)
+    held = pick(world, "cube_1")
+    fingers = held.contacts_between("robot", "cube_1")
+    forces = [np.array(contact.force_on_b) * (1.0 if contact.body_b == "cube_1" else -1.0) for contact in fingers]
+    assert len(forces) == 2
+    assert np.dot(*forces) < -0.9 * np.prod([np.linalg.norm(force) for force in forces])

@@ -265,13 +265,6 @@ def offset(state: StateRecord, entity: str, reference: str) -> Array:
     return np.subtract(state.entity(entity).pose.position, state.entity(reference).pose.position)
 
 
-def horizontal_distance(entity: str, reference: str) -> Measure:
-    """Horizontal distance between the origins of two objects [m]."""
-    return Measure(
-        name="horizontal_distance_m", of=lambda state: float(np.linalg.norm(offset(state, entity, reference)[:2]))
-    )
-
-
 def tilt(entity: str, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Measure:
     """Angle between an axis of an object and the vertical [rad]."""
 
@@ -301,7 +294,7 @@ def turned(entity: str, initial: StateRecord) -> Measure:
 
 def joint_position(entity: str, joint: str, name: str = "joint_position") -> Measure:
     """Position of a joint of an object [m or rad]."""
-    return Measure(name=name, of=lambda state: _joint(state, entity, joint, "joint_positions"))
+    return Measure(name=name, of=lambda state: joint_value(state, entity, joint, "joint_positions"))
 
 
 def joint_highest_ever(entity: str, joint: str, name: str = "joint_highest") -> Measure:
@@ -309,12 +302,13 @@ def joint_highest_ever(entity: str, joint: str, name: str = "joint_highest") -> 
     best = [-math.inf]
 
     def value(state: StateRecord) -> float:
-        best[0] = max(best[0], _joint(state, entity, joint, "joint_highest"))
+        best[0] = max(best[0], joint_value(state, entity, joint, "joint_highest"))
         return best[0]
 
     return Measure(name=name, of=value)
 
 
-def _joint(state: StateRecord, entity: str, joint: str, field: str) -> float:
+def joint_value(state: StateRecord, entity: str, joint: str, field: str) -> float:
+    """Return a value of a joint of an object: of ``joint_positions``, ``joint_lowest`` or ``joint_highest``."""
     found = state.entity(entity)
     return float(getattr(found, field)[found.joint_names.index(joint)])

@@ -16,6 +16,7 @@ ROBOT = RobotState(
 )  # fmt: skip
 ON_TABLE = Contact(body_a="table", link_a="", body_b="target", link_b="", force_last=1.0, force_max=1.0)
 TOUCHED = Contact(body_a="robot", link_a="panda_hand", body_b="target", link_b="", force_last=1.0, force_max=1.0)
+BY_FINGER = Contact(body_a="robot", link_a="finger", body_b="target", link_b="cap", force_last=4.0, force_max=4.0)
 
 
 def task(skill, **arguments):
@@ -61,21 +62,31 @@ def test_a_rotation_needs_the_object_let_go_and_where_it_was():
     assert fold(of, [*turn, *away])[-1].reason == "moved_away"
 
 
-def button(seq, now, highest, other=0.0):
+def button(seq, now, highest, other=0.0, contacts=(BY_FINGER,)):
     return tick(
         seq,
         EntityState(name="target", joint_names=("press",), joint_positions=(now,), joint_lowest=(0.0,),
                     joint_highest=(highest,)),
         EntityState(name="distractor_1", joint_names=("press",), joint_positions=(0.0,), joint_lowest=(0.0,),
                     joint_highest=(other,)),
+        contacts=contacts,
     )  # fmt: skip
 
 
 def test_a_press_within_a_tick_counts_for_good():
-    of = task("push_button", travel_m=0.006, joint="press")
+    of = task("push_button", travel_m=0.006, joint="press", fingers="finger other_finger")
     verdicts = fold(of, [button(0, 0.0, 0.0), button(1, 0.0, 0.004), button(2, 0.0, 0.011), button(3, 0.0, 0.0)])
     assert [verdict.success for verdict in verdicts] == [False, False, True, True]
     assert verdicts[1].reason == "not_pressed"
+
+
+@pytest.mark.parametrize("contacts", [(TOUCHED,), (BY_FINGER, TOUCHED), (ON_TABLE,)], ids=["hand", "both", "nothing"])
+def test_what_is_not_a_finger_does_not_push_a_button(contacts):
+    of = task("push_button", travel_m=0.006, joint="press", fingers="finger other_finger")
+    pressed = [button(0, 0.0, 0.0), button(1, 0.0, 0.011, contacts=contacts)]
+    verdict = fold(of, pressed)[-1]
+    assert (verdict.success, verdict.failed, verdict.reason) == (False, False, "not_by_finger")
+    assert fold(of, [*pressed, button(2, 0.0, 0.011)])[-1].success
 
 
 def test_pressing_another_button_fails_for_good():

@@ -19,9 +19,10 @@ from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import let_go
 from roboxim_tasks.motion import retreated
 from roboxim_tasks.placement import footprint, overlap
-from roboxim_tasks.predicates import Condition, Measure, joint_position, released, seconds_between, with_last
+from roboxim_tasks.predicates import Condition, Measure, joint_position, seconds_between, with_last
 from roboxim_tasks.reach import reaches_in_lines
 
 APPROACH_M = 0.08
@@ -176,7 +177,7 @@ def drawer_rests(task: TaskSpec, initial: StateRecord, goal: Condition) -> tuple
         goal,
         Condition(name="others_stayed", measure=_others_moved(cabinet, joint, initial), most=OTHERS_M,
                   reason="moved_other_drawer"),
-        released(cabinet),
+        *let_go(cabinet),
         Condition(name="at_rest", measure=_joint_speed(cabinet, joint, initial), most=SPEED_M_S),
     )  # fmt: skip
 

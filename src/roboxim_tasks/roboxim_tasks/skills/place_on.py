@@ -2,32 +2,41 @@
 
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
-Success: the object touches the support and not the table, its origin is within ``within_m`` of the surface's middle,
-the robot does not touch it, and it lies still for ``hold_s``.
+Success: the object touches the support and not the table, its origin is above the support's surface, it was set down
+and not dropped, the hand has left it, and it lies still for ``hold_s``.
 
-Non-obvious: ``within_m`` follows from the support's surface unless it is given; the generator puts it into the task's
-arguments, so that a bag is judged without the models. An object longer than the surface is let go above the support's
+Non-obvious: the generator puts the shape of the support's surface into the task's arguments, so that a bag is judged
+without the models. An object longer than the surface is let go above the support's
 highest point, because a rim may be in its way.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel
-from roboxim_core.specs import TaskSpec
+from roboxim_core.poses import Array
+from roboxim_core.specs import Scalar, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.motion import ExpertScene, Stage
-from roboxim_tasks.predicates import Condition, Conditions, above, force, horizontal_distance, table_force
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, force, table_force
 from roboxim_tasks.reach import above_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 
+SURFACE_SHARE = 0.9
+"""How far from the middle of the surface the origin may be, as a share of the way to the edge: what is wholly on the
+surface is within, what hangs half over its edge is not."""
 LONGEST = 2.4
 """Longest side of an object that makes sense on a support, over the longest side of its surface or of its rim."""
 
@@ -37,9 +46,23 @@ class PlaceOnParameters:
     """Thresholds of success."""
 
     within_m: float = 0.0
-    """Largest distance from the middle of the surface [m]; 0: half of the surface's shorter side."""
+    """Largest distance from the middle of the surface [m]; 0: anywhere above it."""
+    drop_m: float = DROP_M
+    """Largest free fall [m]."""
     hold_s: float = 0.3
     """How long it must lie still [s]."""
+    surface_x_m: float = 0.0
+    """Middle of the surface in the support's base [m]; set by the generator."""
+    surface_y_m: float = 0.0
+    """As ``surface_x_m``."""
+    surface_yaw_rad: float = 0.0
+    """Angle of the surface's sides in the support's base [rad]; set by the generator."""
+    half_x_m: float = 0.0
+    """Half of the surface's extent along x [m]; set by the generator."""
+    half_y_m: float = 0.0
+    """Half of its extent along y [m]; set by the generator."""
+    round: bool = False
+    """Whether the surface is a disc, not a rectangle; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -47,8 +70,8 @@ class PlaceOnParameters:
         Raises:
             ConfigError: When a threshold makes no sense.
         """
-        if self.within_m < 0 or self.hold_s < 0:
-            raise ConfigError(f"needs within_m >= 0 and hold_s >= 0, got {self}")
+        if self.within_m < 0 or self.drop_m <= 0 or self.hold_s < 0:
+            raise ConfigError(f"needs within_m >= 0, drop_m > 0 and hold_s >= 0, got {self}")
 
 
 @register
@@ -74,12 +97,11 @@ class PlaceOn(Skill):
         return ""
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task and the bound on the distance that follows from its support."""
+        """Draw a task and note the shape of its support's surface."""
         task = generate_task(context)
         support = task.objects["support"]
-        surface = region_of(context.library.object(support.model, support.modifiers), "surface")
-        within_m = task.arguments["within_m"] or min(surface.size[:2]) / 2
-        return replace(task, arguments=task.arguments | {"within_m": within_m})
+        surface = surface_arguments(context.library.object(support.model, support.modifiers))
+        return replace(task, arguments=task.arguments | surface)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """The arm reaches the target, and a target's grasp above the support."""
@@ -99,17 +121,46 @@ class PlaceOn(Skill):
         return put(scene, target, goals, onto=support)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """On the support, near its middle, let go and at rest."""
+        """On the support, above its surface, set down, let go and at rest."""
         parameters: PlaceOnParameters = parameters_of(task, PlaceOnParameters)
-        return Conditions(placed_on(task, initial, parameters.within_m), hold_s=parameters.hold_s)
+        return Conditions(placed_on(task, initial, parameters), hold_s=parameters.hold_s)
 
 
-def placed_on(task: TaskSpec, initial: StateRecord, within_m: float) -> tuple[Condition, ...]:
-    """Return the conditions that a task's target lies on its support."""
+def placed_on(task: TaskSpec, initial: StateRecord, parameters: PlaceOnParameters) -> tuple[Condition, ...]:
+    """Return the conditions that a task's target was placed on its support."""
     target, support = (task.objects[role].entity for role in ("target", "support"))
-    placed = (
+
+    def from_middle(state: StateRecord) -> Array:
+        """Return the target's origin seen from the middle of the surface, along the surface's sides, shape (2,) [m]."""
+        base = state.entity(support).pose.inverse()
+        x, y, _ = base.apply(state.entity(target).pose.position)
+        dx, dy = x - parameters.surface_x_m, y - parameters.surface_y_m
+        cosine, sine = math.cos(parameters.surface_yaw_rad), math.sin(parameters.surface_yaw_rad)
+        return np.array([cosine * dx + sine * dy, cosine * dy - sine * dx])
+
+    def share(state: StateRecord) -> float:
+        shares = from_middle(state) / (parameters.half_x_m, parameters.half_y_m)
+        return float(np.linalg.norm(shares) if parameters.round else np.abs(shares).max())
+
+    distance = Measure(name="middle_distance_m", of=lambda state: float(np.linalg.norm(from_middle(state))))
+    placed = [
         Condition(name="on_support", measure=force(target, support, "support_force_n"), least=above(0.0)),
         Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
-        Condition(name="centred", measure=horizontal_distance(target, support), most=within_m),
-    )
-    return lies_still(target, initial, placed, support)
+        Condition(name="centred", measure=Measure(name="surface_share", of=share), most=SURFACE_SHARE),
+    ]
+    if parameters.within_m:
+        placed.append(Condition(name="near_middle", measure=distance, most=parameters.within_m, reason="not_centred"))
+    return lies_still(target, initial, placed, support, parameters.drop_m)
+
+
+def surface_arguments(model: ObjectModel) -> dict[str, Scalar]:
+    """Return where a support's surface is and its shape, as scalars."""
+    surface = region_of(model, "surface")
+    middle = object_link_poses(model, {})[surface.link or model.links[0].name] @ surface.pose
+    along = middle.rotation.apply([1.0, 0.0, 0.0])
+    disc = surface.shape == "disc"
+    half_x, half_y = (min(surface.size[:2]) / 2,) * 2 if disc else (surface.size[0] / 2, surface.size[1] / 2)
+    return {
+        "surface_x_m": middle.position[0], "surface_y_m": middle.position[1],
+        "surface_yaw_rad": math.atan2(along[1], along[0]), "half_x_m": half_x, "half_y_m": half_y, "round": disc,
+    }  # fmt: skip

@@ -3,8 +3,8 @@
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
 Success: from the reference the object lies more than ``along_m`` in the direction, less than ``lateral_ratio`` of that
-to the side, no farther than ``farthest_m``, on the table, let go and at rest for ``hold_s``; the reference has moved by
-less than ``reference_shift_m``.
+to the side, no farther than ``farthest_m``, on the table, set down and not dropped, let go and at rest for ``hold_s``;
+the reference has moved by less than ``reference_shift_m``.
 
 Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, in front of = towards the base.
 With ``viewpoint: facing`` they are those of a person across the table who looks at the robot. The generator puts the
@@ -30,6 +30,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, offset, shift, table_force
@@ -66,6 +67,8 @@ class RelationParameters:
     """Largest distance in the direction [m]."""
     reference_shift_m: float = 0.03
     """How far the reference may be moved [m]."""
+    drop_m: float = DROP_M
+    """Largest free fall [m]."""
     hold_s: float = 0.3
     """How long it must lie still [s]."""
     direction_x: float = 0.0
@@ -166,7 +169,7 @@ class PlaceRelation(Skill):
             Condition(name="not_beside", measure=ratio, most=parameters.lateral_ratio, reason="too_far_to_the_side"),
             Condition(name="on_table", measure=table_force(target), least=above(0.0)),
         )  # fmt: skip
-        return Conditions(lies_still(target, initial, placed, reference), hold_s=parameters.hold_s)
+        return Conditions(lies_still(target, initial, placed, reference, parameters.drop_m), hold_s=parameters.hold_s)
 
 
 def free_goals(

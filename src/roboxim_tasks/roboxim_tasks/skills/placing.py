@@ -14,8 +14,9 @@ from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel, Region
 from roboxim_core.poses import Pose
 from roboxim_core.state import StateRecord
+from roboxim_tasks.handling import DROP_M, let_go, set_down
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasps_of
-from roboxim_tasks.predicates import Condition, at_rest, fallen_off, lift, released
+from roboxim_tasks.predicates import Condition, at_rest, fallen_off, lift
 from roboxim_tasks.script import Script
 
 GOAL_YAWS = (0.0, math.pi / 2, -math.pi / 2, math.pi / 4, -math.pi / 4, math.pi)
@@ -91,14 +92,24 @@ def put(
 
 
 def lies_still(
-    target: str, initial: StateRecord, conditions: Sequence[Condition], reference: str = ""
+    target: str, initial: StateRecord, conditions: Sequence[Condition], reference: str = "", drop_m: float = DROP_M
 ) -> tuple[Condition, ...]:
-    """Return the conditions that an object was put somewhere: nothing fell, the skill's own, let go, at rest."""
+    """Return the conditions that an object was put somewhere.
+
+    Nothing fell off the table, the skill's own conditions hold, the object was not dropped, it is let go and at rest.
+
+    Args:
+        target: The object.
+        initial: State of tick 0.
+        conditions: The skill's own.
+        reference: Another object that must not fall off the table; empty: none.
+        drop_m: Largest free fall of the object [m].
+    """
     fallen = [fallen_off(lift(target, initial))]
     if reference:
         gain = lift(reference, initial, "reference_lift_m")
         fallen.append(fallen_off(gain, "reference_not_fallen"))
-    return (*fallen, *conditions, released(target), *at_rest(target))
+    return (*fallen, *conditions, set_down(target, drop_m), *let_go(target), *at_rest(target))
 
 
 def raised(pose: Pose, height_m: float) -> Pose:

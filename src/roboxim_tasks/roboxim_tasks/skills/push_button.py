@@ -2,10 +2,13 @@
 
 Randomisation: the button's place, yaw and colour; where the end effector starts; distractors, other buttons among them.
 
-Success: the button has been pressed in by more than ``travel_m`` in any physics step, and no other button has.
+Success: the button has been pressed in by more than ``travel_m`` in any physics step, in a tick in which fingers
+touched it and no other part of the robot did, and no other button has been pressed.
 
-Non-obvious: the press is latched, because a button springs back at once. It need not be pressed when the episode ends.
-The expert dwells at the bottom, because the reference rounds corners where it does not stop.
+Non-obvious: a button is pressed with a finger, its tip or a side of it. A hand or an arm that leans on the button does
+not count, because that is how an arm that flails hits it. The press is latched, because a button springs back at once.
+It need not be pressed when the episode ends. The expert dwells at the bottom, because the reference rounds corners
+where it does not stop.
 """
 
 from __future__ import annotations
@@ -23,9 +26,11 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import touching_links
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
-from roboxim_tasks.predicates import Condition, Conditions, Measure, above, joint_highest_ever
+from roboxim_tasks.predicates import Condition, Conditions, Measure, above, joint_highest_ever, joint_value
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
@@ -44,6 +49,8 @@ class PushButtonParameters:
     """How far it must be pressed in [m]."""
     joint: str = ""
     """Name of its joint; follows from the button's model."""
+    fingers: str = ""
+    """Names of the robot's fingers, separated by blanks; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -66,11 +73,13 @@ class PushButton(Skill):
     Parameters = PushButtonParameters
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task and note the name of the button's joint."""
+        """Draw a task and note the names of the button's joint and of the robot's fingers."""
         task = generate_task(context)
         target = task.objects["target"]
         (point, *_) = context.library.object(target.model, target.modifiers).press_points
-        return replace(task, arguments=task.arguments | {"joint": point.joint})
+        robot = context.library.robot(named("scenes", context.config.scene, SceneSpec).robot.model)
+        fingers = " ".join(robot.gripper.links[1:])
+        return replace(task, arguments=task.arguments | {"joint": point.joint, "fingers": fingers})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """The arm reaches the button and presses it."""
@@ -102,7 +111,7 @@ class PushButton(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Pressed at some time, and no other button."""
+        """Pressed by a finger at some time, and no other button."""
         parameters: PushButtonParameters = parameters_of(task, PushButtonParameters)
         target = task.objects["target"].entity
         return Conditions(
@@ -114,6 +123,9 @@ class PushButton(Skill):
                 Condition(
                     name="pressed", measure=joint_highest_ever(target, parameters.joint, "travel_m"),
                     least=above(parameters.travel_m),
+                ),
+                Condition(
+                    name="by_finger", measure=_finger_travel(target, parameters), least=above(parameters.travel_m)
                 ),
             ),
             hold_s=0.0,
@@ -130,6 +142,20 @@ def _pressed(face: Pose, yaw_rad: float) -> Pose:
     """Return the pose of the tool that has pressed the button in, its x axis at a heading in the base."""
     x, y, z = face.apply((0.0, 0.0, -DEPTH_M)).tolist()
     return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))
+
+
+def _finger_travel(target: str, parameters: PushButtonParameters) -> Measure:
+    """Farthest that a button has been pressed in so far in ticks in which only fingers of the robot touched it."""
+    fingers = set(parameters.fingers.split())
+    best = [0.0]
+
+    def travel(state: StateRecord) -> float:
+        links = touching_links(state, target)
+        if links and links <= fingers:
+            best[0] = max(best[0], joint_value(state, target, parameters.joint, "joint_highest"))
+        return best[0]
+
+    return Measure(name="finger_travel_m", of=travel)
 
 
 def _others_travel(target: str, joint: str, initial: StateRecord) -> Measure:

@@ -3,8 +3,8 @@
 Randomisation: which object and colour; where it stands and at what yaw; where the end effector starts; distractors.
 
 Success: the object has moved by at least ``least_m`` in the direction and by less than ``lateral_ratio`` of that to the
-side, it stands as upright as before, on the table, still, and the robot does not touch it, for ``hold_s``. It must not
-have been lifted at any time.
+side, it stands as upright as before, on the table, still, and the hand has left it, for ``hold_s``. It must not have
+been lifted at any time, nor have moved while it was gripped or off the table.
 
 Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, forward = away from its base. The
 gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away; it leans back
@@ -28,6 +28,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import not_carried
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
@@ -185,6 +186,7 @@ class PushObject(Skill):
             return highest[0]
 
         pushed = (
+            not_carried(entity, initial),
             Condition(
                 name="not_lifted", measure=Measure(name="highest_lift_m", of=highest_lift), most=LIFTED_M,
                 reason="lifted", fatal=True,

@@ -2,8 +2,8 @@
 
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
-Success: the object's origin is inside the container's interior, it does not touch the table, the robot does not touch
-it, and it lies still for ``hold_s``.
+Success: the object's origin is inside the container's interior, it does not touch the table, it fell by no more than
+``drop_m``, the hand has left it, and it lies still for ``hold_s``.
 
 Non-obvious: where the interior is, and how it moves with a drawer, follows from the container; the generator puts it
 into the task's arguments. What does not fit into the interior at every yaw is never drawn. A drawer must be open at the
@@ -44,6 +44,8 @@ OPEN_SHARE = 0.5
 class PutIntoParameters:
     """Thresholds of success, and where the container's interior is."""
 
+    drop_m: float = 0.15
+    """Largest free fall [m]: from a hand's width above the rim down to the floor is still putting."""
     hold_s: float = 0.3
     """How long it must lie still [s]."""
     drawer: str = ""
@@ -178,7 +180,7 @@ class PutInto(Skill):
             Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + RIM_M, reason="not_inside"),
             Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
         )
-        return Conditions(lies_still(target, initial, placed, container), hold_s=parameters.hold_s)
+        return Conditions(lies_still(target, initial, placed, container, parameters.drop_m), hold_s=parameters.hold_s)
 
 
 def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:

@@ -3,7 +3,7 @@
 Randomisation: which object and colour; where it lies and at what yaw; where the end effector starts; distractors.
 
 Success: the object has been turned by the angle within ``tolerance_deg``, its origin is within ``shift_m`` of where it
-was, it lies on the table, still, and the robot does not touch it, for ``hold_s``.
+was, it was set down on the table and not dropped, it lies still, and the hand has left it, for ``hold_s``.
 
 Non-obvious: the rotation is accumulated over the ticks, so a turn by 270 degrees in the other direction is none by 90.
 The expert lifts the object first: one that is turned on the table wanders.
@@ -23,6 +23,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
 from roboxim_tasks.placement import Room
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, shift, table_force, turned
@@ -34,7 +35,7 @@ from roboxim_tasks.skills.placing import lies_still
 DIRECTIONS = {"clockwise": -1.0, "counter-clockwise": 1.0}
 """Word of the instruction to the sign of the rotation about the upward vertical."""
 LIFTS_M = (0.05, 0.10, 0.15)
-DROP_M = 0.002
+LOWERED_M = 0.002
 STEP_RAD = math.radians(120)
 FREE_GAP_M = 0.01
 
@@ -51,6 +52,8 @@ class RotateParameters:
     """How far the rotation may be off [degrees]."""
     shift_m: float = 0.05
     """How far the object may be moved [m]."""
+    drop_m: float = DROP_M
+    """Largest free fall [m]."""
     hold_s: float = 0.3
     """How long it must lie still [s]."""
 
@@ -139,7 +142,7 @@ class Rotate(Skill):
                 script.move(shifted(script.pose, lift_m), name="lift", speed=SLOW, touching=((entity, TABLE),))
                 for angle in _steps(parameters.angle_rad - done):
                     script.move(shifted(_turned(goal, angle) @ in_hand, lift_m), name="turn")
-                end = shifted(_turned(goal, parameters.angle_rad - done), DROP_M)
+                end = shifted(_turned(goal, parameters.angle_rad - done), LOWERED_M)
                 script.move(end @ in_hand, name="lower", speed=SLOW, touching=((entity, TABLE),))
                 script.release(end)
                 yield script.stages
@@ -158,7 +161,7 @@ class Rotate(Skill):
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
             Condition(name="stayed", measure=shift(entity, initial), most=parameters.shift_m, reason="moved_away"),
         )  # fmt: skip
-        return Conditions(lies_still(entity, initial, placed), hold_s=parameters.hold_s)
+        return Conditions(lies_still(entity, initial, placed, drop_m=parameters.drop_m), hold_s=parameters.hold_s)
 
 
 def _steps(angle_rad: float) -> list[float]:

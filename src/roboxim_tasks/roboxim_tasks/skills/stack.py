@@ -42,4 +42,4 @@ class Stack(PlaceOn):
         parameters: StackParameters = parameters_of(task, StackParameters)
         support = task.objects["support"].entity
         base = stayed(support, initial, parameters.base_shift_m, "base")
-        return Conditions((*placed_on(task, initial, parameters.within_m), base), hold_s=parameters.hold_s)
+        return Conditions((*placed_on(task, initial, parameters), base), hold_s=parameters.hold_s)

@@ -3,8 +3,8 @@
 Randomisation: which object and colour; where it lies, on which side and at what yaw; where the end effector starts;
 distractors.
 
-Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up, it stands on the table, still, and
-the robot does not touch it, for ``hold_s``.
+Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up, it was set down on the table and
+not dropped, it stands still, and the hand has left it, for ``hold_s``.
 
 Non-obvious: the tool leans towards the object's foot while it lies and away from it when it stands, by angles that
 together make the right angle; a tool that points straight down at first would have to be level at the end, and the arm
@@ -29,6 +29,7 @@ from roboxim_core.poses import Array, Pose, Vec3
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.motion import RELEASE_CLEARANCE_M, ExpertScene, Grasp, Stage, grasp_poses, retreated, shifted
 from roboxim_tasks.predicates import Condition, Conditions, Measure, above, table_force, tilt
 from roboxim_tasks.reach import follows, start_clear
@@ -55,6 +56,8 @@ class TurnUprightParameters:
 
     tilt_deg: float = 10.0
     """Largest angle between its axis and the vertical [degrees]."""
+    drop_m: float = DROP_M
+    """Largest free fall [m]."""
     hold_s: float = 0.5
     """How long it must stand still [s]."""
 
@@ -126,7 +129,7 @@ class TurnUpright(Skill):
             Condition(name="upright", measure=degrees, most=parameters.tilt_deg),
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
         )
-        return Conditions(lies_still(entity, initial, stands), hold_s=parameters.hold_s)
+        return Conditions(lies_still(entity, initial, stands, drop_m=parameters.drop_m), hold_s=parameters.hold_s)
 
 
 def _turn_up(scene: ExpertScene, grasp: Grasp, pose: Pose, goal: Pose) -> tuple[Stage, ...]:

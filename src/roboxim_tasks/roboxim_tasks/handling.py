@@ -1,0 +1,153 @@
+"""How an object was handled: dropped or set down, carried or pushed, let go or still in the hand.
+
+The measures are folds over state records like those of `roboxim_tasks.predicates`, so they judge live and over a bag.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from roboxim_core.poses import Array, Pose
+from roboxim_core.state import Contact, StateRecord
+from roboxim_tasks.motion import ROBOT
+from roboxim_tasks.predicates import Condition, Measure, released
+
+GRAVITY_M_S2 = 9.81
+DROP_M = 0.05
+"""Largest free fall with which something is set down and not dropped [m].
+
+What falls by 5 cm arrives at 1 m/s. That is twice the largest speed of the hand under the default action limits
+(0.05 m per tick at 10 Hz), so nothing that is lowered in the hand gets there. 5 cm is also the size of the smaller
+objects: a person who lets go of a cube a whole cube above the table drops it.
+"""
+HAND_AWAY_M = 0.05
+"""Way of the hand from where it last touched an object after which it does not cage the object any more [m].
+
+The widest object that the gripper takes is 8 cm wide, so the fingers reach at most 4 cm past its edge; they end 1 cm
+beyond the tool centre point.
+"""
+SQUEEZE_N = 2.0
+"""Force with which two links press an object from opposite sides from which on it is gripped [N]: a tenth of the
+gripper's force. Fingers that push side by side press in one direction."""
+OPPOSITE = -0.5
+"""Largest cosine between two forces that oppose each other: they are more than 120 degrees apart."""
+CARRIED_M = 0.01
+"""Way that a pushed object may go while it is gripped or off its support [m]: contacts chatter."""
+FAR_M = 1.0
+"""Reported for the way of a hand that has never touched the object [m]."""
+
+
+def set_down(entity: str, most_m: float = DROP_M) -> Condition:
+    """Return the condition that an object was set down where it is, and not dropped there.
+
+    Args:
+        entity: The object.
+        most_m: Largest free fall [m].
+    """
+    return Condition(name="set_down", measure=drop(entity), most=most_m, reason="dropped")
+
+
+def let_go(entity: str) -> tuple[Condition, ...]:
+    """Return the conditions that the robot does not touch an object, and that the hand has left it."""
+    away = Condition(name="hand_away", measure=hand_away(entity), least=HAND_AWAY_M, reason="still_held")
+    return released(entity), away
+
+
+def not_carried(entity: str, initial: StateRecord) -> Condition:
+    """Return the fatal condition that an object was never gripped or off its support while it moved."""
+    return Condition(
+        name="not_carried", measure=carried_way(entity, initial), most=CARRIED_M, reason="carried", fatal=True
+    )
+
+
+def drop(entity: str) -> Measure:
+    """Height of the free fall that gives the largest speed at which an object has fallen since it was last held [m].
+
+    Held is what the robot touches and nothing else does. So what was dropped and is picked up again counts anew.
+    """
+    fastest = [0.0]
+
+    def of(state: StateRecord) -> float:
+        if state.seq == 0 or held_in_the_air(state, entity):
+            fastest[0] = 0.0
+        else:
+            fastest[0] = max(fastest[0], state.entity(entity).fastest_fall)
+        return fastest[0] ** 2 / (2 * GRAVITY_M_S2)
+
+    return Measure(name="drop_m", of=of)
+
+
+def hand_away(entity: str) -> Measure:
+    """Way of the tool centre point, as seen from an object, from where it was when the robot last touched it [m].
+
+    An open gripper round an object that it has let go of, but has not left, is 0 away.
+    """
+    last: list[Array | None] = [None]
+
+    def of(state: StateRecord) -> float:
+        tool = _tool_in(state, entity)
+        if any(contact.force_max > 0.0 for contact in state.contacts_between(ROBOT, entity)):
+            last[0] = tool
+        return FAR_M if last[0] is None else min(FAR_M, float(np.linalg.norm(tool - last[0])))
+
+    return Measure(name="hand_away_m", of=of)
+
+
+def carried_way(entity: str, initial: StateRecord) -> Measure:
+    """Horizontal way of an object in the ticks in which it was gripped, or touched nothing but the robot [m]."""
+    before = [np.array(initial.entity(entity).pose.position[:2])]
+    total = [0.0]
+
+    def of(state: StateRecord) -> float:
+        here = np.array(state.entity(entity).pose.position[:2])
+        unsupported = not any(contact.force_max > 0.0 for contact, _ in _others(state, entity))
+        if state.seq > 0 and (unsupported or squeeze_n(state, entity) >= SQUEEZE_N):
+            total[0] += float(np.linalg.norm(here - before[0]))
+        before[0] = here
+        return total[0]
+
+    return Measure(name="carried_m", of=of)
+
+
+def squeeze_n(state: StateRecord, entity: str) -> float:
+    """Return the largest force with which two links of the robot press an object from opposite sides [N]."""
+    forces = []
+    for contact in state.contacts_between(ROBOT, entity):
+        force = np.array(contact.force_on_b) * (1.0 if contact.body_b == entity else -1.0)
+        size = float(np.linalg.norm(force))
+        if size > 0.0:
+            forces.append((size, force / size))
+    pairs = itertools.combinations(forces, 2)
+    return max((min(a, b) for (a, along), (b, other) in pairs if float(along @ other) < OPPOSITE), default=0.0)
+
+
+def held_in_the_air(state: StateRecord, entity: str) -> bool:
+    """Tell whether the robot touches an object at the end of a tick and nothing else does."""
+    by_robot = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
+    return by_robot and not any(contact.force_last > 0.0 for contact, _ in _others(state, entity))
+
+
+def touching_links(state: StateRecord, entity: str) -> set[str]:
+    """Return the robot's links that touched an object in a tick."""
+    return {
+        contact.link_a if contact.body_a == ROBOT else contact.link_b
+        for contact in state.contacts_between(ROBOT, entity)
+        if contact.force_max > 0.0
+    }
+
+
+def _others(state: StateRecord, entity: str) -> Iterator[tuple[Contact, str]]:
+    """Yield an object's contacts with anything but the robot and itself, each with the other body's name."""
+    for contact in state.contacts:
+        bodies = {contact.body_a, contact.body_b}
+        if entity in bodies and ROBOT not in bodies and len(bodies) == 2:
+            yield contact, next(iter(bodies - {entity}))
+
+
+def _tool_in(state: StateRecord, entity: str) -> Array:
+    """Return the measured tool centre point in an object's frame, shape (3,) [m]."""
+    pose: Pose = state.entity(entity).pose.inverse()
+    return np.asarray(pose.apply(state.robot.pose_tcp_measured.position))
