@@ -48,7 +48,7 @@ class PlaceOnParameters:
     within_m: float = 0.0
     """Largest distance from the middle of the surface [m]; 0: anywhere above it."""
     drop_m: float = DROP_M
-    """Largest free fall [m]."""
+    """Largest free fall, besides the height of a rim round the surface: what is wide is let go above it [m]."""
     hold_s: float = 0.3
     """How long it must lie still [s]."""
     surface_x_m: float = 0.0
@@ -63,6 +63,8 @@ class PlaceOnParameters:
     """Half of its extent along y [m]; set by the generator."""
     round: bool = False
     """Whether the surface is a disc, not a rectangle; set by the generator."""
+    rim_m: float = 0.0
+    """Height of the support's highest point above the surface [m]; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -150,7 +152,7 @@ def placed_on(task: TaskSpec, initial: StateRecord, parameters: PlaceOnParameter
     ]
     if parameters.within_m:
         placed.append(Condition(name="near_middle", measure=distance, most=parameters.within_m, reason="not_centred"))
-    return lies_still(target, initial, placed, support, parameters.drop_m)
+    return lies_still(target, initial, placed, support, parameters.drop_m + parameters.rim_m)
 
 
 def surface_arguments(model: ObjectModel) -> dict[str, Scalar]:
@@ -163,4 +165,5 @@ def surface_arguments(model: ObjectModel) -> dict[str, Scalar]:
     return {
         "surface_x_m": middle.position[0], "surface_y_m": middle.position[1],
         "surface_yaw_rad": math.atan2(along[1], along[0]), "half_x_m": half_x, "half_y_m": half_y, "round": disc,
+        "rim_m": max(0.0, model.size[2] - model.rest_height - middle.position[2]),
     }  # fmt: skip
