@@ -101,6 +101,24 @@ def test_what_ros_makes_hang_is_not_used():
                 assert word not in text, f"{path.relative_to(SRC)} uses {word}"
 
 
+def test_every_callback_of_a_node_is_guarded():
+    raw = {"create_service", "create_subscription", "create_timer", "ActionServer", "Node"}
+    for package in (f"roboxim_{room}" for room in ROOMS):
+        for path in modules(package):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if not isinstance(node, ast.Call):
+                    continue
+                name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+                of_node = isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) != "self"
+                assert name not in raw or (of_node and name == "create_subscription"), (
+                    f"{path.relative_to(SRC)}:{node.lineno} calls {name}; use RoboximNode.serve, hear or serve_action"
+                )
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ClassDef):
+                    bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
+                    assert "Node" not in bases, f"{path.relative_to(SRC)}: {node.name} must derive from RoboximNode"
+
+
 def test_error_codes_are_mirrored():
     from roboxim_interfaces.msg import ErrorCode as Message
 

@@ -8,10 +8,12 @@ All are frozen plain values made of numbers, strings, tuples and one another, so
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 
@@ -20,6 +22,9 @@ RGB = tuple[float, float, float]
 """sRGB colour, each component 0..1."""
 LIGHT_KINDS = ("sun", "lamp")
 BACKGROUNDS = ("room", "plain")
+LEAVING = ("clamp", "fail")
+RESERVED_NAMES = ("robot", "table", "tcp", "world")
+"""Names of bodies and frames that every scene has; no entity may take one."""
 
 
 def _hash(spec: Any) -> int:
@@ -81,6 +86,16 @@ class EntitySpec:
     fixed: bool = False
     """Whether the base is fixed to the world."""
 
+    def __post_init__(self) -> None:
+        """Check the name and the numbers.
+
+        Raises:
+            InvalidRequestError: On a name that is reserved or cannot be part of a frame, or a number without bounds.
+        """
+        limits.require_name("entity", self.name, RESERVED_NAMES)
+        limits.require_finite(f"the position of '{self.name}'", self.pose.position, limits.LENGTH_M)
+        limits.require_finite(f"joint_positions of '{self.name}'", self.joint_positions.values(), limits.LENGTH_M)
+
     def __hash__(self) -> int:
         """Return the hash, which equal ones share."""
         return _hash(self)
@@ -98,6 +113,14 @@ class RobotSpec:
     """Arm joint positions in the model's order [rad]; empty: the model's home."""
     gripper_opening: float = 1.0
     """1 = fully open, 0 = closed, linear in the total opening."""
+
+    def __post_init__(self) -> None:
+        """Check that the robot is somewhere.
+
+        Raises:
+            InvalidRequestError: On a position without bounds.
+        """
+        limits.require_finite("the robot's position", self.pose.position, limits.LENGTH_M)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +198,12 @@ class CameraSpec:
         Raises:
             InvalidRequestError: On a size, field of view, intrinsics or clipping range that makes no image.
         """
+        limits.require_name("camera", self.name)
+        limits.require_finite(f"camera '{self.name}': position", self.pose.position, limits.LENGTH_M)
+        limits.require_finite(f"camera '{self.name}': far", (self.far,), limits.LENGTH_M * 10)
+        limits.require_finite(f"camera '{self.name}': intrinsics", self.intrinsics, 1e6)
+        limits.require_finite(f"camera '{self.name}': distortion", self.distortion, 100.0)
+        limits.require_finite(f"camera '{self.name}': rate_hz", (self.rate_hz,))
         if not (16 <= self.width <= 4096 and 16 <= self.height <= 4096):
             raise InvalidRequestError(f"camera '{self.name}': size must be 16..4096 px, got {self.width}x{self.height}")
         if not 0.01 < self.fov_y_rad < 3.0:
@@ -252,7 +281,10 @@ class LightSpec:
             InvalidRequestError: Saying which is wrong.
         """
         if self.kind not in LIGHT_KINDS:
-            raise InvalidRequestError(f"a light's kind is {' or '.join(LIGHT_KINDS)}, got '{self.kind}'")
+            raise InvalidRequestError(f"a light's kind is {' or '.join(LIGHT_KINDS)}, got {limits.echo(self.kind)}")
+        limits.require_finite("a light's direction", self.direction, 1e6)
+        limits.require_finite("a light's position", self.position, limits.LENGTH_M * 10)
+        limits.require_finite("a light's colour and intensity", (*self.color, self.intensity), 1e6)
         if self.kind == "sun" and not any(self.direction):
             raise InvalidRequestError("a sun's direction must not be zero")
         if self.intensity < 0 or not 0 <= self.radius <= 1:
@@ -273,6 +305,14 @@ class MaterialSpec:
     """0 = mirror, 1 = chalk."""
     texture: str = ""
     """Name of a built-in texture, multiplied with the colour; empty: none."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidRequestError: On one that is not finite.
+        """
+        limits.require_finite("a material's numbers", (*self.color, self.metallic, self.roughness), 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,7 +341,11 @@ class LookSpec:
             InvalidRequestError: When it is of an unknown kind.
         """
         if self.background not in BACKGROUNDS:
-            raise InvalidRequestError(f"the background is {' or '.join(BACKGROUNDS)}, got '{self.background}'")
+            raise InvalidRequestError(
+                f"the background is {' or '.join(BACKGROUNDS)}, got {limits.echo(self.background)}"
+            )
+        limits.require_count("lights", len(self.lights), limits.LIGHTS)
+        limits.require_finite("ambient and backdrop", (*self.ambient, *self.backdrop), 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,6 +359,17 @@ class TableSpec:
     friction: float = 0.8
     """Lateral friction coefficient."""
 
+    def __post_init__(self) -> None:
+        """Check that it is a box.
+
+        Raises:
+            InvalidRequestError: On a size that is no box's, or a number without bounds.
+        """
+        limits.require_finite("the table's centre", self.center, limits.LENGTH_M)
+        for length in self.size:
+            limits.require_range("the table's size [m]", length, 0.001, limits.LENGTH_M)
+        limits.require_range("the table's friction", self.friction, 0.0, 100.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class WorkspaceSpec:
@@ -326,6 +381,18 @@ class WorkspaceSpec:
     """Upper corner [m]."""
     on_leave: str = "clamp"
     """``clamp``, or ``fail``: the episode ends as ``left_workspace``."""
+
+    def __post_init__(self) -> None:
+        """Check that it is a box.
+
+        Raises:
+            InvalidRequestError: When a lower end is above the upper one, or on an unknown ``on_leave``.
+        """
+        limits.require_finite("the workspace", (*self.lower, *self.upper), limits.LENGTH_M)
+        if any(low > high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise InvalidRequestError(f"the workspace's lower corner {self.lower} is above its upper one {self.upper}")
+        if self.on_leave not in LEAVING:
+            raise InvalidRequestError(f"on_leave is {' or '.join(LEAVING)}, got {limits.echo(self.on_leave)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -361,10 +428,18 @@ class SceneSpec:
             ("entity", [entity.name for entity in self.entities]),
             ("camera", [camera.name for camera in self.cameras]),
         ):
-            twice = sorted({name for name in names if names.count(name) > 1 or not name})
+            twice = sorted(name for name, count in Counter(names).items() if count > 1)
             if twice:
-                raise InvalidRequestError(f"{kind} names must be unique and not empty, got {twice} more than once")
-        if self.control_rate_hz <= 0 or (self.physics_rate_hz / self.control_rate_hz) % 1:
+                raise InvalidRequestError(f"{kind} names must be unique, got {limits.echo(twice)} more than once")
+        limits.require_count("entities", len(self.entities), limits.ENTITIES)
+        limits.require_count("cameras", len(self.cameras), limits.CAMERAS)
+        pixels = sum(camera.width * camera.height for camera in self.cameras)
+        limits.require_count("pixels of all cameras together", pixels, limits.SCENE_PIXELS)
+        limits.require_range("physics_rate_hz", self.physics_rate_hz, *limits.PHYSICS_RATE_HZ)
+        limits.require_range("settle_steps", self.settle_steps, 0, limits.SETTLE_STEPS)
+        slowest = self.physics_rate_hz / limits.TICK_STEPS
+        limits.require_range("control_rate_hz", self.control_rate_hz, slowest, self.physics_rate_hz)
+        if self.physics_rate_hz / self.control_rate_hz % 1:
             raise InvalidRequestError(
                 f"control_rate_hz must divide the physics rate of {self.physics_rate_hz:g} Hz, "
                 f"got {self.control_rate_hz:g}; for example 5, 8, 10, 12, 15, 20, 24, 30"

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from importlib import metadata
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.context import Context
@@ -55,15 +54,8 @@ class EvaluatorNode(RoboximNode):
         self._runner: EpisodeRunner | None = None
         group = MutuallyExclusiveCallbackGroup()
         self.serve(RunEpisodesService, "evaluator/run_episodes", self._on_service, callback_group=group)
-        self._action = ActionServer(
-            self,
-            RunEpisodesAction,
-            "evaluator/run_episodes",
-            execute_callback=self._on_action,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-            result_timeout=10,
+        self._action = self.serve_action(
+            RunEpisodesAction, "evaluator/run_episodes", self._on_action, callback_group=ReentrantCallbackGroup()
         )
 
     def destroy_node(self) -> None:

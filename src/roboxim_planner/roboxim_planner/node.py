@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.context import Context
@@ -90,12 +89,12 @@ class PlannerNode(RoboximNode):
         self._busy = threading.Lock()
         self._planner(self._config.robot)
         self._tracker = SceneTracker(self._library)
-        self.create_subscription(
+        self.hear(
             SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=MutuallyExclusiveCallbackGroup()
         )
         self._waiting = False
         self._states = OnDemandGroup()  # a state per tick: only those of a new scene's start and of requests are heard
-        self.create_subscription(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
+        self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
             (PlanToPose, "plan_to_pose", self._planning("plan_to_pose")),
@@ -110,16 +109,7 @@ class PlannerNode(RoboximNode):
         ):
             self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests)
         self._actions = [
-            ActionServer(
-                self,
-                kind,
-                f"planner/{name}",
-                execute_callback=execute,
-                goal_callback=lambda _: GoalResponse.ACCEPT,
-                cancel_callback=lambda _: CancelResponse.ACCEPT,
-                callback_group=ReentrantCallbackGroup(),
-                result_timeout=10,
-            )
+            self.serve_action(kind, f"planner/{name}", execute, callback_group=ReentrantCallbackGroup())
             for kind, name, execute in (
                 (PlanMotion, "plan_motion", self._execute_motion),
                 (PlanSequence, "plan_sequence", self._execute_sequence),

@@ -15,9 +15,9 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
+from roboxim_ros.guard import GuardedNode
 
 T = TypeVar("T")
 
@@ -46,7 +46,7 @@ class Clients:
             context: An initialised rclpy context.
             namespace: Namespace that relative service names resolve in.
         """
-        self.node = Node(
+        self.node = GuardedNode(
             name, context=context, namespace=namespace, enable_rosout=False, start_parameter_services=False
         )
         self._clients: dict[tuple[Any, str], Client] = {}

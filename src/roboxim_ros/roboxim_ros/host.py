@@ -17,9 +17,12 @@ from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedEx
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from roboxim_ros.guard import CAUGHT, report
 from roboxim_ros.runs import activate_transport
 
 N = TypeVar("N", bound=Node)
+MAX_EXECUTOR_FAILURES = 10_000
+"""Failures of the middleware after which a node gives up: something fails again and again without any message."""
 
 
 class NodeHost:
@@ -70,9 +73,7 @@ class NodeHost:
             finally:
                 ready.set()
             try:
-                executors[0].spin()
-            except ExternalShutdownException:
-                pass
+                _spin(executors[0], made[0])
             finally:
                 made[0].destroy_node()
 
@@ -91,7 +92,7 @@ class NodeHost:
         return not self.dead()
 
     def dead(self) -> list[str]:
-        """Return the names of the nodes that no longer spin, because a callback raised."""
+        """Return the names of the nodes that no longer spin."""
         return [thread.name for _, _, thread in self._running if not thread.is_alive()]
 
     def close(self) -> None:
@@ -112,6 +113,26 @@ class NodeHost:
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
+
+
+def _spin(executor: Executor, node: Node) -> None:
+    """Spin until the executor or its context is shut down.
+
+    Callbacks raise nothing (`roboxim_ros.guard`), but the middleware does: a message that is not of its type, an answer
+    to an action's client that has gone. That ends one message, not the node.
+    """
+    failures = 0
+    while True:
+        try:
+            executor.spin()
+            return
+        except ExternalShutdownException:
+            return
+        except CAUGHT as error:
+            failures += 1
+            report(node.get_logger(), error, f"the executor of '{node.get_name()}', failure {failures}")
+            if failures >= MAX_EXECUTOR_FAILURES:
+                raise
 
 
 def _executor(node: Node, context: Context) -> Executor:

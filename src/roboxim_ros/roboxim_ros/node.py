@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-import traceback
 from collections.abc import Callable
 from typing import Any, TypeVar, get_type_hints
 
 import rclpy.parameter
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.context import Context
-from rclpy.node import Node
+from rclpy.subscription import Subscription
 
-from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
+from roboxim_core.errors import ConfigError
 from roboxim_ros.clients import Clients
+from roboxim_ros.guard import CAUGHT, GuardedNode, describe, fill_error, report
 
 C = TypeVar("C")
 
 
-class RoboximNode(Node):
-    """A node whose handlers raise `RoboximError` and whose results carry the code.
+class RoboximNode(GuardedNode):
+    """A node whose handlers raise `RoboximError` and whose results carry the code; see `GuardedNode`.
 
     Handlers run in the node's executor thread, one at a time; `clients` may be used from within them.
     """
@@ -55,21 +54,29 @@ class RoboximNode(Node):
             )
         return self._clients_or_none
 
-    def serve(self, srv_type: Any, name: str, handler: Callable[[Any, Any], None], **kwargs: Any) -> None:
+    def serve(self, srv_type: Any, name: str, handler: Callable[[Any, Any], Any], **kwargs: Any) -> None:
         """Offer a service.
 
         Args:
-            srv_type: Service class whose response has ``error_code`` and ``error_msg``.
+            srv_type: Service class.
             name: Name, relative to the namespace.
-            handler: Called with (request, response); fills the response or raises.
+            handler: Called with (request, response); a function or a coroutine function. Fills the response or raises:
+                `roboxim_ros.guard.fill_error` turns the exception into the answer.
             **kwargs: Passed to ``create_service``.
         """
-        self.create_service(srv_type, name, functools.partial(self._handle, name, handler), **kwargs)
+        self.create_service(srv_type, name, handler, **kwargs)
 
-    def _handle(self, name: str, handler: Callable[[Any, Any], None], request: Any, response: Any) -> Any:
-        with self.answering(name, response):
-            handler(request, response)
-        return response
+    def hear(self, msg_type: Any, name: str, callback: Callable[..., None], qos: Any, **kwargs: Any) -> Subscription:
+        """Subscribe to a topic.
+
+        Args:
+            msg_type: Message class.
+            name: Name, relative to the namespace.
+            callback: Called with the message, or with message and info; what it raises is logged.
+            qos: Profile of `roboxim_ros.qos`.
+            **kwargs: Passed to ``create_subscription``.
+        """
+        return self.create_subscription(msg_type, name, callback, qos, **kwargs)
 
     def answering(self, what: str, result: Any) -> ErrorAnswer:
         """Return a context manager that turns an exception into a result's ``error_code`` and ``error_msg``."""
@@ -111,7 +118,7 @@ class RoboximNode(Node):
 class ErrorAnswer:
     """Turns an exception into a result's ``error_code`` and ``error_msg``; logs what nobody expected."""
 
-    def __init__(self, node: Node, what: str, result: Any) -> None:
+    def __init__(self, node: GuardedNode, what: str, result: Any) -> None:
         """Remember where to put the answer."""
         self._node, self._what, self._result = node, what, result
 
@@ -120,19 +127,11 @@ class ErrorAnswer:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
-        """Fill the result; swallow every `Exception`."""
-        if error is None:
+        """Fill the result; swallow every exception that `roboxim_ros.guard` catches."""
+        if not isinstance(error, CAUGHT):
             return False
-        if not isinstance(error, Exception):
-            return False
-        if isinstance(error, RoboximError):
-            self._result.error_code = int(error.code)
-            self._result.error_msg = str(error)
-            self._node.get_logger().info(f"{self._what}: {error.code.name}: {error}")
-        else:
-            self._result.error_code = int(ErrorCode.INTERNAL)
-            self._result.error_msg = f"{type(error).__name__} in {self._what}: {error}"
-            self._node.get_logger().error(f"{self._what}:\n{''.join(traceback.format_exception(error))}")
+        fill_error(self._result, *describe(error, self._what))
+        report(self._node.get_logger(), error, self._what)
         return True
 
 

@@ -22,7 +22,7 @@ from sensor_msgs.msg import Image, JointState
 from tf2_msgs.msg import TFMessage
 
 from roboxim_core.config import from_json, load_config, named_config, to_json
-from roboxim_core.errors import ErrorCode, SimError
+from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.rendering import Renderer
@@ -51,6 +51,14 @@ class SimConfig:
         metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"},
     )
     """Scene loaded at the start."""
+    motion_timeout_s: float = field(
+        default=600.0,
+        metadata={
+            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is given up [s]",
+            "range": (0.1, 86400.0),
+        },
+    )
+    """Wall-clock limit of what advances time without an episode."""
 
 
 class SimNode(RoboximNode):
@@ -110,6 +118,13 @@ class SimNode(RoboximNode):
         except SimError as error:
             device = f"unavailable: {error}"
         return {"simulator": "RoboXim (PyBullet)", "renderer": self._renderer_name, "device": device}
+
+    def overtime(self) -> RequestTimeoutError:
+        """Return the error of a motion that takes too long."""
+        return RequestTimeoutError(
+            f"given up after {self.config.motion_timeout_s:g} s of wall-clock time (parameter motion_timeout_s); "
+            "the simulation stands where it got to"
+        )
 
     def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
         """Load a scene and publish tick 0; whatever fails, no episode is left holding the sim."""

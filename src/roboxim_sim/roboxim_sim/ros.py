@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable, Generator, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory, GripperCommand
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
 from simulation_interfaces.srv import (
@@ -26,6 +27,7 @@ from simulation_interfaces.srv import (
     StepSimulation,
 )
 
+from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError
 from roboxim_core.specs import EntitySpec
 from roboxim_core.state import StateRecord
@@ -65,7 +67,6 @@ class StandardServices:
         self._node, self._world = node, node.world
         for kind, name, handler in (
             (ResetSimulation, "reset_simulation", self._reset),
-            (StepSimulation, "step_simulation", self._step),
             (GetEntities, "get_entities", self._get_entities),
             (GetEntityState, "get_entity_state", self._get_entity_state),
             (SetEntityState, "set_entity_state", self._set_entity_state),
@@ -74,26 +75,15 @@ class StandardServices:
             (GetSimulationState, "get_simulation_state", self._get_state),
             (SetSimulationState, "set_simulation_state", self._set_state),
         ):
-            node.create_service(kind, f"sim/{name}", self._answering(handler))
-        node.create_service(GetSimulatorFeatures, "sim/get_simulator_features", self._features)
+            node.serve(kind, f"sim/{name}", _answering_ok(handler))
+        node.serve(GetSimulatorFeatures, "sim/get_simulator_features", self._features)
+        # Steps give the executor turns, so that what ends them is heard: a group that lets other callbacks in.
+        node.serve(StepSimulation, "sim/step_simulation", self._step, callback_group=ReentrantCallbackGroup())
 
-    def _answering(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
-        def answer(request: Any, response: Any) -> Any:
-            response.result.result = Result.RESULT_OK
-            try:
-                handler(request, response)
-            except RoboximError as error:
-                response.result.result = RESULT_OF_CODE.get(error.code, Result.RESULT_OPERATION_FAILED)
-                response.result.error_message = f"{error.code.name}: {error}"
-            return response
-
-        return answer
-
-    def _features(self, _: Any, response: Any) -> Any:
+    def _features(self, _: Any, response: Any) -> None:
         response.features.features = list(FEATURES)
         response.features.spawn_formats = ["roboxim"]
         response.features.custom_info = json.dumps(self._node.renderer_info)
-        return response
 
     def _reset(self, request: Any, response: Any) -> None:
         if request.scope not in (request.SCOPE_DEFAULT, request.SCOPE_ALL):
@@ -103,8 +93,15 @@ class StandardServices:
         self._world.require_free("reset the simulation")
         self._node.load(self._world.first_scene)
 
-    def _step(self, request: Any, response: Any) -> None:
-        self._node.publish(self._world.step(int(request.steps)))
+    async def _step(self, request: Any, response: Any) -> None:
+        deadline = time.monotonic() + self._node.config.motion_timeout_s
+        for record in self._world.steps(int(request.steps)):
+            if record is not None:
+                self._node.publish(record)
+            elif time.monotonic() > deadline:
+                raise self._node.overtime()
+            await _Turn(self._node)
+        response.result.result = Result.RESULT_OK
 
     def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters
@@ -157,11 +154,18 @@ class StandardServices:
         self._node.scene_changed()
 
     def _get_state(self, request: Any, response: Any) -> None:
-        response.state.state = SimulationState.STATE_PAUSED if self._world.loaded else SimulationState.STATE_STOPPED
+        if not self._world.loaded:
+            response.state.state = SimulationState.STATE_STOPPED
+        elif self._world.moving:
+            response.state.state = SimulationState.STATE_PLAYING
+        else:
+            response.state.state = SimulationState.STATE_PAUSED
 
     def _set_state(self, request: Any, response: Any) -> None:
         wanted = request.state.state
-        if wanted == SimulationState.STATE_PAUSED and self._world.loaded:
+        if wanted == SimulationState.STATE_PAUSED and self._world.moving:
+            self._world.stop_motion()
+        elif wanted == SimulationState.STATE_PAUSED and self._world.loaded:
             response.result.result = response.ALREADY_IN_TARGET_STATE
         elif wanted == SimulationState.STATE_STOPPED:
             self._world.require_free("reset the simulation")
@@ -169,6 +173,16 @@ class StandardServices:
         else:
             response.result.result = response.INCORRECT_TRANSITION
             response.result.error_message = "time moves only when asked (step_simulation, tick, actions): always paused"
+
+
+def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Return a handler whose response says that all is well, unless it says otherwise or raises."""
+
+    def answer(request: Any, response: Any) -> None:
+        response.result.result = Result.RESULT_OK
+        handler(request, response)
+
+    return answer
 
 
 class _Turn:
@@ -189,17 +203,10 @@ class MotionActions:
     def __init__(self, node: SimNode) -> None:
         """Offer the actions on a node."""
         self._node, self._world = node, node.world
-        options: dict[str, Any] = {
-            "goal_callback": lambda _: GoalResponse.ACCEPT,
-            "cancel_callback": lambda _: CancelResponse.ACCEPT,
-            "result_timeout": 10,
-        }
         self._servers = [
-            ActionServer(
-                node, FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow, **options
-            ),
-            ActionServer(node, GripperCommand, "gripper_controller/gripper_cmd", self._grip, **options),
-            ActionServer(node, SimulateSteps, "sim/simulate_steps", self._simulate, **options),
+            node.serve_action(FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow),
+            node.serve_action(GripperCommand, "gripper_controller/gripper_cmd", self._grip),
+            node.serve_action(SimulateSteps, "sim/simulate_steps", self._simulate),
         ]
 
     def destroy(self) -> None:
@@ -257,13 +264,17 @@ class MotionActions:
         result = SimulateSteps.Result()
         result.result.result = Result.RESULT_OK
         total, done = int(goal.request.steps), 0
+        deadline = time.monotonic() + self._node.config.motion_timeout_s
         try:
+            limits.require_count("physics steps", total, limits.STEPS)
             while done < total and not goal.is_cancel_requested:
                 steps = min(self._world.steps_per_tick, total - done)
                 self._node.publish(self._world.step(steps))
                 done += steps
                 goal.publish_feedback(SimulateSteps.Feedback(completed_steps=done, remaining_steps=total - done))
                 await _Turn(self._node)
+                if time.monotonic() > deadline:
+                    raise self._node.overtime()
             if done < total:
                 goal.canceled()
             else:
@@ -276,6 +287,7 @@ class MotionActions:
 
     async def _run(self, goal: ServerGoalHandle, motion: Iterator[StateRecord]) -> Any:
         """Publish every state of a motion; end it when the goal is cancelled."""
+        deadline = time.monotonic() + self._node.config.motion_timeout_s
         try:
             for record in motion:
                 self._node.publish(record)
@@ -283,6 +295,8 @@ class MotionActions:
                 await _Turn(self._node)
                 if goal.is_cancel_requested:
                     return
+                if time.monotonic() > deadline:
+                    raise self._node.overtime()
         finally:
             motion.close()  # type: ignore[attr-defined]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from roboxim_core.errors import ErrorCode, SimError
+from roboxim_core import limits
+from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
@@ -22,6 +23,19 @@ class Snapshot:
     """State hash of every tick, tick 0 first; empty: they are not checked."""
     record: StateRecord
     """State at the snapshot."""
+
+    def __post_init__(self) -> None:
+        """Check the counts.
+
+        Raises:
+            InvalidRequestError: When there are too many actions, or not a hash for every tick.
+        """
+        limits.require_count("actions of a snapshot", len(self.actions), limits.SNAPSHOT_ACTIONS)
+        if self.hashes and len(self.hashes) != len(self.actions) + 1:
+            raise InvalidRequestError(
+                f"hashes must be none or one for tick 0 and each of the {len(self.actions)} actions, "
+                f"got {len(self.hashes)}"
+            )
 
     def check(self, record: StateRecord) -> None:
         """Compare a tick that was executed again with what it was.
@@ -54,9 +68,9 @@ class Snapshot:
 
     def _entity_now(self, spec: EntitySpec, library: ModelLibrary) -> EntitySpec:
         state = self.record.entity(spec.name)
-        limits = {joint.name: (joint.lower, joint.upper) for joint in library.entity_model(spec).joints}
+        ends = {joint.name: (joint.lower, joint.upper) for joint in library.entity_model(spec).joints}
         positions = {
-            name: min(max(position, limits[name][0]), limits[name][1])
+            name: min(max(position, ends[name][0]), ends[name][1])
             for name, position in zip(state.joint_names, state.joint_positions, strict=True)
         }
         return replace(spec, pose=state.pose, joint_positions=positions)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
+from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.poses import Array
@@ -70,7 +71,9 @@ def checked_trajectory(
     if not all(np.isfinite(array).all() for array in (times, points, *([] if speeds is None else [speeds]))):
         raise _invalid("holds a number that is not finite")
     if times[0] < 0 or np.any(np.diff(times) <= 0):
-        raise _invalid(f"needs increasing times from 0, got {times.tolist()}")
+        raise _invalid(f"needs increasing times from 0, got {limits.echo(times.tolist())}")
+    if times[-1] > limits.MOTION_S:
+        raise _invalid(f"may last {limits.MOTION_S:g} s, got {times[-1]:g}")
     outside = [index for index, point in enumerate(points) if not arm.within_limits(point, -1e-6)]
     if outside:
         raise _invalid(f"leaves the joint limits at point {outside[0]}: {points[outside[0]].tolist()}")
@@ -82,6 +85,8 @@ def checked_trajectory(
     mean_speed = np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]
     if np.any(mean_speed > SPEED_MARGIN * arm.velocity):
         raise _invalid(f"is faster than the joints' velocity limits {arm.model.limits.velocity}")
+    if speeds is not None and np.any(np.abs(speeds) > SPEED_MARGIN * arm.velocity):
+        raise _invalid(f"has velocities beyond the joints' limits {arm.model.limits.velocity}")
     return JointTrajectory(times_s=times, positions=points, velocities=speeds)
 
 

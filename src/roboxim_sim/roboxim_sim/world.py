@@ -7,13 +7,15 @@ one executes them again, with every tick's hash checked.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 from types import TracebackType
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
 from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController
@@ -27,6 +29,8 @@ from roboxim_sim.bodies import ObjectBody
 from roboxim_sim.physics import Physics
 from roboxim_sim.snapshots import Snapshot
 from roboxim_sim.trajectories import JointTrajectory, checked_trajectory
+
+R = TypeVar("R")
 
 
 class World:
@@ -49,7 +53,7 @@ class World:
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
         self._episode_id = ""
-        self._moving = False
+        self._moving = self._stopped = False
         self._loads = 0
         self._scene_poses: ScenePoses | None = None
 
@@ -119,6 +123,11 @@ class World:
         _ = self.scene
         assert self._tick0_scene is not None
         return self._tick0_scene
+
+    @property
+    def moving(self) -> bool:
+        """Whether steps, a trajectory or a gripper motion are being executed."""
+        return self._moving
 
     @property
     def steps_per_tick(self) -> int:
@@ -264,10 +273,27 @@ class World:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
             InvalidRequestError: On a number below 1.
         """
+        *_, record = self.steps(steps)
+        assert record is not None
+        return record
+
+    def steps(self, steps: int) -> Iterator[StateRecord | None]:
+        """Let physics run, a control period at a time.
+
+        Args:
+            steps: Number of physics steps, >= 1.
+
+        Yields:
+            None after every control period, then the state. Closing the generator, `stop_motion` and a time-out leave
+            the world where it got to.
+
+        Raises:
+            SimError: With code ``NO_SCENE``, ``LEASE_HELD``, or ``CANCELLED`` by `stop_motion` or a new scene.
+            InvalidRequestError: On a number below 1 or above `limits.STEPS`.
+        """
         self.require_free("step")
-        if steps < 1:
-            raise InvalidRequestError(f"steps must be >= 1, got {steps}")
-        return self._free_motion(steps)
+        limits.require_range("steps", steps, 1, limits.STEPS)
+        return self._exclusive(self._steps_in_periods(steps))
 
     def follow_trajectory(
         self,
@@ -313,6 +339,8 @@ class World:
         self.require_free("move the gripper")
         if not 0.0 <= opening <= 1.0:
             raise InvalidRequestError(f"the gripper's opening must be from 0 (closed) to 1 (open), got {opening}")
+        if force_n is not None:
+            limits.require_range("the gripper's force [N]", force_n, 0.0, limits.FORCE_N)
         return self._exclusive(self._move_gripper(opening, force_n, timeout_s))
 
     # ---------------------------------------------------------------- interference
@@ -339,8 +367,10 @@ class World:
             InvalidRequestError: On a number that is not finite or an unknown joint.
         """
         body = self._object(name)
-        if not np.isfinite([*linear_velocity, *angular_velocity, *(joint_positions or {}).values()]).all():
-            raise InvalidRequestError(f"the velocities and joint positions of '{name}' must be finite")
+        limits.require_finite(f"the velocities of '{name}'", [*linear_velocity, *angular_velocity], limits.SPEED)
+        limits.require_finite(f"the joint positions of '{name}'", (joint_positions or {}).values(), limits.LENGTH_M)
+        if pose is not None:
+            limits.require_finite(f"the position of '{name}'", pose.position, limits.LENGTH_M)
         for joint in joint_positions or {}:
             if joint not in body.joint_names:
                 raise InvalidRequestError(f"'{name}' has no joint '{joint}'; {one_of(body.joint_names, joint)}")
@@ -461,19 +491,47 @@ class World:
                 f"cannot {what}: episode '{self._episode_id}' holds the sim; release it first", ErrorCode.LEASE_HELD
             )
         if self._moving:
-            raise SimError(f"cannot {what}: another motion is being executed; cancel it first", ErrorCode.LEASE_HELD)
+            raise SimError(
+                f"cannot {what}: another motion is being executed; cancel its goal, or sim/set_simulation_state to "
+                "STATE_PAUSED",
+                ErrorCode.LEASE_HELD,
+            )
 
-    def _exclusive(self, motion: Iterator[StateRecord]) -> Iterator[StateRecord]:
-        """Pass a motion's states on while nothing else may move; end it when the scene is replaced."""
-        loads, self._moving = self._loads, True
+    def stop_motion(self) -> None:
+        """Have the motion that is being executed end with ``CANCELLED`` where it is; nothing when there is none."""
+        self._stopped = self._moving
+
+    def _exclusive(self, motion: Generator[R, None, None]) -> Iterator[R]:
+        """Pass a motion's states on while nothing else may move; end it when it is stopped or the scene is replaced."""
+        loads, self._moving, self._stopped = self._loads, True, False
         try:
             for record in motion:
                 yield record
                 if self._loads != loads:
                     raise SimError("the scene was replaced during the motion", ErrorCode.CANCELLED)
+                if self._stopped:
+                    raise SimError("the motion was stopped on request", ErrorCode.CANCELLED)
         finally:
+            motion.close()
             if self._loads == loads:
                 self._moving = False
+
+    def _steps_in_periods(self, steps: int) -> Generator[StateRecord | None, None, None]:
+        self._disturbed = True
+        self.physics.begin_tick()
+        loads, done = self._loads, 0
+        try:
+            while done < steps:
+                chunk = min(self._steps_per_tick, steps - done)
+                self._advance(chunk)
+                done += chunk
+                yield None
+        finally:
+            if self._loads == loads:
+                self._seq += 1
+                self._steps += done
+                self._record = self._read()
+        yield self._record
 
     def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
         self._disturbed = True
@@ -503,7 +561,7 @@ class World:
         names = [body.name for body in self.physics.objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
-    def _follow(self, trajectory: JointTrajectory) -> Iterator[StateRecord]:
+    def _follow(self, trajectory: JointTrajectory) -> Generator[StateRecord, None, None]:
         rate = self.scene.physics_rate_hz
         total = int(np.ceil(trajectory.duration_s * rate - 1e-9))
         targets = trajectory.sample(np.arange(1, total + 1) / rate).tolist()
@@ -520,7 +578,9 @@ class World:
             self._record = self._read()
             yield self._record
 
-    def _move_gripper(self, opening: float, force_n: float | None, timeout_s: float) -> Iterator[StateRecord]:
+    def _move_gripper(
+        self, opening: float, force_n: float | None, timeout_s: float
+    ) -> Generator[StateRecord, None, None]:
         self._command = replace(self._command, gripper=float(opening))
         self.physics.robot.drive_gripper(opening, force_n)
         last, still = self._record.robot.gripper_opening, 0

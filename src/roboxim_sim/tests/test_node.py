@@ -20,20 +20,23 @@ from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, Resto
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from simulation_interfaces.action import SimulateSteps
-from simulation_interfaces.msg import EntityState, Resource, Result
+from simulation_interfaces.msg import EntityState, Resource, Result, SimulationState
 from simulation_interfaces.srv import (
     DeleteEntity,
     GetEntities,
     GetEntityState,
+    GetSimulationState,
     GetSimulatorFeatures,
     ResetSimulation,
     SetEntityState,
+    SetSimulationState,
     SpawnEntity,
     StepSimulation,
 )
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from roboxim_core import limits
 from roboxim_core.config import load_config, named_config
 from roboxim_core.errors import ErrorCode, RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -272,6 +275,37 @@ def test_a_cancelled_trajectory_stops_where_it_is(clients: Clients) -> None:
     assert done.wait(20.0)
     assert box[0].status == 5
     assert load(clients, without_cameras(), "after").state.seq == 0
+
+
+def test_long_steps_can_be_stopped_and_too_long_ones_are_refused(clients: Clients) -> None:
+    load(clients, without_cameras())
+    for steps in (0, 2**64 - 1, limits.STEPS + 1):
+        answer = clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=steps)).result
+        assert (answer.result, "INVALID_REQUEST" in answer.error_message) == (Result.RESULT_OPERATION_FAILED, True)
+        if steps:
+            goal = send_goal(clients, SimulateSteps, "sim/simulate_steps", SimulateSteps.Goal(steps=steps))
+            assert goal.result.result.result == Result.RESULT_OPERATION_FAILED
+    before = clients.call(GetEntityState, "sim/get_entity_state", GetEntityState.Request(entity="red_cube")).state
+    state = GetSimulationState.Request()
+    name = "sim/get_simulation_state"
+    assert clients.call(GetSimulationState, name, state).state.state == SimulationState.STATE_PAUSED
+    box: list[Any] = []
+    request = StepSimulation.Request(steps=limits.STEPS)
+    thread = threading.Thread(target=lambda: box.append(clients.call(StepSimulation, "sim/step_simulation", request)))
+    thread.start()
+    while clients.call(GetSimulationState, name, state).state.state != SimulationState.STATE_PLAYING:
+        assert thread.is_alive()
+    refused = clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=1)).result
+    assert "LEASE_HELD" in refused.error_message
+    pause = SetSimulationState.Request(state=SimulationState(state=SimulationState.STATE_PAUSED))
+    assert clients.call(SetSimulationState, "sim/set_simulation_state", pause).result.result == Result.RESULT_OK
+    thread.join(20.0)
+    assert "CANCELLED" in box[0].result.error_message
+    assert clients.call(GetSimulationState, name, state).state.state == SimulationState.STATE_PAUSED
+    after = clients.call(GetEntityState, "sim/get_entity_state", GetEntityState.Request(entity="red_cube")).state
+    assert (after.header.stamp.sec, after.header.stamp.nanosec) > (before.header.stamp.sec, before.header.stamp.nanosec)
+    request = StepSimulation.Request(steps=1)
+    assert clients.call(StepSimulation, "sim/step_simulation", request).result.result == Result.RESULT_OK
 
 
 def test_standard_services(clients: Clients) -> None:

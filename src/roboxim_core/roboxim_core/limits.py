@@ -1,0 +1,166 @@
+"""How large a request may be: every count, size, string and duration that comes from outside has a bound here.
+
+A bound is far above what a user needs and far below what stops a node from answering. A larger value is refused with
+``INVALID_REQUEST`` (or ``INVALID_CONFIG`` in a file), which names the bound.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Final
+
+from roboxim_core.errors import InvalidRequestError
+
+NAME_CHARACTERS: Final = 64
+"""Characters of the name of an entity, a camera or a role: it becomes part of a topic or a frame."""
+EPISODE_ID_CHARACTERS: Final = 128
+"""Characters of an episode's id: with an ending it is the name of a file, which has at most 255 bytes."""
+SHORT_TEXT_CHARACTERS: Final = 10_000
+"""Characters of a string field of a message, unless `LONG_TEXTS` names it. Messages about names compare them in
+quadratic time."""
+LONG_TEXT_CHARACTERS: Final = 16 * 2**20
+"""Characters of a string field that holds a document."""
+LONG_TEXTS: Final = frozenset({"task_config", "task_config_json", "config_json", "snapshot_json", "resource_string"})
+"""String fields that hold a document: YAML or JSON."""
+ITEMS: Final = 10_000
+"""Elements of a sequence of messages or strings in a message, unless `MANY_ITEMS` names it: handlers loop over them."""
+MANY_ITEMS: Final = {"points": 100_000, "indices": 100_000}
+"""Sequences that may be longer: points of a trajectory."""
+NUMBERS: Final = 2**28
+"""Elements of a sequence of numbers in a message: an image of 4096 x 4096 px with 16 bytes a pixel."""
+
+ENTITIES: Final = 200
+"""Entities of a scene: PyBullet checks pairs of them, and each costs 5 ms of a reset."""
+CAMERAS: Final = 16
+"""Cameras of a scene."""
+SCENE_PIXELS: Final = 2**24
+"""Pixels of all cameras of a scene together: a software renderer draws 6 million of them a second."""
+LIGHTS: Final = 16
+"""Lights of a scene: each costs time per pixel."""
+LENGTH_M: Final = 100.0
+"""Largest coordinate, size or distance [m]: beyond it single-precision physics and images lose millimetres."""
+SPEED: Final = 1_000.0
+"""Largest linear [m/s] or angular [rad/s] speed that an object is set to."""
+FORCE_N: Final = 1_000.0
+"""Largest force of a gripper [N]."""
+PHYSICS_RATE_HZ: Final = (10.0, 10_000.0)
+"""Physics steps per simulated second."""
+TICK_STEPS: Final = 2_400
+"""Physics steps of a tick: 10 s at 240 Hz."""
+SETTLE_STEPS: Final = 24_000
+"""Physics steps between building a scene and tick 0: 100 s at 240 Hz."""
+
+STEPS: Final = 864_000
+"""Physics steps of one request: an hour of simulated time at 240 Hz."""
+MOTION_S: Final = 600.0
+"""Simulated time of a trajectory [s]: its set points are held in memory."""
+WALL_TIME_S: Final = 600.0
+"""Longest wall-clock time-out that a request may ask for [s]."""
+SNAPSHOT_ACTIONS: Final = 100_000
+"""Actions of a snapshot: restoring it executes them all."""
+
+EPISODE_STEPS: Final = 100_000
+"""Actions of an episode."""
+
+DOCUMENT_BYTES: Final = 32 * 2**20
+"""Size of a YAML or JSON document."""
+DOCUMENT_DEPTH: Final = 64
+"""Nesting of a YAML or JSON document; Python's own limit is some 300 levels of a recursive reader."""
+DOCUMENT_NODES: Final = 1_000_000
+"""Values in a document, what its aliases repeat included: nine levels of nine aliases would be 400 million."""
+YAML_BYTES: Final = 2 * 2**20
+"""Size of a YAML file: the reader that keeps line numbers takes 20 s for this much."""
+MIX_CELLS: Final = 10_000
+"""Cells of a mix: each is checked when the mix is loaded."""
+MIX_EPISODES: Final = 10**12
+"""Episodes of a cell of a mix."""
+
+ERROR_CHARACTERS: Final = 4_000
+"""Characters of an error's message in an answer."""
+LOG_CHARACTERS: Final = 20_000
+"""Characters of a log entry."""
+ECHO_CHARACTERS: Final = 100
+"""Characters of a given value that an error's message repeats."""
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_EPISODE_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def printable(text: str, characters: int = ERROR_CHARACTERS) -> str:
+    """Return a text that fits a message: no longer than the limit, valid UTF-8, without NUL."""
+    if len(text) > characters:
+        text = f"{text[: characters - 40]} ... ({len(text)} characters)"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8").replace("\0", "\\0")
+
+
+def echo(value: object) -> str:
+    """Return a given value as an error's message repeats it: quoted, and cut when it is long."""
+    return printable(repr(value), ECHO_CHARACTERS + 40)
+
+
+def require_range(what: str, value: float, lower: float, upper: float) -> None:
+    """Refuse a number out of range; NaN is out of every range.
+
+    Raises:
+        InvalidRequestError: Naming the number and its range.
+    """
+    if not lower <= value <= upper:
+        raise InvalidRequestError(f"{what} must be from {lower:g} to {upper:g}, got {echo(value)}")
+
+
+def require_count(what: str, count: int, upper: int) -> None:
+    """Refuse too many of something.
+
+    Raises:
+        InvalidRequestError: Naming what there is too much of, and the bound.
+    """
+    if count > upper:
+        raise InvalidRequestError(f"at most {upper} {what} are allowed, got {count}")
+
+
+def require_finite(what: str, values: Iterable[float], largest: float = math.inf) -> None:
+    """Refuse numbers that are not finite or too large.
+
+    Raises:
+        InvalidRequestError: Naming the number.
+    """
+    for value in values:
+        if not (math.isfinite(value) and abs(value) <= largest):
+            limit = f" and within +-{largest:g}" if math.isfinite(largest) else ""
+            raise InvalidRequestError(f"{what} must be finite{limit}, got {echo(value)}")
+
+
+def require_name(kind: str, name: str, reserved: Iterable[str] = ()) -> None:
+    """Refuse a name that cannot be part of a topic or a frame, or that means something else already.
+
+    Args:
+        kind: What is named, e.g. ``entity``.
+        name: The name.
+        reserved: Names that are taken.
+
+    Raises:
+        InvalidRequestError: Saying what a name may be.
+    """
+    if len(name) > NAME_CHARACTERS or not _NAME.fullmatch(name):
+        raise InvalidRequestError(
+            f"{kind} name {echo(name)} must be a letter followed by letters, digits and underscores, "
+            f"at most {NAME_CHARACTERS} characters"
+        )
+    taken = sorted(reserved)
+    if name in taken:
+        raise InvalidRequestError(f"{kind} name '{name}' is reserved; choose another one than {', '.join(taken)}")
+
+
+def require_episode_id(episode_id: str) -> None:
+    """Refuse an episode's id that cannot be the name of a file; the empty one means no episode.
+
+    Raises:
+        InvalidRequestError: Saying what an id may be.
+    """
+    if episode_id and (len(episode_id) > EPISODE_ID_CHARACTERS or not _EPISODE_ID.fullmatch(episode_id)):
+        raise InvalidRequestError(
+            f"episode_id {echo(episode_id)} must be letters, digits, dots, hyphens and underscores, beginning with a "
+            f"letter or digit, at most {EPISODE_ID_CHARACTERS} characters"
+        )

@@ -1,0 +1,89 @@
+"""The bounds of `roboxim_core.limits` applied to a message, whatever its type: long strings and sequences are refused.
+
+A walker is compiled once per message type and visits only the fields that may be long, so that a request costs
+microseconds.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from roboxim_core import limits
+from roboxim_core.errors import InvalidRequestError
+
+Check = Callable[[Any, str], None]
+"""Called with a value and its path; raises."""
+
+
+def check_message(message: Any) -> None:
+    """Refuse a message with a string or a sequence beyond its bound.
+
+    Raises:
+        InvalidRequestError: Naming the field and the bound.
+    """
+    check = _message_check(type(message))
+    if check is not None:
+        check(message, "")
+
+
+@cache
+def _message_check(kind: Any) -> Check | None:
+    fields = [(name, _field_check(name, text)) for name, text in kind.get_fields_and_field_types().items()]
+    checks = [(name, check) for name, check in fields if check is not None]
+    if not checks:
+        return None
+
+    def walk(message: Any, path: str) -> None:
+        for name, check in checks:
+            check(getattr(message, name), f"{path}.{name}" if path else name)
+
+    return walk
+
+
+def _field_check(name: str, kind: str) -> Check | None:
+    """Return the check of a field, none where nothing can be too long.
+
+    Args:
+        name: The field's name.
+        kind: Its type as `get_fields_and_field_types` says it, e.g. ``sequence<geometry_msgs/Pose>``.
+    """
+    sequence = re.fullmatch(r"sequence<(.*?)(?:, *\d+)?>", kind)
+    element = sequence[1] if sequence else re.sub(r"\[\d+\]$", "", kind)
+    inner = _element_check(name, element)
+    if sequence:
+        composed = inner is not None or "/" in element
+        most = limits.MANY_ITEMS.get(name, limits.ITEMS) if composed else limits.NUMBERS
+        return _sequence_check(most, inner)
+    return _sequence_check(None, inner) if element != kind and inner else inner
+
+
+def _element_check(name: str, kind: str) -> Check | None:
+    if kind.startswith(("string", "wstring")):
+        return _string_check(limits.LONG_TEXT_CHARACTERS if name in limits.LONG_TEXTS else limits.SHORT_TEXT_CHARACTERS)
+    if "/" in kind:
+        package, _, message = kind.partition("/")
+        return _message_check(getattr(importlib.import_module(f"{package}.msg"), message))
+    return None
+
+
+def _string_check(most: int) -> Check:
+    def check(value: Any, path: str) -> None:
+        if len(value) > most:
+            raise InvalidRequestError(f"{path} may have {most} characters, got {len(value)}")
+
+    return check
+
+
+def _sequence_check(most: int | None, inner: Check | None) -> Check:
+    def check(value: Any, path: str) -> None:
+        if most is not None and len(value) > most:
+            raise InvalidRequestError(f"{path} may have {most} elements, got {len(value)}")
+        if inner is not None:
+            for item in value:
+                inner(item, path)
+
+    return check

@@ -1,0 +1,263 @@
+"""Every callback of a node goes through here: an exception becomes an answer with a code, and the node lives on.
+
+A service's response says in different fields that a request failed, depending on whose interface it is; `fill_error`
+knows them. `GuardedNode` wraps what rclpy calls, so that nothing reaches the executor: an exception there would end
+the node.
+
+Non-obvious:
+- ``SystemExit`` is caught as well: in a node's thread it comes from a library that calls ``sys.exit``, and would end
+  the node without a word. ``KeyboardInterrupt`` reaches the main thread only and is not caught.
+- A response that cannot be sent (a string that is no UTF-8) is replaced by an error; without one the client would wait
+  until its time-out.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+
+from roboxim_core import limits
+from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_ros.bounds import check_message
+
+CAUGHT = (Exception, SystemExit)
+"""What a callback may raise without ending its node."""
+_FOLLOW_TRAJECTORY_INVALID_GOAL = -1
+_SIMULATION_OPERATION_FAILED = 4
+_SIMULATION_RESULTS = {
+    ErrorCode.UNKNOWN_ENTITY: 2,
+    ErrorCode.UNKNOWN_MODEL: 2,
+    ErrorCode.NO_SCENE: 3,
+    ErrorCode.LEASE_HELD: 3,
+}
+"""Our code to ``simulation_interfaces/Result``: not found, incorrect state; any other: operation failed."""
+
+
+def describe(error: BaseException, what: str) -> tuple[ErrorCode, str]:
+    """Return the code and the message that answer an exception.
+
+    Args:
+        error: The exception.
+        what: Name of the service or action, for what nobody expected.
+    """
+    if isinstance(error, RoboximError):
+        return error.code, limits.printable(str(error))
+    text = f"{type(error).__name__} in {what}: {error}"
+    return ErrorCode.INTERNAL, limits.printable(text)
+
+
+def fill_error(answer: Any, code: ErrorCode, message: str) -> None:
+    """Write an error into a response or a result, in the fields that its interface has for it.
+
+    Args:
+        answer: A response of RoboXim, ``simulation_interfaces``, ``std_srvs`` or ``rcl_interfaces``, or the result of
+            an action. One that has no such field (``std_srvs/Empty``, ``GripperCommand``) stays as it is.
+        code: What went wrong.
+        message: The same in words.
+    """
+    fields = answer.get_fields_and_field_types()
+    if "error_code" in fields and "error_msg" in fields:
+        answer.error_code, answer.error_msg = int(code), message
+    elif fields.get("result") == "simulation_interfaces/Result":
+        answer.result.result = _SIMULATION_RESULTS.get(code, _SIMULATION_OPERATION_FAILED)
+        answer.result.error_message = f"{code.name}: {message}"
+    elif "error_code" in fields and "error_string" in fields:
+        answer.error_code, answer.error_string = _FOLLOW_TRAJECTORY_INVALID_GOAL, f"{code.name}: {message}"
+    elif "success" in fields and "message" in fields:
+        answer.success, answer.message = False, f"{code.name}: {message}"
+    elif fields.get("result") == "rcl_interfaces/SetParametersResult":
+        answer.result.successful, answer.result.reason = False, f"{code.name}: {message}"
+
+
+def report(logger: RcutilsLogger, error: BaseException, what: str) -> None:
+    """Log an error: one line for what a request did wrong, the traceback for what nobody expected."""
+    if isinstance(error, RoboximError):
+        logger.info(f"{what}: {error.code.name}: {limits.printable(str(error))}")
+    else:
+        logger.error(limits.printable(f"{what}:\n{''.join(traceback.format_exception(error))}", limits.LOG_CHARACTERS))
+
+
+def guarded_service(
+    logger: RcutilsLogger, name: str, handler: Callable[[Any, Any], Any], response_type: Callable[[], Any]
+) -> Callable[[Any, Any], Any]:
+    """Return a service's callback that answers whatever its handler raises.
+
+    Args:
+        logger: Takes the reports.
+        name: Name of the service.
+        handler: Called with (request, response); a function or a coroutine function. What it returns is the response,
+            none: the one that it was given.
+        response_type: Makes the empty response that an error is written into.
+    """
+
+    def refused(error: BaseException) -> Any:
+        report(logger, error, name)
+        answer = response_type()
+        fill_error(answer, *describe(error, name))
+        return answer
+
+    if inspect.iscoroutinefunction(handler):
+
+        async def wait(request: Any, response: Any) -> Any:
+            try:
+                check_message(request)
+                answer = await handler(request, response)
+            except CAUGHT as error:
+                return refused(error)
+            return response if answer is None else answer
+
+        return wait
+
+    def call(request: Any, response: Any) -> Any:
+        try:
+            check_message(request)
+            answer = handler(request, response)
+        except CAUGHT as error:
+            return refused(error)
+        return response if answer is None else answer
+
+    return call
+
+
+def guard_sending(logger: RcutilsLogger, service: Any, response_type: Callable[[], Any]) -> None:
+    """Have a service answer with an error where its response cannot be sent."""
+    send = service.send_response
+
+    def guarded(response: Any, header: Any) -> None:
+        try:
+            send(response, header)
+        except CAUGHT as error:
+            report(logger, error, f"the answer of {service.srv_name}")
+            answer = response_type()
+            fill_error(answer, *describe(error, service.srv_name))
+            try:
+                send(answer, header)
+            except CAUGHT as again:  # the client has gone
+                report(logger, again, f"the answer of {service.srv_name}")
+
+    service.send_response = guarded
+
+
+def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a subscription's or a timer's callback that logs whatever the given one raises.
+
+    It has the signature of the given one, by which rclpy decides what to call it with.
+    """
+
+    @functools.wraps(callback)
+    def call(*args: Any) -> Any:
+        try:
+            return callback(*args)
+        except CAUGHT as error:
+            report(logger, error, name)
+            return None
+
+    return call
+
+
+class GuardedNode(Node):
+    """A node whose callbacks cannot end it: services, subscriptions, timers and actions, rclpy's own included."""
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
+        """Offer a service as rclpy does; what its callback raises becomes the answer."""
+        guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
+        service = super().create_service(srv_type, srv_name, guarded, **kwargs)
+        guard_sending(self.get_logger(), service, srv_type.Response)
+        return service
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
+    ) -> Any:
+        """Subscribe as rclpy does; what the callback raises is logged."""
+        guarded = guarded_callback(self.get_logger(), f"a message of '{topic}'", callback)
+        return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
+
+    def create_timer(self, timer_period_sec: float, callback: Callable[..., None], *args: Any, **kwargs: Any) -> Any:
+        """Make a timer as rclpy does; what the callback raises is logged."""
+        guarded = guarded_callback(self.get_logger(), "a timer", callback)
+        return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
+
+    def add_on_set_parameters_callback(self, callback: Callable[[list[Any]], SetParametersResult]) -> None:
+        """Have a callback decide on new values as rclpy does; what it raises refuses them."""
+
+        @functools.wraps(callback)
+        def guarded(parameters: list[Any]) -> SetParametersResult:
+            try:
+                return callback(parameters)
+            except CAUGHT as error:
+                report(self.get_logger(), error, "setting parameters")
+                code, message = describe(error, "setting parameters")
+                return SetParametersResult(successful=False, reason=f"{code.name}: {message}")
+
+        super().add_on_set_parameters_callback(guarded)
+
+    def serve_action(
+        self, action_type: Any, name: str, execute: Callable[[ServerGoalHandle], Any], **kwargs: Any
+    ) -> ActionServer:
+        """Offer an action. Every goal is accepted, so that a refusal says why in its result; it can be cancelled.
+
+        Args:
+            action_type: Action class.
+            name: Name, relative to the namespace.
+            execute: Called with the goal's handle; a function or a coroutine function. Ends the goal and returns the
+                result. What it raises aborts the goal and becomes the result.
+            **kwargs: Passed to ``ActionServer``, e.g. ``callback_group``.
+        """
+        return ActionServer(
+            self,
+            action_type,
+            name,
+            execute_callback=_guarded_execute(self.get_logger(), name, execute, action_type.Result),
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=10,
+            **kwargs,
+        )
+
+
+def _guarded_execute(
+    logger: RcutilsLogger, name: str, execute: Callable[[ServerGoalHandle], Any], result_type: Callable[[], Any]
+) -> Callable[[ServerGoalHandle], Any]:
+    """Return an action's execute callback that ends the goal and answers, whatever the given one raises."""
+
+    def refused(goal: ServerGoalHandle, error: BaseException) -> Any:
+        report(logger, error, name)
+        if goal.is_active:
+            goal.abort()
+        result = result_type()
+        fill_error(result, *describe(error, name))
+        return result
+
+    if inspect.iscoroutinefunction(execute):
+
+        async def wait(goal: ServerGoalHandle) -> Any:
+            try:
+                check_message(goal.request)
+                result = await execute(goal)
+                serialize_message(result)  # a string that is no UTF-8 shows here, where it can still be answered
+            except CAUGHT as error:
+                return refused(goal, error)
+            return result
+
+        return wait
+
+    def call(goal: ServerGoalHandle) -> Any:
+        try:
+            check_message(goal.request)
+            result = execute(goal)
+            serialize_message(result)
+        except CAUGHT as error:
+            return refused(goal, error)
+        return result
+
+    return call
