@@ -25,7 +25,8 @@ def check_message(message: Any) -> None:
     Raises:
         InvalidRequestError: Naming the field and the bound.
     """
-    check = _message_check(type(message))
+    kind: Any = type(message)
+    check = _message_check(kind)
     if check is not None:
         check(message, "")
 

@@ -165,7 +165,7 @@ def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., A
     return call
 
 
-class GuardedNode(Node):
+class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
     """A node whose callbacks cannot end it: services, subscriptions, timers and actions, rclpy's own included."""
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
