@@ -85,6 +85,7 @@ ECHO_CHARACTERS: Final = 100
 """Characters of a given value that an error's message repeats."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_FREE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. -]*")
 _EPISODE_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -132,22 +133,25 @@ def require_finite(what: str, values: Iterable[float], largest: float = math.inf
             raise InvalidRequestError(f"{what} must be finite{limit}, got {echo(value)}")
 
 
-def require_name(kind: str, name: str, reserved: Iterable[str] = ()) -> None:
-    """Refuse a name that cannot be part of a topic or a frame, or that means something else already.
+def require_name(kind: str, name: str, reserved: Iterable[str] = (), *, topic: bool = False) -> None:
+    """Refuse a name that cannot be part of a frame, or that means something else already.
 
     Args:
         kind: What is named, e.g. ``entity``.
         name: The name.
         reserved: Names that are taken.
+        topic: Whether the name becomes part of a topic, where fewer characters are allowed.
 
     Raises:
         InvalidRequestError: Saying what a name may be.
     """
-    if len(name) > NAME_CHARACTERS or not _NAME.fullmatch(name):
-        raise InvalidRequestError(
-            f"{kind} name {echo(name)} must be a letter followed by letters, digits and underscores, "
-            f"at most {NAME_CHARACTERS} characters"
+    if len(name) > NAME_CHARACTERS or not (_NAME if topic else _FREE_NAME).fullmatch(name):
+        allowed = (
+            "a letter followed by letters, digits and underscores"
+            if topic
+            else ("letters, digits, underscores, dots, hyphens and spaces, beginning with a letter or digit")
         )
+        raise InvalidRequestError(f"{kind} name {echo(name)} must be {allowed}, at most {NAME_CHARACTERS} characters")
     taken = sorted(reserved)
     if name in taken:
         raise InvalidRequestError(f"{kind} name '{name}' is reserved; choose another one than {', '.join(taken)}")
