@@ -198,7 +198,7 @@ class CameraSpec:
         Raises:
             InvalidRequestError: On a size, field of view, intrinsics or clipping range that makes no image.
         """
-        limits.require_name("camera", self.name, topic=True)
+        limits.require_name("camera", self.name)
         limits.require_finite(f"camera '{self.name}': position", self.pose.position, limits.LENGTH_M)
         limits.require_finite(f"camera '{self.name}': far", (self.far,), limits.LENGTH_M * 10)
         limits.require_finite(f"camera '{self.name}': intrinsics", self.intrinsics, 1e6)

@@ -21,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, JointState
 from tf2_msgs.msg import TFMessage
 
+from roboxim_core import limits
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
@@ -128,6 +129,8 @@ class SimNode(RoboximNode):
 
     def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
         """Load a scene and publish tick 0; whatever fails, no episode is left holding the sim."""
+        for camera in scene.cameras:
+            limits.require_name("camera", camera.name, topic=True)
         if scene.cameras:
             self._renderer(renderer or self.config.renderer, "live")
         self._renderer_name = renderer or self.config.renderer
@@ -230,6 +233,8 @@ class SimNode(RoboximNode):
     def _on_restore_snapshot(self, request: RestoreSnapshot.Request, response: RestoreSnapshot.Response) -> None:
         self._refuse_foreign(request.episode_id)
         snapshot = from_json(request.snapshot_json, Snapshot, source="snapshot_json")
+        for camera in snapshot.scene.cameras:
+            limits.require_name("camera", camera.name, topic=True)
         if snapshot.scene.cameras:
             self._renderer(self._renderer_name, "live")
         record = self.world.restore(snapshot, request.episode_id)
