@@ -6,6 +6,7 @@ Bodies carry no visuals: rendering has meshes of its own, and loading them would
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
 from collections.abc import Sequence
@@ -31,8 +32,14 @@ FINGER_FRICTION, FINGER_SPINNING = 1.0, 0.1
 FINGER_STIFFNESS, FINGER_DAMPING = 3e4, 1e3
 GEAR_ERP, GEAR_FORCE_N = 0.1, 50.0
 """The fingers are coupled by a gear constraint; without it a held object drifts by up to 2 cm."""
+CONTACT_TURN_RAD = 0.05
+"""Turn of the hand after which one finger's contact points are found again; see `RobotBody.renew_contacts`."""
 SPRING_GAIN = 0.1
 """Position gain of a joint that springs back: it returns within some 0.1 s, without a bounce."""
+
+_COSINE_OF_CONTACT_TURN = math.cos(CONTACT_TURN_RAD / 2)
+_FILTER_OF_LINKS = (1, -1)
+"""Group and mask that PyBullet gives the moving links of a URDF."""
 
 
 def configure(client: int, rate_hz: float) -> None:
@@ -121,6 +128,8 @@ class RobotBody:
                 physicsClientId=client,
             )
         self._couple_fingers()
+        self._turn_of_contacts = self._finger_rotation()
+        self._next_finger = 0
         self._gains = [model.position_gain] * len(self.arm)
         self._damping = [1.0] * len(self.arm)
 
@@ -157,10 +166,33 @@ class RobotBody:
                 physicsClientId=self._client,
             )
 
+    def renew_contacts(self) -> None:
+        """Find the contact points of one finger again, if the hand has turned. Call after each physics step.
+
+        A friction anchor keeps a contact point as long as it does not slip, with the normal in the world that the
+        point had at first. Once the hand has turned with what it holds, such normals are wrong: after a half turn
+        they hold the fingers closed. Putting the finger's broad-phase proxy in again drops its contact points. The
+        fingers take turns, so that the anchors of the other one bear what is held in the meantime.
+        """
+        now = self._finger_rotation()
+        cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # of half the angle
+        if cosine >= _COSINE_OF_CONTACT_TURN:
+            return
+        pybullet.setCollisionFilterGroupMask(
+            self.id, self.fingers[self._next_finger], *_FILTER_OF_LINKS, physicsClientId=self._client
+        )
+        self._turn_of_contacts = now
+        self._next_finger = 1 - self._next_finger
+
     def read_joints(self) -> tuple[list[float], list[float]]:
         """Return positions and velocities of the arm's joints, then the fingers'."""
         states = pybullet.getJointStates(self.id, self.arm + self.fingers, physicsClientId=self._client)
         return [s[0] for s in states], [s[1] for s in states]
+
+    def _finger_rotation(self) -> tuple[float, ...]:
+        """Return the rotation of the first finger in the world as a quaternion; the fingers only slide."""
+        rotation: tuple[float, ...] = pybullet.getLinkState(self.id, self.fingers[0], physicsClientId=self._client)[1]
+        return rotation
 
     def _couple_fingers(self) -> None:
         first, second = self.fingers

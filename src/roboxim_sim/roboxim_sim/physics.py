@@ -89,6 +89,7 @@ class Physics:
         for target in targets:
             self.robot.drive_arm(target, velocities)
             pybullet.stepSimulation(physicsClientId=self.client)
+            self.robot.renew_contacts()
             self._observer.after_step()
 
     def read(

@@ -371,3 +371,27 @@ def test_the_record_tells_how_fast_a_thing_fell_and_which_way_contacts_push(worl
     forces = [np.array(contact.force_on_b) * (1.0 if contact.body_b == "cube_1" else -1.0) for contact in fingers]
     assert len(forces) == 2
     assert np.dot(*forces) < -0.9 * np.prod([np.linalg.norm(force) for force in forces])
+
+
+def test_contact_points_turn_with_the_hand(world: World) -> None:
+    """Friction anchors keep contact points; with the normals of before a turn these hold the fingers closed."""
+    knife = LIBRARY.object("knife")
+    lying = Pose(position=(0.45, 0.0, knife.rest_height))
+    world.load(SceneSpec(entities=(EntitySpec(name="knife", model="knife", pose=lying),)), "e")
+    grasp = world.record.entity("knife").pose @ knife.grasps[0].pose
+    lifted = replace(grasp, position=(*grasp.position[:2], 0.25))
+    move_to(world, lifted, 1.0)
+    move_to(world, grasp, 1.0)
+    for _ in range(4):
+        world.tick(world.record.seq + 1, hold_action(0.0))
+    for angle in (0.0, 1.6, -1.6):
+        turned = Pose.from_arrays(lifted.position, Rotation.from_euler("z", angle) * lifted.rotation)
+        record = move_to(world, turned, 0.0)
+    closing = record.robot.pose_tcp_measured.rotation.apply([0.0, 1.0, 0.0])
+    ids = world.physics.robot.id, world.physics.objects[0].id  # the record has no normals
+    points = pybullet.getContactPoints(*ids, physicsClientId=world.physics.client)
+    assert points
+    assert min(abs(np.dot(point[7], closing)) for point in points) > 0.95
+    for _ in range(3):
+        record = world.tick(record.seq + 1, hold_action(1.0))
+    assert record.robot.gripper_opening > 0.95
