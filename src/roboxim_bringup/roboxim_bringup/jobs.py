@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -188,8 +187,7 @@ def drawn_by_name(bag: Path) -> dict[str, str]:
     """Return what the reset components of a bag's episode have drawn by name, e.g. the interaction area."""
     from roboxim_recorder.bag import BagReader
 
-    drawn: dict[str, str] = json.loads(BagReader(bag).info.config_json).get("task", {}).get("drawn", {})
-    return drawn
+    return BagReader(bag).info.task.drawn
 
 
 def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:

@@ -169,11 +169,12 @@ class Rerenderer:
         reader = BagReader(source)
         info = reader.info
         scene = self.config.scene(info)
-        changed = json.loads(info.config_json) | {"rerender": {"bag": source.name, **to_plain(self.config)}}
+        changed = json.loads(info.config_json) | {"rerender": to_plain(self.config)}
         new = replace(
             info,
             scene=scene,
             renderer=f"{self._renderer.name} ({self._renderer.device})",
+            rerendered_from=info.episode_id,
             config_json=json.dumps(changed),
             recorded={**info.recorded, **recorded_parameters(info.task, scene)},
         )
@@ -321,7 +322,7 @@ def rerender(
         elif paths:
             _render(paths, folder.path, config, tell)
     library = ModelLibrary()
-    changed = {model for reader in episodes.values() for model in library.changed(reader.info.versions)}
+    changed = {model for reader in episodes.values() for model in library.changed(reader.info.models)}
     return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
 
 

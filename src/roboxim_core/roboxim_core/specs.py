@@ -63,6 +63,8 @@ class TaskSpec:
     """Skill-specific arguments and thresholds, e.g. ``{"lift_m": 0.05}``."""
     instruction: str
     """Natural language instruction, e.g. ``Pick up the red cube``."""
+    drawn: dict[str, str] = field(default_factory=dict)
+    """What reset components have drawn by name, e.g. ``{"interaction_area": "left"}``."""
 
     def __hash__(self) -> int:
         """Return the hash, which equal ones share."""

@@ -325,7 +325,10 @@ def test_a_privileged_policy_is_marked_in_every_episode():
 
     run(Noting(), Actor(version="7")).run_index(0)
     run(Noting(), Actor(version="7", privileged=True)).run_index(0)
-    assert [info.versions["policy test"] for info in infos] == ["7", "7, privileged"]
+    assert [(info.actor, info.actor_version, info.actor_privileged) for info in infos] == [
+        ("test", "7", False),
+        ("test", "7", True),
+    ]
 
 
 def test_the_hashes_of_robot_and_objects_are_in_every_episodes_record():
@@ -336,7 +339,8 @@ def test_the_hashes_of_robot_and_objects_are_in_every_episodes_record():
         ports, RunConfig(output_dir="/out", settle_ticks=2), versions={"numpy": "2"}, library=library
     )
     runner.run_index(0)
-    versions = {name: value for name, value in world.info.versions.items() if not name.startswith("policy")}
-    assert versions == {"numpy": "2", "model panda": library.digest("panda"), "model cube": library.digest("cube")}
-    assert library.changed(versions) == ()
-    assert library.changed({**versions, "model cube": "another", "model gone": "1"}) == ("cube", "gone")
+    models = world.info.models
+    assert world.info.versions == {"numpy": "2"}
+    assert models == {"panda": library.digest("panda"), "cube": library.digest("cube")}
+    assert library.changed(models) == ()
+    assert library.changed({**models, "cube": "another", "gone": "1"}) == ("cube", "gone")

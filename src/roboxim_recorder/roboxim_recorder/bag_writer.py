@@ -24,7 +24,7 @@ PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 PARTIAL = ".partial"
 METADATA = "roboxim"
 """Name of the MCAP metadata record."""
-FORMAT_VERSION = "1"
+FORMAT_VERSION = "2"
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _QOS = [
     {

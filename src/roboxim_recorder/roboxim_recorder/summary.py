@@ -32,10 +32,12 @@ def bag_info(path: Path | str) -> str:
         f"outcome       {_outcome(reader)}",
         f"ticks         {len(reader)} ({seconds:g} s at {info.scene.control_rate_hz:g} Hz)",
         f"robot         {info.scene.robot.model}",
-        f"actor         {info.actor}",
+        "actor         "
+        + " ".join(filter(None, (info.actor, info.actor_version, "(privileged)" * info.actor_privileged))),
         f"seed          run {info.run_seed}, {info.purpose}, index {info.index}, attempt {info.attempt}",
         "cameras       " + ", ".join(f"{c.name} {c.width}x{c.height}" for c in info.scene.cameras),
         f"renderer      {info.renderer}",
+        "models        " + ", ".join(f"{name} {digest[:16]}" for name, digest in sorted(info.models.items())),
         "versions      " + ", ".join(f"{name} {value}" for name, value in sorted(info.versions.items())),
         "topics",
     ]

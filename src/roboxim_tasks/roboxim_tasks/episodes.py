@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from roboxim_core.config import to_json, to_plain
+from roboxim_core.config import to_json
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, ErrorCode, TaskError
 from roboxim_core.kinematics import ArmKinematics
@@ -54,9 +54,8 @@ class EpisodeGenerator:
         cell, ordinal = config.at(seed.index)
         task = self.task(seed, config)
         scene = self.reset(seed, cell, task, ordinal)
-        drawn = self.last_reset.drawn if self.last_reset else {}
-        resolved = to_plain(cell) | ({"drawn": drawn} if drawn else {})
-        return Draw(task=task, scene=scene, max_steps=cell.max_steps, config_json=to_json(resolved))
+        drawn = dict(self.last_reset.drawn) if self.last_reset else {}
+        return Draw(task=replace(task, drawn=drawn), scene=scene, max_steps=cell.max_steps, config_json=to_json(cell))
 
     def task(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
         """Draw the task of a seed path, without its scene.

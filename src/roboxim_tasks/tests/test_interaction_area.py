@@ -1,7 +1,6 @@
 """Areas of an elongated table: objects lie in the chosen one, datasets have exact counts, the camera sees them all."""
 
 import itertools
-import json
 from collections import Counter
 
 import numpy as np
@@ -20,7 +19,7 @@ def corners(area):
 
 
 def area_of(drawn):
-    return json.loads(drawn.config_json)["drawn"]["interaction_area"]
+    return drawn.task.drawn["interaction_area"]
 
 
 def test_the_target_lies_in_the_area_whose_turn_it_is_and_the_episode_says_which(draw):

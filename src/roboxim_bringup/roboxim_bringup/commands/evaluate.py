@@ -206,6 +206,7 @@ def _report(
         files = (f"{file} {digest[:16]}" for file, digest in jobs[policy.name].policy_files.items())
         facts[f"policy {policy.name}"] = ", ".join([policy.spec, *files])
     versions: dict[str, str] = {}
+    privileged: list[str] = []
     for run in runs:
         first = next((result for result in run.results if result.bag), None)
         if first is None:
@@ -216,19 +217,21 @@ def _report(
             "control rate": f"{info.semantics.rate_hz:g} Hz",
         }  # fmt: skip
         facts |= {f"camera {c.name}": f"{c.width} x {c.height}" for c in info.scene.cameras}
-        for name, version in info.versions.items():
-            if name.startswith("policy "):
-                name, version = f"policy {run.policy}", version.removeprefix("unnamed").removeprefix(", ")
-            if version:
-                versions[name] = version
+        versions |= info.versions | {f"model {name}": digest for name, digest in info.models.items()}
+        if info.actor_version:
+            versions[f"policy {run.policy}"] = info.actor_version
+        if info.actor_privileged:
+            facts[f"policy {run.policy} is privileged"] = "it sees task, scene and state"
+            privileged.append(run.policy)
     report = Report(
         title=f"Evaluation of {' and '.join(run.policy for run in runs)} on {task}",
         runs=runs, facts=facts, versions=versions, command=shlex.join(["roboxim", *sys.argv[1:]]),
     )  # fmt: skip
     page = write_report(report, out)
-    for name, version in versions.items():
-        if name.startswith("policy ") and version.endswith("privileged"):
-            click.echo(f"{name} is privileged: it was told task, scene and state, which no policy under test may see")
+    for name in privileged:
+        click.echo(
+            f"policy {name} is privileged: it was told task, scene and state, which no policy under test may see"
+        )
     if len(runs) > 1:
         click.echo(verdict_line(runs))
     click.echo(f"report: {page}")

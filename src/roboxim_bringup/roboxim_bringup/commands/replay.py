@@ -63,6 +63,6 @@ def _is_same(path: Path, clients: Any) -> bool:
             f"{path}: diverges at tick {report.diverged_at}: {report.difference} "
             f"(recorded {report.recorded_hash}, replayed {report.replayed_hash})"
         )
-        if changed := ModelLibrary().changed(reader.info.versions):
+        if changed := ModelLibrary().changed(reader.info.models):
             click.echo(f"  not the same as when it was recorded: the files of {', '.join(changed)}")
     return report.same

@@ -93,7 +93,7 @@ class Draw:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeInfo:
-    """Everything that makes an episode again; opens its bag."""
+    """Everything needed to reproduce an episode; the first message of its bag."""
 
     episode_id: str
     """Unique id."""
@@ -113,12 +113,20 @@ class EpisodeInfo:
     """Meaning of the actions."""
     actor: str
     """Name of the policy that acts."""
+    actor_version: str = ""
+    """Its version; empty: it has none."""
+    actor_privileged: bool = False
+    """Whether it sees task, scene and state, as no policy under test may."""
     renderer: str = ""
     """Renderer and device."""
+    rerendered_from: str = ""
+    """Id of the episode whose images were rendered again; empty: the images were recorded live."""
     config_json: str = "{}"
-    """Resolved configuration."""
+    """Resolved configuration of the run and of the task, for people; what readers need has a field of its own."""
     versions: dict[str, str] = field(default_factory=dict)
-    """Package to version, model to hash."""
+    """Package to version."""
+    models: dict[str, str] = field(default_factory=dict)
+    """Robot or object model to the hash of its files."""
     recorded: dict[str, str] = field(default_factory=dict)
     """Recorded parameter to JSON."""
 
@@ -144,7 +152,7 @@ class EpisodeStep:
     verdict: Verdict = Verdict()
     """Verdict at this tick."""
     inference_s: float = 0.0
-    """Wall time of the policy's request that this action came from [s]."""
+    """Wall time of the policy's request that this action came from [s]; 0 in bags."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +190,8 @@ class EpisodeResult:
     bag: str = ""
     """Bag, relative to the output folder; empty: none."""
     wall_s: float = 0.0
-    """Wall time of the episode [s]."""
+    """Wall time of the episode [s]; 0 in bags."""
     inference_s: float = 0.0
-    """Wall time in the policy [s]."""
+    """Wall time in the policy [s]; 0 in bags."""
     final_state_hash: str = ""
     """State hash of the last tick."""

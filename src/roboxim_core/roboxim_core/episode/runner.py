@@ -110,8 +110,6 @@ class EpisodeRunner:
         self.versions = dict(versions or {})
         self._library = library
         self.description = ports.actor.describe()
-        policy = self.description
-        self.versions[f"policy {policy.name}"] = (policy.version or "unnamed") + (", privileged" * policy.privileged)
         self.progress: tuple[str, int] = ("", 0)
         """Id and tick of the running episode, for whoever watches."""
 
@@ -152,8 +150,9 @@ class EpisodeRunner:
         info = EpisodeInfo(
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,
-            renderer=self.ports.sim.renderer,
-            versions=self.versions | (self._library.hashes(scene) if self._library else {}),
+            actor_version=self.description.version, actor_privileged=self.description.privileged,
+            renderer=self.ports.sim.renderer, versions=self.versions,
+            models=self._library.hashes(scene) if self._library else {},
             config_json=f'{{"run":{to_json(replace(self.config, output_dir=""))},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip

@@ -188,23 +188,22 @@ class ModelLibrary:
         return hashed.hexdigest()
 
     def hashes(self, scene: SceneSpec) -> dict[str, str]:
-        """Return the hashes of a scene's robot and objects, ``model <id>`` to `digest`, as an episode records them.
+        """Return the hashes of a scene's robot and objects, model id to `digest`, as an episode records them.
 
         Raises:
             ConfigError: When an id is unknown; the message lists the known ones.
         """
         models = dict.fromkeys([scene.robot.model, *(entity.model for entity in scene.entities)])
-        return {f"{RECORDED}{model}": self.digest(model) for model in models}
+        return {model: self.digest(model) for model in models}
 
     def changed(self, recorded: Mapping[str, str]) -> tuple[str, ...]:
         """Return the ids of recorded models that are missing or have changed.
 
         Args:
-            recorded: Result of `hashes` at recording time; other names are ignored.
+            recorded: Result of `hashes` at recording time.
         """
-        names = [name.removeprefix(RECORDED) for name in recorded if name.startswith(RECORDED)]
         known = {*self.robot_ids, *self.object_ids}
-        return tuple(n for n in names if n not in known or self.digest(n) != recorded[f"{RECORDED}{n}"])
+        return tuple(name for name, digest in recorded.items() if name not in known or self.digest(name) != digest)
 
     def _ids(self, kind: str) -> tuple[str, ...]:
         return tuple(sorted({path.stem for folder in self.search_path for path in (folder / kind).glob("*.yaml")}))
@@ -243,8 +242,6 @@ def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
     return load_config(path, ObjectConfig)
 
 
-RECORDED = "model "
-"""Prefix of a model's id among an episode's recorded versions."""
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}
 
 

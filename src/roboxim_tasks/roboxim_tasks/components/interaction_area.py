@@ -56,7 +56,7 @@ class InteractionAreaReset(ResetComponent):
     """Chooses the area; the component ``objects`` then places the roles' objects there instead of in its own area.
 
     Randomisation: the area; the position within it comes from the stream of ``objects``, so that datasets with other
-    areas stay paired in the rest. The name is in the episode's configuration as ``task.drawn.interaction_area``.
+    areas stay paired in the rest. The name is in the task as ``drawn["interaction_area"]``.
     """
 
     name = "interaction_area"
