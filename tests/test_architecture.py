@@ -76,7 +76,7 @@ for name in {list(core_modules())!r}:
         failed.append(f"{{name}}: {{error}}")
 sys.exit("\\n".join(failed) or 0)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
 
 

@@ -16,6 +16,7 @@ from roboxim_eval.node import versions
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag
 from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 SMALL = {"purpose": "demo", "image_width": 64, "image_height": 64, "noise_translation_m": 0.003}
@@ -29,7 +30,7 @@ def graph_parameters():
 def run(graph, config, indices=(0,)):
     with graph.clients() as clients:
         request = RunEpisodes.Request(config=to_msg(config, RunConfigMsg), indices=list(indices))
-        answer = clients.call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=100.0)
+        answer = clients.call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=PATIENCE_S)
     return [from_msg(result, EpisodeResult) for result in answer.results]
 
 

@@ -13,8 +13,9 @@ import pytest
 
 from roboxim_bringup.run_folder import RunFolder
 from roboxim_recorder.check import check_bag, list_bags
+from roboxim_ros.testing import PATIENCE_S
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(3600)]
 EPISODES = 6
 
 
@@ -51,7 +52,7 @@ def bags(out):
 
 def test_killed_interrupted_and_resumed_runs_give_the_same_bags(tmp_path):
     plain = generate(tmp_path / "plain", workers=1)
-    assert plain.wait(300) == 0, plain.stdout.read()
+    assert plain.wait(3 * PATIENCE_S) == 0, plain.stdout.read()
 
     out = tmp_path / "rough"
     rough = generate(out, workers=2)
@@ -60,13 +61,13 @@ def test_killed_interrupted_and_resumed_runs_give_the_same_bags(tmp_path):
     wait_for_results(out, 3, rough)
     workers = worker_pids(rough.pid)
     rough.send_signal(signal.SIGINT)
-    assert rough.wait(60) == 130
+    assert rough.wait(PATIENCE_S) == 130
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers), "no orphan is left"
     done = len(RunFolder(out).results())
     assert 3 <= done < EPISODES
 
     resumed = generate(out, workers=2)
-    text, _ = resumed.communicate(timeout=300)
+    text, _ = resumed.communicate(timeout=3 * PATIENCE_S)
     assert resumed.returncode == 0, text
     assert f"{EPISODES} demonstrations" in text
     assert all(check_bag(bag).ok for bag in list_bags(out))
@@ -80,7 +81,7 @@ def test_killed_interrupted_and_resumed_runs_give_the_same_bags(tmp_path):
 
 def test_smoke_run_of_the_demo_makes_what_it_names(tmp_path):
     process = roboxim("demo", "--smoke", "--out", tmp_path / "demo")
-    text, _ = process.communicate(timeout=500)
+    text, _ = process.communicate(timeout=10 * PATIENCE_S)
     assert process.returncode == 0, text
     named = re.findall(r"^  (/\S+): ", text, re.MULTILINE)
     assert len(named) == 5

@@ -14,9 +14,13 @@ from roboxim_core.errors import ConfigError, UnavailableError, one_of
 
 T = TypeVar("T")
 LOOK_S = 3.0
-"""How long to look for something before saying that it is not there [s]."""
-QUIET_S = 0.25
-"""The graph counts as known when nothing new has been heard for so long: one announcement period [s]."""
+"""How long to look for something, in a graph whose nodes are all seen, before saying that it is not there [s]."""
+PATIENCE_S = 60.0
+"""How long to wait for nodes that the run is known to have [s]: on a busy machine they are seen late."""
+LOOK_PERIOD_S = 0.01
+"""Time between two looks at the graph [s]."""
+QUIET_LOOKS = 25
+"""The graph counts as known when so many looks saw nothing new. Looks, not seconds: a busy machine does both slowly."""
 
 
 def _complete_runs(*_: Any) -> list[str]:
@@ -73,6 +77,7 @@ class Peer:
         from roboxim_ros.host import NodeHost
 
         self.expected = set(expected)
+        self._complete_since: float | None = None
         self.host = NodeHost()
         self.clients = Clients(f"_roboxim_cli_{os.getpid()}", context=self.host.context)
         self.node = self.clients.node
@@ -86,36 +91,45 @@ class Peer:
         """Have the peer's thread notice what was just made on its node."""
         self.clients.wake()
 
-    def look_for(self, find: Callable[[], T | None], missing: Callable[[], str], *, timeout_s: float = LOOK_S) -> T:
+    def look_for(self, find: Callable[[], T | None], missing: Callable[[], str]) -> T:
         """Wait until something is found in the graph.
 
         Args:
             find: Returns what it found, or none.
             missing: Makes the error's message.
-            timeout_s: Longest wait [s].
 
         Raises:
             UnavailableError: With that message.
         """
-        deadline = time.monotonic() + timeout_s
+        begun = time.monotonic()
         while (found := find()) is None:
-            if time.monotonic() > deadline:
+            if self._looked_enough(begun):
                 raise UnavailableError(missing())
-            time.sleep(0.01)
+            time.sleep(LOOK_PERIOD_S)
         return found
 
     def settle(self) -> None:
         """Wait until nothing new is heard of the graph."""
-        deadline = time.monotonic() + LOOK_S
         seen: Any = None
-        since = time.monotonic()
-        while time.monotonic() < deadline:
+        quiet = 0
+        begun = time.monotonic()
+        while not self._looked_enough(begun) and quiet <= QUIET_LOOKS:
             now = (self.nodes(hidden=True), self.topics(hidden=True), self.services(hidden=True))
-            if now != seen:
-                seen, since = now, time.monotonic()
-            elif len(now[0]) > 1 and self.expected <= set(now[0]) and time.monotonic() - since > QUIET_S:
-                return
-            time.sleep(0.01)
+            known = now == seen and len(now[0]) > 1 and self._is_complete()
+            seen, quiet = now, quiet + 1 if known else 0
+            time.sleep(LOOK_PERIOD_S)
+
+    def _is_complete(self) -> bool:
+        """Tell whether all nodes have been seen that the run is known to have."""
+        if self._complete_since is None and self.expected <= set(self.nodes(hidden=True)):
+            self._complete_since = time.monotonic()
+        return self._complete_since is not None
+
+    def _looked_enough(self, begun: float) -> bool:
+        """Tell whether what has not been seen since a time is not there."""
+        now = time.monotonic()
+        complete = self._is_complete() and now - max(begun, self._complete_since or 0.0) > LOOK_S
+        return complete or now - begun > PATIENCE_S
 
     def nodes(self, *, hidden: bool = False) -> list[str]:
         """Return the full names of the nodes."""
@@ -181,7 +195,7 @@ def call_node(peer: Peer, node: str, srv_type: Any, service: str, **fields: Any)
         lambda: peer.services().get(f"{name}/{service}"),
         lambda: f"no node '{name}' with parameters in the graph; {one_of(peer.nodes(), name)}",
     )
-    return peer.clients.call(srv_type, f"{name}/{service}", srv_type.Request(**fields), timeout_s=10)
+    return peer.clients.call(srv_type, f"{name}/{service}", srv_type.Request(**fields), timeout_s=60)
 
 
 def absolute(name: str) -> str:

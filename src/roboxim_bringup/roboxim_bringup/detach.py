@@ -13,7 +13,7 @@ import click
 from roboxim_bringup.process import describe_exit
 from roboxim_core.errors import RoboximError, UnavailableError
 
-READY_S = 180.0
+READY_S = 300.0
 
 
 def start_detached(run_id: str | None) -> None:

@@ -171,7 +171,7 @@ def _graph() -> Finding:
             Clients("doctor_client", context=client.context) as clients,
         ):
             server.add(probe)
-            clients.call(Empty, "probe", Empty.Request(), timeout_s=5)
+            clients.call(Empty, "probe", Empty.Request(), timeout_s=60)
     except RoboximError as error:
         return Finding(
             name="graph",

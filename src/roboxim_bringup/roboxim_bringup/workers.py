@@ -32,7 +32,7 @@ from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError, raise
 
 MAX_TRIES = 3
 """Workers that an index may cost before it is reported as an error."""
-READY_S = 180.0
+READY_S = 300.0
 """Longest start of a worker [s]; a policy may compile."""
 WORKER_DIED = "worker_died"
 """Reason of an episode that cost all its tries; going on with the run tries it again."""

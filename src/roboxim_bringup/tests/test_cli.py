@@ -21,14 +21,17 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from roboxim_bringup.cli import group
-from roboxim_core.errors import ConfigError, RoboximError, SimError
+from roboxim_bringup.commands import topic
+from roboxim_core.errors import ConfigError, RequestTimeoutError, RoboximError, SimError
 from roboxim_ros import qos
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain, register_run
+from roboxim_ros.testing import PATIENCE_S, eventually
 
 ISOLATED = """
 import sys
 from roboxim_bringup.cli import group
+from roboxim_bringup.commands import topic
 try:
     group.main({arguments!r}, standalone_mode=False)
 finally:
@@ -54,6 +57,7 @@ class SmallNode(Node):
         self.latched.publish(String(data="hello"))
         self.steady = self.create_publisher(String, "steady", qos.STATE)
         self.create_timer(0.02, lambda: self.steady.publish(String(data="tick")))
+        self.idle = self.create_publisher(String, "idle", qos.STATE)
         self.heard: list[str] = []
         self.create_subscription(String, "ear", lambda msg: self.heard.append(msg.data), qos.STATE)
         self.action = ActionServer(self, GripperCommand, "grip", self._grip, result_timeout=10)
@@ -99,7 +103,9 @@ def roboxim(*words: str) -> str:
 
 def _isolated(*arguments: str) -> str:
     code = ISOLATED.format(arguments=list(arguments))
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60).stdout
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    ).stdout
 
 
 def test_help_lists_every_command_and_imports_nothing_heavy():
@@ -198,14 +204,36 @@ def test_topics(small):
     assert roboxim("topic", "echo", "/steady", "--once", "--field", "data") == "tick\n---\n"
     assert "Publisher count: 1" in roboxim("topic", "info", "/steady")
     assert "/small: reliable" in roboxim("topic", "info", "-v", "/steady")
-    rate = float(roboxim("topic", "hz", "/steady", "--duration", "1").split("average rate: ")[-1].split()[0])
-    assert 20 < rate < 80
+    assert 0 < eventually(_rate_of_steady) < 100
     roboxim("topic", "pub", "--once", "/ear", "std_msgs/msg/String", "{data: psst}")
-    assert small.heard == ["psst"]
+    assert eventually(lambda: small.heard) == ["psst"]
     with pytest.raises(RoboximError, match="no message"):
         roboxim("topic", "echo", "/ear", "--once", "--timeout", "0.2")
     with pytest.raises(ConfigError, match="no field 'date'"):
         roboxim("topic", "echo", "/steady", "--once", "--field", "date")
+
+
+def _rate_of_steady() -> float | None:
+    """Return the rate that is printed; None when the machine was too busy for two messages within a second."""
+    try:
+        text = roboxim("topic", "hz", "/steady", "--duration", "1")
+    except RequestTimeoutError:
+        return None
+    return float(text.split("average rate: ")[-1].split()[0])
+
+
+def test_the_rate_of_a_topic_is_that_of_its_stamps(capsys):
+    topic._print_rate([10.0, 10.02, 10.04, 10.06])
+    assert "average rate: 50.00 Hz  min: 0.0200 s  max: 0.0200 s" in capsys.readouterr().out
+
+
+@pytest.mark.ros
+def test_a_silent_topic_is_explained(small, monkeypatch):
+    monkeypatch.setattr(topic, "SILENT_S", 0.0)
+    result = CliRunner().invoke(group, ["topic", "hz", "/idle", "--duration", "0.3"], standalone_mode=False)
+    assert isinstance(result.exception, RequestTimeoutError)
+    for text in (str(result.exception), result.stderr):
+        assert "roboxim action send_goal /sim/simulate_steps" in text
 
 
 @pytest.mark.ros
@@ -255,7 +283,7 @@ def test_env_lets_another_process_attach(small):
     script = f"{exports}\nexec {sys.executable} -m roboxim_bringup service call /flip"
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "ROBOXIM_"))}
     done = subprocess.run(
-        ["sh", "-c", script], capture_output=True, text=True, check=False, env=environment, timeout=60
+        ["sh", "-c", script], capture_output=True, text=True, check=False, env=environment, timeout=PATIENCE_S
     )
     assert done.returncode == 0, done.stderr
     assert yaml.safe_load(done.stdout)["success"] is True

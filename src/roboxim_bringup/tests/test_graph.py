@@ -11,6 +11,7 @@ from roboxim_ros.actions import ActionCall
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -25,7 +26,7 @@ def test_fixture_runs_an_episode_in_this_process(graph):
     config = RunConfig(run_seed=2, purpose="test", keep="none", image_width=32, image_height=32)
     goal = RunEpisodes.Goal(config=to_msg(config, RunConfigMsg), indices=[0])
     with graph.clients() as clients, ActionCall(clients, RunEpisodes, "evaluator/run_episodes") as action:
-        answer = action.run(goal, timeout_s=60)
+        answer = action.run(goal, timeout_s=PATIENCE_S)
     assert (answer.status, answer.result.error_msg) == ("succeeded", "")
     assert from_msg(answer.result.results[0], EpisodeResult).outcome == "success"
 

@@ -17,6 +17,7 @@ from roboxim_ros import qos
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.conversions import to_msg
 from roboxim_ros.runs import register_run
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +38,7 @@ def record(graph, folder, seed):
     )
     goal = RunEpisodes.Goal(config=to_msg(config, RunConfigMsg), indices=[0])
     with graph.clients() as clients, ActionCall(clients, RunEpisodes, "evaluator/run_episodes") as action:
-        [result] = action.run(goal, timeout_s=60).result.results
+        [result] = action.run(goal, timeout_s=PATIENCE_S).result.results
     return folder / result.bag
 
 

@@ -7,23 +7,15 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import yaml
 
 from roboxim_ros.runs import find_run, live_runs
+from roboxim_ros.testing import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.ros
-
-
-def wait_until(ready, timeout_s=90.0):
-    deadline = time.monotonic() + timeout_s
-    while not (value := ready()):
-        assert time.monotonic() < deadline, f"not in {timeout_s:g} s"
-        time.sleep(0.05)
-    return value
 
 
 def command(*words):
@@ -31,7 +23,7 @@ def command(*words):
 
 
 def roboxim(*words):
-    done = subprocess.run(command(*words), capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command(*words), capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -43,7 +35,7 @@ class Up:
         self.log = folder / "up.log"
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(command("up", *options), stdout=output, stderr=output)
-        wait_until(lambda: "is up in domain" in self.text or self.process.poll() is not None)
+        eventually(lambda: "is up in domain" in self.text or self.process.poll() is not None)
         assert self.process.poll() is None, self.text
 
     @property
@@ -82,11 +74,11 @@ def test_killed_child_is_started_again_and_killed_parent_leaves_no_orphan(up):
     assert len(before) == 3
     assert {"/policy/policy", "/recorder"} <= set(roboxim("node", "list").split())
     os.kill(before[1], signal.SIGKILL)
-    wait_until(lambda: "node 'policy' has died (killed by SIGKILL); starting it again" in one.text)
-    wait_until(lambda: len(find_run().live_pids) == 3 and find_run().pids != before)
+    eventually(lambda: "node 'policy' has died (killed by SIGKILL); starting it again" in one.text)
+    eventually(lambda: len(find_run().live_pids) == 3 and find_run().pids != before)
     pids = find_run().pids
     one.process.kill()
-    wait_until(lambda: gone(pids), 5)
+    eventually(lambda: gone(pids))
     assert live_runs() == []
 
 
@@ -94,7 +86,7 @@ def test_killed_child_is_started_again_and_killed_parent_leaves_no_orphan(up):
 def test_signal_ends_everything_in_order(up, number):
     one = up("--only", "recorder")
     one.process.send_signal(number)
-    assert one.process.wait(15) == 0
+    assert one.process.wait(PATIENCE_S) == 0
     assert live_runs() == []
 
 
@@ -117,7 +109,7 @@ def test_detached_graph_is_ended_by_down(runtime):
 )
 def test_wrong_configuration_ends_it_before_it_is_up(runtime, options, complaint):
     done = subprocess.run(
-        command("up", "--only", "recorder", *options), capture_output=True, text=True, check=False, timeout=60
+        command("up", "--only", "recorder", *options), capture_output=True, text=True, check=False, timeout=PATIENCE_S
     )
     assert done.returncode != 0
     assert complaint in done.stderr
@@ -135,7 +127,7 @@ def test_nodes_started_one_by_one_make_one_run(runtime):
         answer = yaml.safe_load(roboxim("service", "call", "/mine/describe_policy"))
         assert answer["description"]["name"] == "zero"
         first.terminate()
-        first.wait(15)
+        first.wait(PATIENCE_S)
         assert find_run().pids == (second.pid,)
     finally:
         for process in filter(None, (first, second)):
@@ -160,5 +152,5 @@ def test_one_process_and_many_behave_the_same(up):
         assert episode["outcome"] == "success"
         hashes.append(episode["final_state_hash"])
         one.process.terminate()
-        assert one.process.wait(30) == 0
+        assert one.process.wait(PATIENCE_S) == 0
     assert hashes[0] == hashes[1]

@@ -23,7 +23,7 @@ from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 
 FEEDBACK_PERIOD_S = 0.2
-ENDING_S = 10.0
+ENDING_S = 60.0
 """Longest wait for a cancelled run to end its tick, before the next one is refused [s]."""
 VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
 

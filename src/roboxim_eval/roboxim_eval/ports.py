@@ -63,8 +63,10 @@ from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 
-SERVICE_TIMEOUT_S = 30.0
-MESSAGE_TIMEOUT_S = 10.0
+SERVICE_TIMEOUT_S = 120.0
+"""Longest wait for the answer of a node that is alive [s]; one that has died is noticed sooner."""
+MESSAGE_TIMEOUT_S = 60.0
+"""Longest wait for an image of a tick, or for the recorder to acknowledge the tick [s]."""
 
 
 class TaskClient:
@@ -159,7 +161,10 @@ class SimClient:
         """Give the lease back; a sim that has died, or that another holds, has none to take."""
         try:
             self._clients.call(
-                ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request(episode_id=episode_id), timeout_s=5.0
+                ReleaseEpisode,
+                "sim/release_episode",
+                ReleaseEpisode.Request(episode_id=episode_id),
+                timeout_s=MESSAGE_TIMEOUT_S,
             )
         except (RequestTimeoutError, UnavailableError, SimError) as error:
             self._clients.node.get_logger().warning(f"could not release '{episode_id}': {error}")
@@ -340,7 +345,7 @@ class RecorderClient:
         request.result.episode_id = self._open
         self._open = ""
         try:
-            self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=5.0, wait_s=0.5)
+            self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=MESSAGE_TIMEOUT_S, wait_s=0.5)
         except RoboximError as error:
             self._clients.node.get_logger().warning(f"could not drop the open bag: {error}")
 

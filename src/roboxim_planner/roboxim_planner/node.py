@@ -67,9 +67,9 @@ class PlannerNodeConfig:
     """Parameters of the planner node."""
 
     robot: str = _parameter("panda", "id of the robot model that requests without one mean")
-    timeout_s: float = _parameter(5.0, "wall-clock limit of requests without one [s]", 0.001, 600.0)
+    timeout_s: float = _parameter(30.0, "wall-clock limit of requests without one [s]", 0.001, 600.0)
     padding_m: float = _parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
-    scene_wait_s: float = _parameter(1.0, "longest wait for a scene revision that is still under way [s]", 0.0, 60.0)
+    scene_wait_s: float = _parameter(5.0, "longest wait for a scene revision that is still under way [s]", 0.0, 60.0)
     dump_dir: str = _parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
     dumps_kept: int = _parameter(100, "how many dumps the folder may hold; 0: none are written", 0, 100000)
 

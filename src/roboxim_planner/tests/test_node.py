@@ -44,6 +44,7 @@ from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_pose, to_msg
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -79,7 +80,7 @@ class Graph:
         self.states = self.clients.node.create_publisher(StateRecordMsg, "sim/state", qos.STATE)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        return self.clients.call(kind, f"planner/{name}", request, timeout_s=20.0)
+        return self.clients.call(kind, f"planner/{name}", request, timeout_s=PATIENCE_S)
 
     def refused(self, kind: Any, name: str, request: Any) -> RoboximError:
         with pytest.raises(RoboximError) as caught:
@@ -273,7 +274,7 @@ def test_check_trajectory_takes_what_was_planned_and_finds_what_is_wrong(graph: 
 def test_action_plans_and_can_be_cancelled(graph: Graph) -> None:
     client = ActionClient(graph.clients.node, PlanMotion, "planner/plan_motion")
     try:
-        assert client.wait_for_server(10.0)
+        assert client.wait_for_server(PATIENCE_S)
         goal = PlanMotion.Goal(kind=PlanMotion.Goal.POSE, waypoints=[target()])
         goal.request.start_state = JointState(position=HOME)
         assert _result(graph.clients, client, goal).plan.route == "direct"
@@ -282,7 +283,7 @@ def test_action_plans_and_can_be_cancelled(graph: Graph) -> None:
         endless = PlanMotion.Goal(kind=PlanMotion.Goal.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))
         endless.request.start_state = JointState(position=[1.2, *FOLDED])
         endless.request.scene.objects = divided()
-        endless.request.timeout = 30.0
+        endless.request.timeout = PATIENCE_S
         assert _result(graph.clients, client, endless, cancel=True).error_code == ErrorCode.CANCELLED
     finally:
         client.destroy()
@@ -312,7 +313,7 @@ def _result(
     handle = _wait(clients.in_thread(lambda: client.send_goal_async(goal, feedback_callback=lambda _: running.set())))
     assert handle.accepted
     if cancel:
-        assert running.wait(10.0)
+        assert running.wait(PATIENCE_S)
         clients.in_thread(handle.cancel_goal_async)
     return _wait(clients.in_thread(handle.get_result_async)).result
 
@@ -320,7 +321,7 @@ def _result(
 def _wait(future: Any) -> Any:
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
-    assert done.wait(20.0)
+    assert done.wait(PATIENCE_S)
     return future.result()
 
 
@@ -349,7 +350,7 @@ def sequence() -> PlanSequence.Request:
     request.request.start_state = JointState(position=HOME)
     request.request.scene.objects = [cube()]
     request.request.with_tcp_poses = True
-    request.request.timeout = 30.0
+    request.request.timeout = PATIENCE_S
     return request
 
 
@@ -371,14 +372,14 @@ def test_sequence_grasps_and_lifts(graph: Graph) -> None:
 def test_sequence_as_an_action_can_be_cancelled(graph: Graph) -> None:
     client = ActionClient(graph.clients.node, PlanSequenceAction, "planner/plan_sequence")
     try:
-        assert client.wait_for_server(10.0)
+        assert client.wait_for_server(PATIENCE_S)
         asked = sequence()
         goal = PlanSequenceAction.Goal(request=asked.request, stages=asked.stages)
         assert len(_result(graph.clients, client, goal).plans) == 3
         divide = PlanSequenceAction.Goal()
         divide.request.start_state = JointState(position=[1.2, *FOLDED])
         divide.request.scene.objects = divided()
-        divide.request.timeout = 30.0
+        divide.request.timeout = PATIENCE_S
         divide.stages = [MotionStage(kind=MotionStage.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))]
         assert _result(graph.clients, client, divide, cancel=True).error_code == ErrorCode.CANCELLED
     finally:

@@ -19,7 +19,7 @@ from roboxim_policies.node import PolicyNode
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_image, from_msg
 from roboxim_ros.host import NodeHost
-from roboxim_ros.testing import graph_host
+from roboxim_ros.testing import PATIENCE_S, graph_host
 
 pytestmark = pytest.mark.ros
 __all__ = ["graph_host"]
@@ -51,7 +51,7 @@ def served(graph_host: NodeHost):
 
 def call(clients, kind, name, request):
     """Call without turning the code into an exception."""
-    return clients.client(kind, name).call(request, timeout_sec=10.0)
+    return clients.client(kind, name).call(request, timeout_sec=PATIENCE_S)
 
 
 def act_request(image: np.ndarray) -> Act.Request:
@@ -90,7 +90,7 @@ def test_a_users_exception_is_an_answer_and_the_node_lives_on(served):
     clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e"))
     request = act_request(np.zeros((20, 30, 3), np.uint8))
     policy.fail = True
-    clients.client(Act, "mine/act").wait_for_service(10.0)
+    clients.client(Act, "mine/act").wait_for_service(PATIENCE_S)
     answer = call(clients, Act, "mine/act", request)
     assert answer.error_code == ErrorCode.POLICY_FAULT
     assert "ZeroDivisionError" in answer.error_msg
@@ -104,5 +104,5 @@ def test_a_damaged_image_is_refused(served):
     clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e"))
     request = act_request(np.zeros((20, 30, 3), np.uint8))
     request.observations[1].images[0].image.height = 21
-    clients.client(Act, "mine/act").wait_for_service(10.0)
+    clients.client(Act, "mine/act").wait_for_service(PATIENCE_S)
     assert call(clients, Act, "mine/act", request).error_code == ErrorCode.INVALID_REQUEST

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import queue
-import time
 
 import pytest
 from rclpy.node import Node
@@ -20,7 +19,7 @@ from roboxim_recorder.node import RecorderNode
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import to_msg
-from roboxim_ros.testing import graph_host  # noqa: F401
+from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros
 
@@ -53,7 +52,7 @@ class FakeGraph:
                 self.publish(topic, message)
 
     def acknowledgement(self):
-        return self.acknowledged.get(timeout=10)
+        return self.acknowledged.get(timeout=PATIENCE_S)
 
     def play(self, episode):
         for seq in range(episode.last_seq + 1):
@@ -64,13 +63,6 @@ class FakeGraph:
     def close(self, episode, keep="keep"):
         request = CloseEpisode.Request(result=to_msg(episode.result, ours.EpisodeResult), keep=keep)
         return self.clients.call(CloseEpisode, "recorder/close_episode", request).bag
-
-
-def wait_until(condition):
-    deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline, "it did not come to pass"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -100,7 +92,7 @@ def test_what_was_published_before_an_episode_is_not_taken(graph, tmp_path, fake
     graph.tick(episode, 1)
     graph.open(episode, tmp_path)
     graph.tick(episode, 0, without=("/joint_states",))
-    wait_until(lambda: graph.recorder._recording.missing(0) == ["/joint_states"])
+    eventually(lambda: graph.recorder._recording.missing(0) == ["/joint_states"])
     with pytest.raises(RecorderError, match="tick 0 lacks /joint_states; tick 1 lacks /sim/ticks") as caught:
         graph.close(episode)
     assert caught.value.code == ErrorCode.EPISODE_GAP
@@ -147,7 +139,7 @@ def test_a_disk_that_fills_up_between_ticks_is_answered(graph, tmp_path, fake, m
     answer = graph.acknowledgement()
     assert (answer.seq, answer.error_code) == (0, ErrorCode.DISK)
     assert "No space left" in answer.error_msg
-    wait_until(lambda: not list(tmp_path.rglob("*.mcap")))
+    eventually(lambda: not list(tmp_path.rglob("*.mcap")))
 
 
 def test_bad_requests_are_refused(graph, tmp_path, fake):
@@ -164,7 +156,7 @@ def test_bad_requests_are_refused(graph, tmp_path, fake):
 def test_extra_topics_are_recorded(graph, tmp_path, fake):
     episode = fake()
     graph.publish("/note", String(data="before"))
-    wait_until(lambda: "/w1/note" in dict(graph.recorder.get_topic_names_and_types()))
+    eventually(lambda: "/w1/note" in dict(graph.recorder.get_topic_names_and_types()))
     graph.open(episode, tmp_path, topics=["note"])
     graph.publish("/note", String(data="within"))
     graph.play(episode)

@@ -57,7 +57,7 @@ class ActionCall:
         *,
         feedback: Callable[[Any], None] | None = None,
         timeout_s: float = 600.0,
-        wait_s: float = 10.0,
+        wait_s: float = 30.0,
         check: Callable[[], None] = lambda: None,
     ) -> GoalResult:
         """Send a goal and wait for its end. Whatever interrupts the wait (Ctrl-C too) cancels the goal.
@@ -89,7 +89,7 @@ class ActionCall:
         except BaseException:
             heard = threading.Event()
             self._clients.in_thread(handle.cancel_goal_async).add_done_callback(lambda _: heard.set())
-            heard.wait(2.0)  # gone before the server has heard it, it would run on
+            heard.wait(30.0)  # gone before the server has heard it, it would run on
             raise
         return GoalResult(status=_STATUS.get(answer.status, "aborted"), result=answer.result)
 

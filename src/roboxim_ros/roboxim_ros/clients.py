@@ -88,8 +88,8 @@ class Clients:
         name: str,
         request: Any,
         *,
-        timeout_s: float = 30.0,
-        wait_s: float = 10.0,
+        timeout_s: float = 120.0,
+        wait_s: float = 30.0,
         check: bool = True,
     ) -> Any:
         """Call a service and return its response.

@@ -23,6 +23,8 @@ from roboxim_ros.runs import activate_transport
 N = TypeVar("N", bound=Node)
 MAX_EXECUTOR_FAILURES = 10_000
 """Failures of the middleware after which a node gives up: something fails again and again without any message."""
+ENDING_S = 60.0
+"""How long a node may take to end the callback that it is in [s]."""
 
 
 class NodeHost:
@@ -101,7 +103,7 @@ class NodeHost:
             executor.shutdown(timeout_sec=0)
         for _, executor, thread in reversed(self._running):
             executor.wake()
-            thread.join(timeout=10.0)
+            thread.join(timeout=ENDING_S)
         self._running.clear()
         if self.context.ok():
             self.context.shutdown()

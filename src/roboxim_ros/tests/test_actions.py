@@ -11,6 +11,7 @@ from rclpy.node import Node
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.clients import Clients
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -36,7 +37,7 @@ class Gripper(Node):
     def _execute(self, goal):
         position = goal.request.command.position
         if position < 0:
-            self.cancelled.wait(20)
+            self.cancelled.wait(PATIENCE_S)
             goal.canceled()
         else:
             goal.publish_feedback(GripperCommand.Feedback(position=position))
@@ -65,7 +66,7 @@ def _goal(position):
 
 
 def test_result_comes_back(grip):
-    answer = grip.run(_goal(0.5), timeout_s=10)
+    answer = grip.run(_goal(0.5), timeout_s=PATIENCE_S)
     assert (answer.status, answer.result.position) == ("succeeded", 0.5)
 
 
@@ -74,19 +75,19 @@ def test_giving_up_cancels_the_goal(grip, gripper):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        grip.run(_goal(-1.0), timeout_s=10, check=check)
-    assert gripper.cancelled.wait(5)
+        grip.run(_goal(-1.0), timeout_s=PATIENCE_S, check=check)
+    assert gripper.cancelled.wait(PATIENCE_S)
 
 
 def test_late_result_is_an_error_and_cancels_the_goal(grip, gripper):
     with pytest.raises(RequestTimeoutError, match="grip"):
         grip.run(_goal(-1.0), timeout_s=0.3)
-    assert gripper.cancelled.wait(5)
+    assert gripper.cancelled.wait(PATIENCE_S)
 
 
 def test_rejected_goal_and_absent_server_are_told_apart(grip, graph_host):
     with pytest.raises(InvalidRequestError, match="rejected"):
-        grip.run(_goal(2.0), timeout_s=10)
+        grip.run(_goal(2.0), timeout_s=PATIENCE_S)
     with (
         Clients("other", context=graph_host.context) as clients,
         ActionCall(clients, GripperCommand, "no") as absent,
@@ -99,4 +100,4 @@ def test_no_answer_is_lost_however_quick(grip):
     for number in range(200):
         goal = GripperCommand.Goal()
         goal.command.position = number / 200
-        assert grip.run(goal, timeout_s=10).result.position == number / 200
+        assert grip.run(goal, timeout_s=PATIENCE_S).result.position == number / 200

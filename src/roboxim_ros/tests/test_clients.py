@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
-import time
 
 import pytest
 from rclpy.node import Node
@@ -14,6 +12,7 @@ from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, Unavai
 from roboxim_ros.clients import Clients
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -31,9 +30,10 @@ def _server(context) -> Node:
         return response
 
     def slow(_, response):
-        time.sleep(0.5)
+        node.may_answer.wait(PATIENCE_S)
         return response
 
+    node.may_answer = threading.Event()
     node.create_service(Trigger, "trigger", trigger)
     node.create_service(SetBool, "nested", nested)
     node.create_service(Trigger, "slow", slow)
@@ -69,7 +69,7 @@ def _renamed(context) -> Node:
 
 
 def test_absent_and_slow_services_are_told_apart(graph_host):
-    graph_host.add(_server)
+    server = graph_host.add(_server)
     with Clients("clients", context=graph_host.context) as clients:
         with pytest.raises(UnavailableError, match="/nowhere"):
             clients.call(Trigger, "nowhere", Trigger.Request(), wait_s=0.1)
@@ -77,30 +77,39 @@ def test_absent_and_slow_services_are_told_apart(graph_host):
             clients.call(Trigger, "a b", Trigger.Request())
         with pytest.raises(RequestTimeoutError, match="/slow"):
             clients.call(Trigger, "slow", Trigger.Request(), timeout_s=0.1)
+        server.may_answer.set()
 
 
 HANGING = """
-import sys, time
+import sys, threading
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from roboxim_ros.host import NodeHost
+def hang(request, response):
+    print("called", flush=True)
+    threading.Event().wait()
 def make(context):
     node = Node("hanging", context=context)
-    node.create_service(Trigger, "hang", lambda request, response: time.sleep(60))
+    node.create_service(Trigger, "hang", hang)
     return node
 with NodeHost(domain_id=int(sys.argv[1])) as host:
     host.add(make)
-    time.sleep(60)
+    threading.Event().wait()
 """
 
 
 def test_call_to_a_killed_process_ends_before_its_timeout():
     with (
         free_domain() as domain,
-        subprocess.Popen([sys.executable, "-c", HANGING, str(domain)]) as server,
+        subprocess.Popen([sys.executable, "-c", HANGING, str(domain)], stdout=subprocess.PIPE) as server,
         NodeHost(domain_id=domain) as host,
         Clients("clients", context=host.context) as clients,
     ):
-        threading.Timer(2.0, server.send_signal, [signal.SIGKILL]).start()
-        with pytest.raises(UnavailableError, match="has died"):
-            clients.call(Trigger, "hang", Trigger.Request(), timeout_s=60)
+        killer = threading.Thread(target=lambda: (server.stdout.readline(), server.kill()))
+        killer.start()
+        try:
+            with pytest.raises(UnavailableError, match="has died"):
+                clients.call(Trigger, "hang", Trigger.Request(), timeout_s=PATIENCE_S, wait_s=PATIENCE_S)
+        finally:
+            server.kill()
+            killer.join()

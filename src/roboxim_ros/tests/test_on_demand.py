@@ -9,6 +9,7 @@ from std_msgs.msg import String
 from roboxim_ros import qos
 from roboxim_ros.clients import wait_until
 from roboxim_ros.on_demand import OnDemandGroup
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -35,18 +36,18 @@ def test_messages_wait_until_they_are_taken(graph_host):
         quiet.publish(String(data=text))
     for text in "xyz":
         mark.publish(String(data=text))
-    assert wait_until(lambda: listener.marks == ["x", "y", "z"], 10.0)
+    assert wait_until(lambda: listener.marks == ["x", "y", "z"], PATIENCE_S)
     assert listener.heard == []
-    assert wait_until(lambda: listener.group.take() or len(listener.heard) == 3, 10.0)
+    assert wait_until(lambda: listener.group.take() or len(listener.heard) == 3, PATIENCE_S)
     assert listener.heard == ["a", "b", "c"]
 
     listener.group.open = True
     listener.executor.wake()
     quiet.publish(String(data="d"))
-    assert wait_until(lambda: listener.heard[-1] == "d", 10.0)
+    assert wait_until(lambda: listener.heard[-1] == "d", PATIENCE_S)
     listener.group.open = False
     quiet.publish(String(data="e"))
     mark.publish(String(data="end"))
-    assert wait_until(lambda: listener.marks[-1] == "end", 10.0)
+    assert wait_until(lambda: listener.marks[-1] == "end", PATIENCE_S)
     listener.group.take()
-    assert wait_until(lambda: listener.group.take() or listener.heard[-1] == "e", 10.0)
+    assert wait_until(lambda: listener.group.take() or listener.heard[-1] == "e", PATIENCE_S)

@@ -9,6 +9,7 @@ import pytest
 
 from roboxim_core.errors import ConfigError
 from roboxim_ros import runs
+from roboxim_ros.testing import PATIENCE_S
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +91,7 @@ def test_killed_run_is_forgotten_even_if_its_pid_is_used_again():
 
 
 def test_run_lives_as_long_as_one_of_its_processes():
-    with subprocess.Popen(["sleep", "30"]) as child:
+    with subprocess.Popen(["sleep", "infinity"]) as child:
         with runs.register_run("node", domain=7) as run:
             runs.extend_run(run.id, pids=[child.pid], nodes=["/sim"])
         assert runs.find_run().pids == (child.pid,)
@@ -142,7 +143,7 @@ with free_domain() as domain, NodeHost(domain_id=domain) as host:
 
 def _bound_addresses(transport: str) -> set[str]:
     done = subprocess.run(
-        [sys.executable, "-c", LISTENERS, transport], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", LISTENERS, transport], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     return set(done.stdout.split("\n")) - {""}
 

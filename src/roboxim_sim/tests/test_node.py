@@ -47,6 +47,7 @@ from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain
+from roboxim_ros.testing import PATIENCE_S
 from roboxim_sim.node import SimNode
 from roboxim_sim.world import World
 
@@ -75,7 +76,7 @@ class Listener:
 
     def wait(self, topic: str, fits: Callable[[Any], bool]) -> Any:
         with self._arrived:
-            found = self._arrived.wait_for(lambda: [m for m in self.messages[topic] if fits(m)], timeout=10.0)
+            found = self._arrived.wait_for(lambda: [m for m in self.messages[topic] if fits(m)], timeout=PATIENCE_S)
         assert found, f"nothing that fits on {topic}"
         return found[-1]
 
@@ -113,9 +114,9 @@ def send_goal(clients: Clients, kind: Any, name: str, goal: Any) -> Any:
     def accepted(future: Any) -> None:
         future.result().get_result_async().add_done_callback(lambda f: (box.append(f.result()), done.set()))
 
-    assert client.wait_for_server(10.0)
+    assert client.wait_for_server(PATIENCE_S)
     clients.in_thread(lambda: client.send_goal_async(goal)).add_done_callback(accepted)
-    assert done.wait(20.0)
+    assert done.wait(PATIENCE_S)
     return box[0]
 
 
@@ -263,16 +264,16 @@ def test_a_cancelled_trajectory_stops_where_it_is(clients: Clients) -> None:
     goal.trajectory.joint_names = [f"panda_joint{i}" for i in range(1, 8)]
     goal.trajectory.points = [_point(np.array(HOME) + [1.0, 0, 0, 0, 0, 0, 0], 200)]
     client = action_client(clients, FollowJointTrajectory, "arm_controller/follow_joint_trajectory")
-    assert client.wait_for_server(10.0)
+    assert client.wait_for_server(PATIENCE_S)
     done, moving, box = threading.Event(), threading.Event(), []
 
     def accepted(future: Any) -> None:
         handle = future.result()
         handle.get_result_async().add_done_callback(lambda f: (box.append(f.result()), done.set()))
-        threading.Thread(target=lambda: (moving.wait(10.0), handle.cancel_goal_async()), daemon=True).start()
+        threading.Thread(target=lambda: (moving.wait(PATIENCE_S), handle.cancel_goal_async()), daemon=True).start()
 
     client.send_goal_async(goal, feedback_callback=lambda _: moving.set()).add_done_callback(accepted)
-    assert done.wait(20.0)
+    assert done.wait(PATIENCE_S)
     assert box[0].status == 5
     assert load(clients, without_cameras(), "after").state.seq == 0
 

@@ -247,7 +247,7 @@ def test_a_forked_child_is_refused_instead_of_hanging(raster: RasterRenderer) ->
         [sys.executable, "-c", FORKED, str(Path(__file__).parent)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         env=dict(os.environ),
         check=False,
     )

@@ -64,13 +64,13 @@ class TaskNodeConfig:
     """Whether every scene with cameras is looked at before it is given out."""
     visible_renderer: str = _parameter("raster", "renderer that looks; another one may refuse other scenes")
     """Renderer that looks."""
-    render_timeout_s: float = _parameter(30.0, "longest wait for a picture [s]", 0.1, 600.0)
+    render_timeout_s: float = _parameter(120.0, "longest wait for a picture [s]", 0.1, 600.0)
     """Wait for the simulator."""
     direct: bool = _parameter(
         False, "whether the expert goes straight from stage to stage, whatever is in its way; only to compare with"
     )
     """Whether the expert takes no detours and verifies nothing."""
-    planner_timeout_s: float = _parameter(30.0, "longest wait for the planner [s]", 0.1, 600.0)
+    planner_timeout_s: float = _parameter(120.0, "longest wait for the planner [s]", 0.1, 600.0)
     """Wait for the planner."""
 
 

@@ -18,7 +18,7 @@ from roboxim_interfaces.srv import Act, DescribePolicy, GenerateEpisode, Judge, 
 
 from roboxim_ros.clients import Clients  # noqa: E402
 from roboxim_ros.conversions import from_msg, to_msg  # noqa: E402
-from roboxim_ros.testing import graph_host  # noqa: E402, F401
+from roboxim_ros.testing import PATIENCE_S, graph_host  # noqa: E402, F401
 from roboxim_tasks.node import TaskNode  # noqa: E402
 
 
@@ -26,7 +26,7 @@ from roboxim_tasks.node import TaskNode  # noqa: E402
 def call(graph_host):  # noqa: F811
     graph_host.add(lambda context: TaskNode(context=context, parameters={"solvable": False, "visible": False}))
     with Clients("test", context=graph_host.context) as clients:
-        yield lambda srv, name, **fields: clients.call(srv, name, srv.Request(**fields), timeout_s=10.0)
+        yield lambda srv, name, **fields: clients.call(srv, name, srv.Request(**fields), timeout_s=PATIENCE_S)
 
 
 def generate(call, **fields):

@@ -10,7 +10,7 @@ import click
 
 from roboxim_bringup.attach import run_option
 
-GRACE_S = 15.0
+GRACE_S = 60.0
 
 
 @click.command()

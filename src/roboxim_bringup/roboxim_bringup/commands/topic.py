@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -83,11 +83,14 @@ def echo(
     from roboxim_bringup.messages import message_to_plain
     from roboxim_bringup.yaml_text import dump
 
+    def remind() -> None:
+        click.echo(_silence(absolute(name)), err=True)
+
     def show(message: Any) -> None:
         click.echo(dump(_select(message_to_plain(message, full=full), field)) + "---")
 
     with attached(run_id, domain) as peer:
-        _listen(peer, name, type_name, show, once=once, timeout_s=timeout)
+        _listen(peer, name, type_name, show, once=once, timeout_s=timeout, silent=remind)
 
 
 @command.command("hz")
@@ -100,25 +103,43 @@ def hz(name: str, window: int, duration: float | None, run_id: str | None, domai
     from collections import deque
 
     stamps: deque[float] = deque(maxlen=window)
-    started = last = time.monotonic()
+    last = time.monotonic()
 
-    def note(_: Any) -> bool:
+    def remind() -> None:
+        if not stamps:
+            click.echo(_silence(absolute(name)), err=True)
+
+    def note(_: Any) -> None:
         nonlocal last
         now = time.monotonic()
         stamps.append(now)
         if now - last >= 1.0 and len(stamps) > 1:
             last = now
             _print_rate(list(stamps))
-        return duration is not None and now - started >= duration
 
     with attached(run_id, domain) as peer:
-        _listen(peer, name, None, note, fresh=True, until=None if duration is None else started + duration)
+        _listen(peer, name, None, note, fresh=True, duration_s=duration, silent=remind)
     if len(stamps) > 1:
         _print_rate(list(stamps))
     elif duration is not None:
         from roboxim_core.errors import RequestTimeoutError
 
-        raise RequestTimeoutError(f"{len(stamps)} messages on {absolute(name)} in {duration:g} s")
+        raise RequestTimeoutError(
+            f"{len(stamps)} messages on {absolute(name)} in {duration:g} s" + ("" if stamps else f"; {STILL}")
+        )
+
+
+SILENT_S = 2.0
+"""Silence after which a listening command says what is missing [s]."""
+STILL = (
+    "the simulation moves only when it is asked to, by a run of episodes or by hand: "
+    "roboxim action send_goal /sim/simulate_steps '{steps: 1000}'"
+)
+
+
+def _silence(name: str) -> str:
+    """Say that nothing has come yet, and how to make the simulation move."""
+    return f"no message on {name} for {SILENT_S:g} s; {STILL}"
 
 
 def _print_rate(stamps: list[float]) -> None:
@@ -193,16 +214,18 @@ def _listen(
     peer: Peer,
     name: str,
     type_name: str | None,
-    take: Any,
+    take: Callable[[Any], None],
     *,
     once: bool = False,
     fresh: bool = False,
     timeout_s: float | None = None,
-    until: float | None = None,
+    duration_s: float | None = None,
+    silent: Callable[[], None] | None = None,
 ) -> None:
-    """Hand a topic's messages to ``take`` in this thread until it returns true, Ctrl-C, or the time is up.
+    """Hand a topic's messages to ``take`` in this thread until Ctrl-C, or the time is up.
 
-    ``fresh``: serialised, and only what is published from now on; for timing.
+    ``fresh``: serialised, and only what is published from now on; for timing. ``silent`` is called once when nothing
+    has come for `SILENT_S`.
     """
     import queue
 
@@ -222,18 +245,21 @@ def _listen(
     )
     subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=fresh)
     peer.wake()
-    heard = time.monotonic()
-    stopped = threading.Event()
+    begun = heard = time.monotonic()
     try:
-        while not stopped.is_set() and (until is None or time.monotonic() < until):
+        while duration_s is None or time.monotonic() - begun < duration_s:
             try:
                 message = inbox.get(timeout=0.1)
             except queue.Empty:
+                if silent is not None and time.monotonic() - heard > SILENT_S:
+                    silent()
+                    silent = None
                 if timeout_s is not None and time.monotonic() - heard > timeout_s:
                     raise RequestTimeoutError(f"no message on {absolute(name)} for {timeout_s:g} s") from None
                 continue
             heard = time.monotonic()
-            if take(message) or once:
+            take(message)
+            if once:
                 return
     except KeyboardInterrupt:
         return
