@@ -20,7 +20,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 import numpy as np
 import tensorflow_datasets as tfds
 
-SEMANTICS_KEYS = {"control", "frame", "rotation", "gripper", "rate_hz"}
+SEMANTICS_KEYS = {"control", "frame", "rotation", "gripper", "delta_base", "rate_hz"}
 
 
 def find_dataset(path: Path) -> Path:
@@ -59,7 +59,7 @@ def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], image
 
 def step_problems(step: dict[str, Any], images: dict[str, Any]) -> Iterator[str]:
     """Yield what is wrong with a step."""
-    arrays = {"action": (step["action"], 7), "state": (step["observation"]["state"], 8)}
+    arrays = {"action": (step["action"], 7), "state": (step["observation"]["state"], 10)}
     for name, (value, size) in arrays.items():
         if value.shape != (size,) or value.dtype != np.float32 or not np.isfinite(value).all():
             yield f"{name} is {value.dtype} of shape {value.shape}, or not finite"
@@ -67,7 +67,8 @@ def step_problems(step: dict[str, Any], images: dict[str, Any]) -> Iterator[str]
     action, state = step["action"], step["observation"]["state"]
     if np.abs(action[:3]).max() > 0.2 or np.abs(action[3:6]).max() > 1.0 or not 0 <= action[6] <= 1:
         yield f"an action out of range: {action}"
-    if abs(np.linalg.norm(state[3:7]) - 1) > 1e-3 or not -0.01 <= state[7] <= 1.01:
+    axes = state[3:9].reshape(2, 3)
+    if np.abs(axes @ axes.T - np.eye(2)).max() > 1e-3 or not -0.01 <= state[9] <= 1.01:
         yield f"a state out of range: {state}"
     if float(step["discount"]) != 1.0:
         yield f"discount {step['discount']}"
@@ -83,7 +84,7 @@ def verify(path: Path) -> int:
     """Check a data set, print what it holds and what is wrong; return the number of problems."""
     builder = tfds.builder_from_directory(path)
     observation = builder.info.features["steps"]["observation"]
-    images = {key: feature.shape for key, feature in observation.items() if key != "state"}
+    images = {key: feature.shape for key, feature in observation.items() if key not in ("state", "joint_positions")}
     print(f"{builder.info.full_name}: images {images}")
     problems: list[str] = []
     actions = []

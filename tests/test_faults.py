@@ -109,7 +109,7 @@ def raise_(error):
         (lambda: np.full(7, np.nan), "invalid_action", "finite, got nan at step 0, component 0"),
         (lambda: np.zeros(6), "invalid_action", r"shape \(horizon, 7\), got \(6,\)"),
         (lambda: np.zeros((0, 7)), "invalid_action", "shape"),
-        (lambda: np.zeros((2, 7)), "invalid_action", "2 actions, but it declares horizon 1"),
+        (lambda: np.zeros((2, 7)), "invalid_action", "horizon of at most 1, got \\(2, 7\\)"),
         (lambda: "up", "invalid_action", "not numbers"),
         (lambda: None, "invalid_action", "shape|numbers|finite"),
     ],

@@ -22,19 +22,14 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
 from roboxim_bringup.cores import CoreEyes, CorePlanner
-from roboxim_core.actions import ActionArray, check_chunk
+from roboxim_core.actions import ActionArray
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
+from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.policies import (
-    ActionChunk,
-    EpisodeStart,
-    Observation,
-    ObservationWindow,
-    Policy,
-    PolicyDescription,
-    proprio_of,
-)
+from roboxim_core.policies import Observation, Policy
+from roboxim_core.policy_guard import GuardedPolicy
+from roboxim_core.proprioception import Proprioception
 from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
@@ -81,25 +76,12 @@ class CoreTasks:
         return self._judge.step(state)
 
 
-class CoreActor:
-    """A policy, called directly."""
+class CoreActor(GuardedPolicy):
+    """A policy, called directly, behind the guard that it has in a node."""
 
     def __init__(self, policy: Policy) -> None:
         """Wrap a policy."""
-        self.policy = policy
-
-    def describe(self) -> PolicyDescription:
-        """Say what it is."""
-        return self.policy.describe()
-
-    def reset(self, start: EpisodeStart) -> None:
-        """Start an episode."""
-        self.policy.reset(start)
-
-    def act(self, window: ObservationWindow) -> ActionChunk:
-        """Return the next actions."""
-        answer = self.policy.act(window)
-        return answer if isinstance(answer, ActionChunk) else ActionChunk(actions=check_chunk(answer))
+        super().__init__(policy, named_errors=(RoboximError,))
 
 
 class CoreSim:
@@ -140,7 +122,7 @@ class CoreSim:
             seq=state.seq,
             stamp_ns=state.stamp_ns,
             images=images,
-            proprio=proprio_of(state, self.world.scene.robot.pose),
+            proprio=Proprioception.of(state, self.world.scene.robot.pose),
         )
 
     def release(self, episode_id: str) -> None:

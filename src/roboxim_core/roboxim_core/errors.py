@@ -183,6 +183,21 @@ def raise_for_code(error_code: int, error_msg: str) -> None:
     raise cls(error_msg, code)
 
 
+def printable(value: object, limit: int = 2000) -> str:
+    """Return a text that any message may hold, whatever a stranger's ``__str__`` does.
+
+    Args:
+        value: For example an exception that a user's code raised.
+        limit: Longest text; what is longer is cut off.
+    """
+    try:
+        text = str(value)
+    except (Exception, SystemExit):
+        text = f"(a {type(value).__name__} that cannot be shown)"
+    text = text if len(text) <= limit else f"{text[:limit]}..."
+    return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def one_of(choices: Iterable[str], given: str) -> str:
     """Say which names are valid, with a suggestion, to end an error message with.
 

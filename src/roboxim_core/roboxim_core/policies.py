@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionSemantics
-from roboxim_core.errors import InvalidRequestError
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.errors import InvalidRequestError, printable
+from roboxim_core.proprioception import Proprioception
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 
@@ -20,6 +20,13 @@ FREE = "free"
 """Phase of an action whose way does not matter: noise may be injected."""
 RECOVERY = "recovery"
 """Phase of an action of another try, after the first went wrong: the episode is no first-try success."""
+
+MAX_WINDOW = 1_000
+"""Most observations per request."""
+MAX_HORIZON = 10_000
+"""Most actions per answer."""
+LONGEST_TEXT = 1_000
+"""Longest name or version [characters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +39,16 @@ class CameraRequirement:
     """Wanted width [px]; 0: as the scene has it."""
     height: int = 0
     """Wanted height [px]; 0: as the scene has it."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            InvalidRequestError: On a name that is no string, or a size that is no whole number from 0 to 65535.
+        """
+        _require_text("a camera's name", self.name)
+        for name in ("width", "height"):
+            _require_whole(f"camera '{self.name}': {name}", getattr(self, name), 0, 65_535)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,31 +71,37 @@ class PolicyDescription:
     """Version or checkpoint, for the record."""
 
     def __post_init__(self) -> None:
-        """Check the ranges.
+        """Check types and ranges: a policy's author writes them.
 
         Raises:
-            InvalidRequestError: On a window or horizon below 1.
+            InvalidRequestError: Naming what is wrong.
         """
-        if self.window < 1 or self.horizon < 1:
-            raise InvalidRequestError(
-                f"policy '{self.name}': window and horizon must be >= 1, got {self.window} and {self.horizon}"
-            )
+        _require_text("a policy's name", self.name)
+        _require_text(f"policy '{self.name}': version", self.version)
+        _require_whole(f"policy '{self.name}': window", self.window, 1, MAX_WINDOW)
+        _require_whole(f"policy '{self.name}': horizon", self.horizon, 1, MAX_HORIZON)
+        for name, kind in (("semantics", ActionSemantics), ("privileged", bool), ("cameras", tuple)):
+            if not isinstance(getattr(self, name), kind):
+                raise InvalidRequestError(
+                    f"policy '{self.name}': {name} must be a {kind.__name__}, got {getattr(self, name)!r}"
+                )
+        for camera in self.cameras:
+            if not isinstance(camera, CameraRequirement):
+                raise InvalidRequestError(f"policy '{self.name}': a camera must be a CameraRequirement, got {camera!r}")
 
 
-def proprio_of(state: StateRecord, pose_base_in_world: Pose = IDENTITY) -> ActionArray:
-    """Return a policy's proprioception of a state; what an export stores and what `Act` carries are this one.
+def _require_text(what: str, value: Any) -> None:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not (value.isprintable()):
+        raise InvalidRequestError(
+            f"{what} must be a printable string of at most {LONGEST_TEXT} characters, got {printable(repr(value), 100)}"
+        )
 
-    Args:
-        state: The state record.
-        pose_base_in_world: Pose of the robot's base.
 
-    Returns:
-        float32, shape (8,): measured TCP position in the base frame [m], its quaternion xyzw, gripper opening.
-    """
-    tcp = state.robot.pose_tcp_measured
-    if pose_base_in_world != IDENTITY:
-        tcp = pose_base_in_world.inverse() @ tcp
-    return np.array([*tcp.position, *tcp.quat_xyzw, state.robot.gripper_opening], dtype=np.float32)
+def _require_whole(what: str, value: Any, least: int, most: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise InvalidRequestError(
+            f"{what} must be a whole number from {least} to {most}, got {printable(repr(value), 100)}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +114,8 @@ class Observation:
     """Simulated time [ns]."""
     images: Mapping[str, RGBImage] = field(default_factory=dict)
     """Camera name to RGB image, uint8, shape (height, width, 3), read-only."""
-    proprio: ActionArray = field(default_factory=lambda: np.zeros(8, np.float32))
-    """float32, shape (8,): measured TCP in the base, position [m] (3), quaternion xyzw (4); gripper opening (1)."""
+    proprio: Proprioception = Proprioception()
+    """What the robot measures of itself; ``proprio.vector()`` is one array."""
     state: StateRecord | None = None
     """State record; only for a policy that declares ``privileged``."""
 
@@ -139,7 +162,7 @@ class ActionChunk:
     """Actions with what only an expert says of them; a learned policy returns the bare array."""
 
     actions: ActionArray
-    """float32, shape (horizon, 7)."""
+    """float32, shape (horizon, D); D is 7 by default."""
     done: bool = False
     """Whether the actor has nothing more to do after these; the episode then settles."""
     phases: tuple[str, ...] = ()
@@ -159,5 +182,5 @@ class Policy(Protocol):
         ...
 
     def act(self, window: ObservationWindow) -> npt.ArrayLike | ActionChunk:
-        """Return the next actions, shape (horizon, 7) or (7,), or an `ActionChunk`."""
+        """Return the next actions, shape (horizon, D) or (D,), or an `ActionChunk`."""
         ...

@@ -16,6 +16,7 @@ from typing import Any
 from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.rates import DEFAULT_RATE_HZ, PHYSICS_RATE_HZ, require_control_rate
 
 Scalar = str | float | int | bool
 RGB = tuple[float, float, float]
@@ -413,9 +414,9 @@ class SceneSpec:
     """Materials and lights."""
     workspace: WorkspaceSpec = WorkspaceSpec()
     """Bounds of the commanded tool centre point."""
-    control_rate_hz: float = 10.0
+    control_rate_hz: float = DEFAULT_RATE_HZ
     """Ticks per simulated second; must divide ``physics_rate_hz``."""
-    physics_rate_hz: float = 240.0
+    physics_rate_hz: float = PHYSICS_RATE_HZ
     """Physics steps per simulated second."""
     settle_steps: int = 60
     """Physics steps run after building, before tick 0."""
@@ -441,11 +442,7 @@ class SceneSpec:
         limits.require_range("settle_steps", self.settle_steps, 0, limits.SETTLE_STEPS)
         slowest = self.physics_rate_hz / limits.TICK_STEPS
         limits.require_range("control_rate_hz", self.control_rate_hz, slowest, self.physics_rate_hz)
-        if self.physics_rate_hz / self.control_rate_hz % 1:
-            raise InvalidRequestError(
-                f"control_rate_hz must divide the physics rate of {self.physics_rate_hz:g} Hz, "
-                f"got {self.control_rate_hz:g}; for example 5, 8, 10, 12, 15, 20, 24, 30"
-            )
+        require_control_rate(self.control_rate_hz, self.physics_rate_hz)
         for camera in self.cameras:
             camera.ticks_per_frame(self.control_rate_hz)
 

@@ -296,7 +296,7 @@ def test_leaving_the_workspace_with_the_last_action_counts():
 def test_what_the_run_cannot_give_is_refused_before_the_first_step():
     with pytest.raises(InvalidRequestError, match="no camera 'ceiling'.*workspace"):
         run(World(), Actor(cameras=(CameraRequirement(name="ceiling"),))).run_index(0)
-    semantics = replace(ActionSemantics(), gripper="minus_one_open")
+    semantics = replace(ActionSemantics(), gripper="absolute_open_minus_1_closed_1")
     with pytest.raises(EvaluationError, match="gripper") as caught:
         run(World(), Actor(semantics=semantics)).run_index(0)
     assert caught.value.code == ErrorCode.SEMANTICS_MISMATCH

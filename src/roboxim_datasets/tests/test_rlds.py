@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ FEATURES = RldsFeatures(
     images={"image": (16, 24)},
     encoding="png",
     metadata={"episode_id": "text", "index": "int64", "success": "bool"},
+    joints=6,
 )
 
 
@@ -25,8 +27,9 @@ def make_episode(index: int, steps: int = 5) -> RldsEpisode:
     rng = np.random.default_rng(index)
     return RldsEpisode(
         images={"image": [encode_image(rng.integers(0, 255, (16, 24, 3), np.uint8), "png") for _ in range(steps)]},
-        state=rng.normal(size=(steps, 8)).astype(np.float32),
+        state=rng.normal(size=(steps, 10)).astype(np.float32),
         action=rng.normal(size=(steps, 7)).astype(np.float32),
+        joint_positions=rng.normal(size=(steps, 6)).astype(np.float32),
         instruction=f"Pick up cube {index}",
         reward=np.eye(steps, dtype=np.float32)[-1],
         metadata={"episode_id": f"e{index}", "index": -index, "success": index % 2 == 0},
@@ -48,7 +51,7 @@ def test_episodes_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert (reader.count("train"), reader.count("val"), reader.count("test")) == (5, 1, 0)
     for index, episode in enumerate(reader.episodes("train")):
         expected = make_episode(index)
-        for name in ("state", "action", "reward"):
+        for name in ("state", "joint_positions", "action", "reward"):
             np.testing.assert_array_equal(getattr(episode, name), getattr(expected, name))
         np.testing.assert_array_equal(episode.frames("image"), expected.frames("image"))
         assert episode.instruction == expected.instruction
@@ -95,6 +98,20 @@ def test_existing_data_set_is_refused_unless_overwritten(tmp_path: Path) -> None
     with make_writer(tmp_path, overwrite=True) as writer:
         writer.add("train", make_episode(3))
     assert [e.metadata["episode_id"] for e in RldsReader(tmp_path).episodes("train")] == ["e3"]
+
+
+def test_a_state_of_the_old_layout_is_refused_by_name(tmp_path: Path) -> None:
+    with make_writer(tmp_path) as writer:
+        writer.add("train", make_episode(0))
+    file = next(tmp_path.rglob("features.json"))
+    text = file.read_text()
+    described = json.loads(text)
+    step = described["featuresDict"]["features"]["steps"]["sequence"]["feature"]
+    observation = step["featuresDict"]["features"]["observation"]["featuresDict"]["features"]
+    observation["state"]["tensor"]["shape"]["dimensions"] = ["8"]
+    file.write_text(json.dumps(described))
+    with pytest.raises(RecorderError, match=r"shape \[8\].*expected \[10\].*tcp\.x_axis\.x.*export the bags again"):
+        RldsReader(tmp_path)
 
 
 def test_damage_is_named(tmp_path: Path) -> None:

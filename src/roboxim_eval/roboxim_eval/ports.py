@@ -7,7 +7,6 @@ import threading
 import zlib
 from typing import Any
 
-import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -19,49 +18,39 @@ from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg
 from roboxim_interfaces.srv import (
-    Act,
     CloseEpisode,
-    DescribePolicy,
     GenerateEpisode,
     Judge,
     LoadScene,
     OpenEpisode,
     ReleaseEpisode,
-    ResetPolicy,
     Tick,
 )
 from sensor_msgs.msg import Image
 from simulation_interfaces.srv import GetSimulatorFeatures
 
-from roboxim_core.actions import ACTION_SIZE, ActionArray
+from roboxim_core.actions import ActionArray
 from roboxim_core.episode import Draw, EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import (
     ErrorCode,
     EvaluationError,
-    PolicyError,
     RequestTimeoutError,
     RoboximError,
     SimError,
     UnavailableError,
     raise_for_code,
 )
-from roboxim_core.policies import (
-    ActionChunk,
-    EpisodeStart,
-    Observation,
-    ObservationWindow,
-    PolicyDescription,
-    proprio_of,
-)
+from roboxim_core.policies import Observation
 from roboxim_core.poses import IDENTITY
+from roboxim_core.proprioception import Proprioception
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_eval.conversions import act_request
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
+from roboxim_ros.policy_service import PolicyClient
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; one that has died is noticed sooner."""
@@ -189,7 +178,9 @@ class SimClient:
                     f"{MESSAGE_TIMEOUT_S:g} s; is the camera in the scene and its publisher alive?",
                     ErrorCode.OBSERVATION_MISSING,
                 )
-        return Observation(seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=proprio_of(state, self._base))
+        return Observation(
+            seq=state.seq, stamp_ns=state.stamp_ns, images=images, proprio=Proprioception.of(state, self._base)
+        )
 
     def _collect(self, state: StateRecord, cameras: tuple[str, ...], images: dict[str, Any]) -> bool:
         notice = self._notice
@@ -221,69 +212,6 @@ class SimClient:
             while len(kept) > 4:
                 del kept[next(iter(kept))]
             self._arrived.notify_all()
-
-
-class ActorClient:
-    """A policy, through its three services. Whatever goes wrong with it is the policy's fault."""
-
-    def __init__(self, clients: Clients, namespace: str, timeout_s: float) -> None:
-        """Use the policy of a namespace.
-
-        Args:
-            clients: The clients.
-            namespace: Namespace of the policy, relative, e.g. ``expert``.
-            timeout_s: Longest wait for an answer [s].
-        """
-        self._clients = clients
-        self._namespace = namespace
-        self._timeout_s = timeout_s
-        self._privileged = False
-
-    def describe(self) -> PolicyDescription:
-        """Ask what it is.
-
-        Raises:
-            UnavailableError: When no policy serves the namespace.
-        """
-        answer = self._clients.call(
-            DescribePolicy, f"{self._namespace}/describe_policy", DescribePolicy.Request(), timeout_s=60.0
-        )
-        description = from_msg(answer.description, PolicyDescription)
-        self._privileged = description.privileged
-        return description
-
-    def reset(self, start: EpisodeStart) -> None:
-        """Start an episode."""
-        request = ResetPolicy.Request(
-            episode_id=start.episode_id, instruction=start.instruction, seed=start.seed,
-            task=[to_msg(start.task, TaskSpecMsg)] if start.task else [],
-            scene=[to_msg(start.scene, SceneSpecMsg)] if start.scene else [],
-        )  # fmt: skip
-        self._call(ResetPolicy, "reset_policy", request)
-
-    def act(self, window: ObservationWindow) -> ActionChunk:
-        """Return the next actions."""
-        answer = self._call(Act, "act", act_request(window))
-        if answer.horizon < 1 or len(answer.actions) != ACTION_SIZE * answer.horizon:
-            raise PolicyError(
-                f"policy '{self._namespace}' answered horizon {answer.horizon} with {len(answer.actions)} numbers; "
-                f"expected horizon x {ACTION_SIZE}",
-                ErrorCode.INVALID_ACTION,
-            )
-        actions = np.asarray(answer.actions, np.float32).reshape(answer.horizon, ACTION_SIZE)
-        return ActionChunk(actions=actions, done=answer.done, phases=tuple(answer.phases))
-
-    def _call(self, srv_type: Any, name: str, request: Any) -> Any:
-        try:
-            return self._clients.call(
-                srv_type, f"{self._namespace}/{name}", request, timeout_s=self._timeout_s, wait_s=self._timeout_s
-            )
-        except RequestTimeoutError as error:
-            raise PolicyError(str(error), ErrorCode.POLICY_LATE) from None
-        except UnavailableError as error:
-            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
-        except RoboximError as error:
-            raise PolicyError(str(error), error.code) from None
 
 
 class RecorderClient:
@@ -370,10 +298,10 @@ class RosPorts:
         self.sim = SimClient(self.clients, holder="evaluator")
         self.recorder = RecorderClient(self.clients, "")
 
-    def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[ActorClient, RecorderClient]:
+    def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[PolicyClient, RecorderClient]:
         """Return the actor and recorder of one run."""
         self.recorder._output_dir = output_dir
-        return ActorClient(self.clients, actor, timeout_s), self.recorder
+        return PolicyClient(self.clients, actor, timeout_s), self.recorder
 
     def close(self) -> None:
         """Close the clients."""

@@ -94,7 +94,7 @@ class BasePolicy(ABC):
 
         Args:
             window: Instruction and the last observations: RGB images by camera (uint8, (height, width, 3), read-only)
-                and ``proprio`` (TCP position in the base frame [m], quaternion xyzw, gripper opening).
+                and ``proprio`` (`roboxim_core.proprioception.Proprioception`; ``proprio.vector()`` is one array).
 
         Returns:
             Array-like of shape (horizon, 7) or (7,): translation [m], rotation [rad], gripper (1 = open); see

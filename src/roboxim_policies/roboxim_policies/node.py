@@ -6,16 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.context import Context
-from roboxim_interfaces.msg import PolicyDescription as PolicyDescriptionMsg
-from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
 
 from roboxim_core.policies import Policy
+from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies.base import load_policy
-from roboxim_policies.conversions import fill_chunk, start_from_msg, window_from_msg
-from roboxim_policies.server import GuardedPolicy
-from roboxim_ros.conversions import to_msg
 from roboxim_ros.host import NodeHost, wait_for_stop
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.policy_service import PolicyService
 
 
 class PolicyNode(RoboximNode):
@@ -49,19 +46,7 @@ class PolicyNode(RoboximNode):
         super().__init__("policy", context=context, namespace=namespace, parameters=parameters)
         made = load_policy(policy, **options) if isinstance(policy, str) else policy
         self.guard = GuardedPolicy(made, log=lambda text: self.get_logger().error(text))
-        self.serve(DescribePolicy, "describe_policy", self._on_describe)
-        self.serve(ResetPolicy, "reset_policy", self._on_reset)
-        self.serve(Act, "act", self._on_act)
-
-    def _on_describe(self, request: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
-        response.description = to_msg(self.guard.description, PolicyDescriptionMsg)
-
-    def _on_reset(self, request: ResetPolicy.Request, response: ResetPolicy.Response) -> None:
-        self.guard.reset(start_from_msg(request, privileged=self.guard.description.privileged))
-
-    def _on_act(self, request: Act.Request, response: Act.Response) -> None:
-        chunk = self.guard.act(window_from_msg(request, privileged=self.guard.description.privileged))
-        fill_chunk(response, chunk)
+        PolicyService(self, self.guard)
 
 
 def serve(

@@ -15,6 +15,7 @@ from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.config import from_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_datasets.rlds import RldsEpisode, RldsReader
+from roboxim_ros.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
 
@@ -102,7 +103,7 @@ def _from_bag(source: Path) -> tuple[npt.ArrayLike, ActionSemantics]:
 def _semantics(reader: Any, connection: Any) -> ActionSemantics:
     for _, _, raw in reader.messages(connections=[connection]) if connection else ():
         said = reader.deserialize(raw, connection.msgtype).semantics
-        return ActionSemantics(**{name: getattr(said, name) for name in ActionSemantics.__dataclass_fields__})
+        return from_msg(said, ActionSemantics)
     return ActionSemantics()
 
 

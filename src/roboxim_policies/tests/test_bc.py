@@ -1,5 +1,6 @@
 """Behaviour cloning learns, stops and resumes exactly, and never leaves half a checkpoint."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble, proprio_features, word_indices
@@ -33,10 +35,12 @@ def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstrati
     actions = np.zeros((steps, 7), np.float32)
     actions[:, 0] = 0.02 * direction
     actions[:, 6] = np.arange(steps) < steps - 2
-    proprio = np.zeros((steps, 8), np.float32)
-    proprio[:, 0] = 0.5 + np.cumsum(actions[:, 0])
-    proprio[:, 6] = 1.0
-    proprio[:, 7] = actions[:, 6]
+    proprio = np.stack(
+        [
+            Proprioception(tcp_position=(0.5 + x, 0.0, 0.0), gripper_opening=opening).vector()
+            for x, opening in zip(np.cumsum(actions[:, 0]).tolist(), actions[:, 6].tolist(), strict=True)
+        ]
+    )
     images = {"workspace": np.stack([picture] * steps), "wrist": np.stack([picture[::2, ::2]] * steps)}
     return Demonstration(images=images, proprio=proprio, actions=actions, instruction=f"Pick up the {color} cube")
 
@@ -62,7 +66,9 @@ def trained(tmp_path_factory):
 def first_action(policy: BCPolicy, demonstration: Demonstration, instruction: str) -> np.ndarray:
     policy.reset(EpisodeStart(episode_id="e", instruction=instruction, seed=0))
     images = {name: frames[0] for name, frames in demonstration.images.items()}
-    observation = Observation(seq=0, stamp_ns=0, images=images, proprio=demonstration.proprio[0])
+    x, *_, opening = demonstration.proprio[0].tolist()
+    proprio = Proprioception(tcp_position=(x, 0.0, 0.0), gripper_opening=opening)
+    observation = Observation(seq=0, stamp_ns=0, images=images, proprio=proprio)
     answer = policy.act(
         ObservationWindow(instruction=instruction, observations=[observation], pad_mask=(True,), episode_id="e", seq=0)
     )
@@ -157,6 +163,22 @@ def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
 
 def test_words_and_yaw_are_read_as_meant():
     assert word_indices("Pick up the RED cube, please!", ("cube", "red"), 4).tolist() == [2, 1, 0, 0]
-    down = np.array([0, 0, 0, 1, 0, 0, 0, 1], np.float32)
-    half_turn = np.array([0, 0, 0, 0, 1, 0, 0, 1], np.float32)  # about the vertical: the same for two fingers
+    down = Proprioception(tcp_rotation_6d=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)).vector()
+    half_turn = Proprioception(tcp_rotation_6d=(-1.0, 0.0, 0.0, 0.0, 1.0, 0.0)).vector()  # the same for two fingers
+    eighth = Proprioception(tcp_rotation_6d=(2**-0.5, 2**-0.5, 0.0, 2**-0.5, -(2**-0.5), 0.0), gripper_opening=0.5)
     assert np.allclose(proprio_features(down), proprio_features(half_turn), atol=1e-6)
+    assert proprio_features(eighth.vector()) == pytest.approx([0, 0, 0, 0.5, 1, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [({"format": 1}, r"old\.npz was trained on proprioception of the old layout.*train again"),
+     ({"state_layout": ["x", "y"]}, r"trained on proprioception \['x', 'y'\]")],
+)  # fmt: skip
+def test_a_checkpoint_of_another_proprioception_is_refused_by_name(trained, tmp_path, changed, said):
+    with np.load(trained[0] / "checkpoint.npz") as archive:
+        arrays = dict(archive)
+    arrays["said"] = np.array(json.dumps(json.loads(str(arrays["said"])) | changed))
+    np.savez(tmp_path / "old.npz", **arrays)
+    with pytest.raises(ConfigError, match=said):
+        BCPolicy(tmp_path / "old.npz")

@@ -66,7 +66,7 @@ def write_rlds(folder, semantics=ActionSemantics()):  # noqa: B008 - frozen
     with RldsWriter(folder, features, name="cubes", version="1.0.0", description="") as writer:
         for split, sign in (("train", -1), ("val", 1)):
             episode = RldsEpisode(
-                images={"image": frames}, state=np.zeros((len(ACTIONS), 8), np.float32), action=sign * ACTIONS,
+                images={"image": frames}, state=np.zeros((len(ACTIONS), 10), np.float32), action=sign * ACTIONS,
                 instruction="Pick up the red cube", reward=np.zeros(len(ACTIONS), np.float32),
                 metadata={"action_semantics": to_json(semantics)},
             )  # fmt: skip

@@ -7,6 +7,7 @@ pytest.importorskip("rclpy")
 
 from roboxim_interfaces.msg import CameraImage
 from roboxim_interfaces.msg import Observation as ObservationMsg
+from roboxim_interfaces.msg import Proprioception as ProprioceptionMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
 from sensor_msgs.msg import Image
@@ -14,15 +15,21 @@ from sensor_msgs.msg import Image
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode
 from roboxim_core.policies import PolicyDescription
+from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_image, from_msg
+from roboxim_ros.conversions import fill_image, from_msg, to_msg
 from roboxim_ros.host import NodeHost
 from roboxim_ros.testing import PATIENCE_S, graph_host
 
 pytestmark = pytest.mark.ros
 __all__ = ["graph_host"]
+
+PROPRIO = Proprioception(
+    tcp_position=(0.5, -0.1, 0.3), tcp_rotation_6d=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), joint_names=("a", "b"),
+    joint_positions=(0.1, 0.2), joint_velocities=(0.3, -0.4), gripper_opening=0.25,
+)  # fmt: skip
 
 
 class Users(BasePolicy):
@@ -57,7 +64,7 @@ def call(clients, kind, name, request):
 def act_request(image: np.ndarray) -> Act.Request:
     picture = CameraImage(camera="workspace", image=fill_image(Image(), image, "rgb8"))
     observation = ObservationMsg(
-        seq=4, stamp_ns=400, images=[picture], proprio=np.arange(8, dtype=np.float32), state=[StateRecordMsg()]
+        seq=4, stamp_ns=400, images=[picture], proprio=to_msg(PROPRIO, ProprioceptionMsg), state=[StateRecordMsg()]
     )
     return Act.Request(
         episode_id="e", seq=4, instruction="Pick up the red cube", observations=[observation, observation],
@@ -80,7 +87,7 @@ def test_a_users_class_is_served(served):
     newest = policy.seen[0].newest
     assert np.array_equal(newest.images["workspace"], image)
     assert not newest.images["workspace"].flags.writeable
-    assert newest.proprio.tolist() == list(range(8))
+    assert newest.proprio == PROPRIO
     assert policy.seen[0].pad_mask == (False, True)
     assert newest.state is None  # sent, but the policy is not privileged
 

@@ -7,11 +7,11 @@ import pytest
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError, UnavailableError
 from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
+from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.poses import IDENTITY
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_policies import BasePolicy
-from roboxim_policies.server import GuardedPolicy
 
 TASK = TaskSpec(
     skill="pick_up",
@@ -66,7 +66,7 @@ def guarded(policy, log=lambda text: None) -> GuardedPolicy:
     ("answer", "word"),
     [
         (np.zeros(6), "shape"),
-        (np.zeros((2, 7)), "horizon"),
+        (np.zeros((2, 7)), "horizon of at most 1"),
         (np.zeros((0, 7)), "shape"),
         ([0, 0, float("nan"), 0, 0, 0, 1], "step 0, component 2"),
         ([np.inf] * 7, "finite"),

@@ -50,8 +50,15 @@ def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
             assert label[3] != 0.0
             label[3] = 0.0  # below 1e-5
             np.testing.assert_array_equal(exported.action[step], label)
-            tcp = episode.state(step).robot.pose_tcp_measured
-            np.testing.assert_array_equal(exported.state[step], np.float32([*tcp.position, *tcp.quat_xyzw, 1.0]))
+            robot = episode.state(step).robot
+            tcp = robot.pose_tcp_measured.matrix
+            expected = np.float32([*tcp[:3, 3], *tcp[:3, 0], *tcp[:3, 1], 1.0])
+            np.testing.assert_allclose(exported.state[step], expected, atol=1e-7)
+            np.testing.assert_array_equal(exported.joint_positions[step], np.float32(robot.joint_positions))
+        layout = json.loads(exported.metadata["state_layout"])
+        assert layout[:4] == ["tcp.x", "tcp.y", "tcp.z", "tcp.x_axis.x"]
+        assert (len(layout), layout[-1]) == (10, "gripper.opening")
+        assert json.loads(exported.metadata["joint_names"]) == [f"j{i}" for i in range(7)]
 
 
 def test_episodes_that_took_another_try_are_left_out_unless_asked_for(tmp_path, fake):

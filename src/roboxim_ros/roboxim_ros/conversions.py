@@ -6,6 +6,7 @@ A message and its dataclass have the same field names; the dataclass's annotatio
 - ``dict[str, str]`` is ``diagnostic_msgs/KeyValue[]``; ``dict[str, Scalar]`` too, with the values as JSON scalars;
 - ``dict[str, float]`` is ``NamedValue[]``; a dict of dataclasses is an array of two-field messages (key, value);
 - a dataclass's ``stamp_ns`` may be a message's ``header.stamp``;
+- a `StrEnum` is a ``string``;
 - an optional dataclass is an array of 0 or 1 elements.
 
 `from_msg` reads attributes only, so it serves objects that `rosbags` deserialised as well, without a ROS installation.
@@ -19,6 +20,7 @@ import json
 import sys
 import types
 from collections.abc import Callable
+from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -190,9 +192,21 @@ def _decoder(kind: Any) -> Convert:
         return lambda value: tuple(from_msg(item, args[0]) for item in value)
     if origin is tuple:
         return lambda value: tuple(args[0](item) for item in value)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return _enum_decoder(kind)
     if kind in (int, float, bool, str):
         return cast(Convert, kind)
     return lambda value: value
+
+
+def _enum_decoder(kind: type[Enum]) -> Convert:
+    def decode(value: Any) -> Any:
+        try:
+            return kind(value)
+        except ValueError as error:
+            raise InvalidRequestError(str(error)) from None
+
+    return decode
 
 
 def _dict_decoder(kind: Any) -> Convert:

@@ -17,6 +17,7 @@ from typing import Any
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.rates import DEFAULT_RATE_HZ
 from roboxim_core.specs import Scalar
 from roboxim_tasks.checks import (
     Document,
@@ -107,7 +108,7 @@ class TaskConfig:
     """Reset component to its configuration; the skill's own components need not be named."""
     visible: VisibleConfig = VisibleConfig()
     """What the cameras that are fixed in the world must see of the objects that the instruction names."""
-    rate_hz: float = 10.0
+    rate_hz: float = DEFAULT_RATE_HZ
     """Control rate [Hz]."""
     max_steps: int = 0
     """Actions after which an episode has failed; 0: the skill's."""

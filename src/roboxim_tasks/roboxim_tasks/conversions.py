@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PoseStamped
 from roboxim_interfaces.msg import (
@@ -16,53 +14,16 @@ from roboxim_interfaces.msg import (
     NamedValue,
     PlanningScene,
 )
-from roboxim_interfaces.srv import Act
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboxim_core.errors import InvalidRequestError
-from roboxim_core.policies import ActionChunk, Observation, ObservationWindow
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
-from roboxim_core.state import EntityState, StateRecord
-from roboxim_ros.conversions import fill_pose, from_msg
+from roboxim_core.state import EntityState
+from roboxim_ros.conversions import fill_pose
 from roboxim_tasks.motion import TABLE
 from roboxim_tasks.planning import Surroundings
-
-
-def window_from_msg(request: Any) -> ObservationWindow:
-    """Convert an ``Act`` request; the expert needs no images, so they are left out.
-
-    Raises:
-        InvalidRequestError: When there is no observation.
-    """
-    if not request.observations:
-        raise InvalidRequestError("an Act request needs at least one observation")
-    observations = [
-        Observation(
-            seq=int(item.seq),
-            stamp_ns=int(item.stamp_ns),
-            proprio=np.asarray(item.proprio, dtype=np.float32),
-            state=from_msg(item.state[0], StateRecord) if item.state else None,
-        )
-        for item in request.observations
-    ]
-    return ObservationWindow(
-        instruction=request.instruction,
-        observations=observations,
-        pad_mask=tuple(bool(real) for real in request.pad_mask),
-        episode_id=request.episode_id,
-        seq=int(request.seq),
-    )
-
-
-def fill_chunk(response: Act.Response, chunk: ActionChunk) -> None:
-    """Fill an ``Act`` response."""
-    response.horizon = int(chunk.actions.shape[0])
-    response.actions = chunk.actions.ravel().tolist()
-    response.done = bool(chunk.done)
-    response.phases = list(chunk.phases)
 
 
 def motion_request(robot: str, joints: Array, around: Surroundings, seed: int) -> MotionRequest:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ANY_RATE, ActionSemantics
 from roboxim_core.errors import ErrorCode, PolicyError, TaskError
 from roboxim_core.kinematics import delta_between
 from roboxim_core.models.library import ModelLibrary
@@ -44,7 +44,6 @@ class Expert:
         library: ModelLibrary,
         planner: PlannerPort,
         config: SpeedConfig | None = None,
-        rate_hz: float = 10.0,
         *,
         direct: bool = False,
     ) -> None:
@@ -54,14 +53,12 @@ class Expert:
             library: Robots and objects.
             planner: Verifies and finds motions.
             config: Speeds; none: the default.
-            rate_hz: Control rate that it declares [Hz].
             direct: Whether it goes straight from stage to stage and asks the planner nothing: what a scene whose way
                 is blocked is compared with.
         """
         self._library = library
         self._solver = Solver(library, planner, config, direct=direct)
         self._direct = direct
-        self._rate_hz = rate_hz
         self._start: EpisodeStart | None = None
         self._solution: Solution | None = None
         self._first_seq = 0
@@ -71,7 +68,7 @@ class Expert:
         """Say what the expert is."""
         return PolicyDescription(
             name="direct_expert" if self._direct else "expert",
-            semantics=ActionSemantics(rate_hz=self._rate_hz),
+            semantics=ActionSemantics(rate_hz=ANY_RATE),
             privileged=True,
             version="1",
         )

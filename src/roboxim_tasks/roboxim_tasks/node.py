@@ -8,22 +8,21 @@ from functools import lru_cache
 from typing import Any
 
 from rclpy.context import Context
-from roboxim_interfaces.msg import PolicyDescription as PolicyDescriptionMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg
 from roboxim_interfaces.msg import Verdict as VerdictMsg
-from roboxim_interfaces.srv import Act, DescribePolicy, GenerateEpisode, Judge, ResetPolicy
+from roboxim_interfaces.srv import GenerateEpisode, Judge
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, TaskError
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RoboximError, TaskError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.policies import EpisodeStart
+from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.policy_service import PolicyService
 from roboxim_tasks.config import DEFAULT_TASK, TaskConfig, TaskMix, load_task_config, parse_task_config
-from roboxim_tasks.conversions import fill_chunk, window_from_msg
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge as TaskJudge
@@ -46,8 +45,6 @@ class TaskNodeConfig:
 
     task: str = _parameter(DEFAULT_TASK, "task of requests without a configuration: a name in config/tasks, or a file")
     """Default task."""
-    rate_hz: float = _parameter(10.0, "control rate that the expert declares [Hz]", 1.0, 60.0)
-    """Control rate of the expert."""
     max_tcp_speed_m_s: float = _parameter(SpeedConfig.max_tcp_speed_m_s, "largest tcp speed [m/s]", 0.01, 2.0)
     """Speed of the expert."""
     max_tcp_rot_speed_rad_s: float = _parameter(
@@ -99,12 +96,13 @@ class TaskNode(RoboximNode):
         eyes = EyesClient(self.clients_of_node, self.config.visible_renderer, self.config.render_timeout_s)
         visibility = Visibility(eyes) if self.config.visible else None
         self._generator = EpisodeGenerator(self._library, solvability, visibility)
-        self._expert = Expert(self._library, planner, speeds, self.config.rate_hz, direct=self.config.direct)
+        self._expert = Expert(self._library, planner, speeds, direct=self.config.direct)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)
-        self.serve(DescribePolicy, "expert/describe_policy", self._on_describe)
-        self.serve(ResetPolicy, "expert/reset_policy", self._on_reset)
-        self.serve(Act, "expert/act", self._on_act)
+        guard = GuardedPolicy(
+            self._expert, log=lambda text: self.get_logger().error(text), named_errors=(RoboximError,)
+        )
+        PolicyService(self, guard, "expert")
 
     def _task_config(self, text: str) -> TaskConfig | TaskMix:
         return self._parse(text) if text.strip() else self._default_task
@@ -141,20 +139,3 @@ class TaskNode(RoboximNode):
                 ErrorCode.UNKNOWN_EPISODE,
             )
         response.verdict = to_msg(verdict, VerdictMsg)
-
-    def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
-        response.description = to_msg(self._expert.describe(), PolicyDescriptionMsg)
-
-    def _on_reset(self, request: ResetPolicy.Request, response: ResetPolicy.Response) -> None:
-        self._expert.reset(
-            EpisodeStart(
-                episode_id=request.episode_id,
-                instruction=request.instruction,
-                seed=int(request.seed),
-                task=from_msg(request.task[0], TaskSpec) if request.task else None,
-                scene=from_msg(request.scene[0], SceneSpec) if request.scene else None,
-            )
-        )
-
-    def _on_act(self, request: Act.Request, response: Act.Response) -> None:
-        fill_chunk(response, self._expert.act(window_from_msg(request)))

@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, TaskError
@@ -67,21 +66,19 @@ def test_the_expert_is_a_privileged_policy(call, draw):
     answer = call(DescribePolicy, "expert/describe_policy")
     description = from_msg(answer.description, PolicyDescription)
     assert (description.name, description.privileged, description.cameras) == ("expert", True, ())
-    with pytest.raises(TaskError, match="task and the scene"):
+    with pytest.raises(InvalidRequestError, match="task and the scene"):
         call(ResetPolicy, "expert/reset_policy", episode_id="e")
-    with pytest.raises(TaskError, match="not reset"):
-        call(Act, "expert/act", episode_id="e", observations=[observation(draw(0), with_state=True)])
+    with pytest.raises(InvalidRequestError, match="not reset"):
+        call(Act, "expert/act", episode_id="e", observations=[observation(draw(0), with_state=True)], pad_mask=[True])
     drawn = draw(0)
     call(ResetPolicy, "expert/reset_policy", episode_id="e", task=[to_msg(drawn.task, TaskSpecMsg)],
          scene=[to_msg(drawn.scene, SceneSpecMsg)])  # fmt: skip
-    with pytest.raises(TaskError, match="state record"):
-        call(Act, "expert/act", episode_id="e", observations=[observation(drawn, with_state=False)])
+    with pytest.raises(InvalidRequestError, match="state record"):
+        call(Act, "expert/act", episode_id="e", observations=[observation(drawn, with_state=False)], pad_mask=[True])
 
 
 def observation(drawn, *, with_state):
-    return Observation(
-        proprio=np.zeros(8, np.float32), state=[to_msg(tick(drawn, 0), StateRecordMsg)] if with_state else []
-    )
+    return Observation(state=[to_msg(tick(drawn, 0), StateRecordMsg)] if with_state else [])
 
 
 def tick(drawn, seq, episode_id="e"):

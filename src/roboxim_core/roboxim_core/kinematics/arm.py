@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Array, Pose
 
@@ -106,6 +106,26 @@ class ArmKinematics:
         """Tell whether joints are inside their limits by a margin [rad]."""
         q = np.asarray(joints, dtype=float)
         return bool(np.all(q >= self.lower + margin) and np.all(q <= self.upper - margin))
+
+    def reach(self, pose: Pose, near: npt.ArrayLike) -> Array:
+        """Return arm joints that reach a pose, close to others.
+
+        Args:
+            pose: Pose of the tool centre point in the base.
+            near: Arm joint positions where the search starts, shape (n,) [rad].
+
+        Raises:
+            InvalidRequestError: With code ``INVALID_ACTION`` when the local search finds none within 0.1 um and 1 urad.
+        """
+        found = self.ik_near(pose, near)
+        if not found.converged:
+            raise InvalidRequestError(
+                f"no joints near {np.round(np.asarray(near, dtype=float), 3).tolist()} reach {pose}: the best are "
+                f"{1e3 * found.position_error_m:.2f} mm and {found.rotation_error_rad:.4f} rad off; ask for a pose in "
+                "reach, or one closer to where the arm is",
+                ErrorCode.INVALID_ACTION,
+            )
+        return found.joints
 
     def ik_near(
         self,

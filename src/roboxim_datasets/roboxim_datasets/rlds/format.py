@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.images import ENCODINGS, decode_image
+from roboxim_core.proprioception import STATE_NAMES, STATE_SIZE
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
 MetaValue = str | int | float | bool
-STATE_SIZE = 8
 ACTION_SIZE = 7
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
 _CLASS = "tensorflow_datasets.core.features."
@@ -34,6 +34,8 @@ class RldsFeatures:
     """``jpeg`` or ``png``."""
     metadata: dict[str, str] = field(default_factory=dict)
     """Key of the episode's metadata to ``text``, ``int64``, ``bool`` or ``float32``."""
+    joints: int = 0
+    """Arm joints, whose positions are in ``observation/joint_positions``; 0: there is no such feature."""
 
     def __post_init__(self) -> None:
         """Check the names.
@@ -55,7 +57,8 @@ class RldsEpisode:
     images: Mapping[str, list[bytes]]
     """Image key to T encoded images; `frame` and `frames` decode."""
     state: Array
-    """float32, shape (T, 8): measured TCP position in the base frame [m], its quaternion xyzw, opening."""
+    """float32, shape (T, 10): measured TCP in the base frame, position [m] (3) and rotation as the first two columns
+    of its matrix (6), gripper opening (1); `roboxim_core.proprioception.STATE_NAMES` names the numbers."""
     action: Array
     """float32, shape (T, 7); its meaning is in the metadata's ``action_semantics``."""
     instruction: str
@@ -64,6 +67,8 @@ class RldsEpisode:
     """float32, shape (T,)."""
     metadata: Mapping[str, MetaValue] = field(default_factory=dict)
     """The episode's metadata."""
+    joint_positions: Array = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    """float32, shape (T, joints): measured arm joint positions [rad]; empty: not recorded."""
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -92,7 +97,13 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         InvalidRequestError: When the episode does not fit the features or holds what is not finite.
     """
     count = len(episode)
-    shapes = {"state": (count, STATE_SIZE), "action": (count, ACTION_SIZE), "reward": (count,)}
+    shapes: dict[str, tuple[int, ...]] = {
+        "state": (count, STATE_SIZE),
+        "action": (count, ACTION_SIZE),
+        "reward": (count,),
+    }
+    if features.joints:
+        shapes["joint_positions"] = (count, features.joints)
     for name, shape in shapes.items():
         array = getattr(episode, name)
         if count == 0 or array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
@@ -117,6 +128,8 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         "steps/is_terminal": flags[1],
         "steps/language_instruction": [episode.instruction.encode()] * count,
     }
+    if features.joints:
+        example["steps/observation/joint_positions"] = episode.joint_positions
     for key, images in episode.images.items():
         example[f"steps/observation/{key}"] = images
     for key, kind in features.metadata.items():
@@ -163,8 +176,10 @@ def features_to_json(features: RldsFeatures) -> dict[str, Any]:
     observation["state"] = _tensor(
         "float32",
         (STATE_SIZE,),
-        "TCP position in the base frame [m], quaternion xyzw, gripper opening (1 = open)",
+        f"measured proprioception: {', '.join(STATE_NAMES)}",
     )
+    if features.joints:
+        observation["joint_positions"] = _tensor("float32", (features.joints,), "measured arm joint positions [rad]")
     steps = {
         "observation": _group(observation),
         "action": _tensor("float32", (ACTION_SIZE,), "see episode_metadata/action_semantics"),
@@ -194,9 +209,23 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
         if "image" in value:
             height, width, _ = (int(size) for size in value["image"]["shape"]["dimensions"])
             images[key], encoding = (height, width), value["image"]["encodingFormat"]
+    _require_state(observation["featuresDict"]["features"]["state"])
+    joints = observation["featuresDict"]["features"].get("joint_positions")
     metadata = top["episode_metadata"]["featuresDict"]["features"]
     kinds = {key: "text" if "text" in value else value["tensor"]["dtype"] for key, value in metadata.items()}
-    return RldsFeatures(images=images, encoding=encoding, metadata=kinds)
+    count = int(joints["tensor"]["shape"]["dimensions"][0]) if joints else 0
+    return RldsFeatures(images=images, encoding=encoding, metadata=kinds, joints=count)
+
+
+def _require_state(feature: dict[str, Any]) -> None:
+    """Refuse a state of another layout; earlier versions of RoboXim exported 8 numbers with a quaternion."""
+    shape = [int(size) for size in feature["tensor"]["shape"]["dimensions"]]
+    if shape != [STATE_SIZE]:
+        raise RecorderError(
+            f"its observation/state has shape {shape} ('{feature.get('description', '')}'), expected [{STATE_SIZE}] "
+            f"({', '.join(STATE_NAMES)}); it is of another version of RoboXim: export the bags again",
+            ErrorCode.BAG_DAMAGED,
+        )
 
 
 def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
@@ -213,5 +242,10 @@ def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
         action=example["steps/action"].reshape(-1, ACTION_SIZE),
         instruction=example["steps/language_instruction"][0].decode(),
         reward=example["steps/reward"],
+        joint_positions=(
+            example["steps/observation/joint_positions"].reshape(-1, features.joints)
+            if features.joints
+            else np.zeros((0, 0), np.float32)
+        ),
         metadata=metadata,
     )

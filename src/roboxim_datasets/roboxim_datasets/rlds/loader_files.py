@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_datasets.rlds.format import ACTION_SIZE, STATE_SIZE, RldsFeatures
+from roboxim_core.config import to_plain
+from roboxim_core.proprioception import STATE_NAMES, STATE_SIZE
+from roboxim_datasets.rlds.format import ACTION_SIZE, RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 
 STATISTICS_FILE = "dataset_statistics.json"
@@ -79,9 +81,10 @@ def loader_files(
         "README.md": _README.format(
             name=name,
             version=version,
-            semantics=json.dumps(semantics.__dict__, indent=2),
+            semantics=json.dumps(to_plain(semantics), indent=2),
             episodes=statistics["num_trajectories"],
             steps=statistics["num_transitions"],
+            state_names=", ".join(f"`{component}`" for component in STATE_NAMES),
             dead=", ".join(dead_dimensions(statistics["action"])) or "none",
             primary=primary,
             wrist=wrist,
@@ -101,7 +104,7 @@ def register() -> None:
         "image_obs_keys": {{"primary": {primary!r}, "secondary": None, "wrist": {wrist!r}}},
         "depth_obs_keys": {{"primary": None, "secondary": None, "wrist": None}},
         "state_obs_keys": ["state"],
-        "state_encoding": StateEncoding.POS_QUAT,
+        "state_encoding": StateEncoding.NONE,
         "action_encoding": ActionEncoding.EEF_POS,
     }}
     OXE_STANDARDIZATION_TRANSFORMS["{name}"] = lambda trajectory: trajectory
@@ -117,9 +120,13 @@ builder = tfds.builder_from_directory("{name}/{version}")   # this folder
 ```
 
 A step is the observation of a tick and the action that leads to the next one:
-`observation/{{image keys, state}}`, `action`, `language_instruction`, `reward`, `discount`, `is_first`, `is_last`,
-`is_terminal`. `state` is the position of the tool centre point in the base frame [m], its quaternion xyzw, and the
-gripper's opening. Deltas below 1e-5 were set to 0. Dead action components: {dead}.
+`observation/{{image keys, state, joint_positions}}`, `action`, `language_instruction`, `reward`, `discount`,
+`is_first`, `is_last`, `is_terminal`. Deltas below 1e-5 were set to 0. Dead action components: {dead}.
+
+`state` is measured: {state_names}
+(also in every episode's `episode_metadata/state_layout`). `tcp` is the tool centre point in the base frame: its
+position [m], and its x and y axes, which are the first two columns of its rotation matrix and never jump.
+`joint_positions` are the arm's [rad], in the order of `episode_metadata/joint_names`.
 
 Meaning of the actions (in every episode's `episode_metadata/action_semantics` too):
 

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest, from_plain, to_json, to_plain
 from roboxim_core.errors import ConfigError
+from roboxim_core.proprioception import STATE_NAMES
 from roboxim_policies.bc.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, read_description
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
@@ -129,6 +130,7 @@ def save_checkpoint(
         "input_sizes": {name: int(images.shape[1]) for name, images in data.images.items()},
         "semantics": to_plain(data.semantics),
         "robot": data.robot,
+        "state_layout": list(STATE_NAMES),
         "identity": Checkpoint.identity_of(config, data),
         "digest": hashlib.blake2b(arrays[-1].tobytes(), digest_size=8).hexdigest(),
         "episodes": data.episodes,

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.proprioception import STATE_NAMES
 
-FORMAT = 1
+FORMAT = 2
+"""1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a damaged checkpoint raises."""
 
@@ -38,6 +40,16 @@ def read_description(path: Path) -> dict[str, Any]:
             said: dict[str, Any] = json.loads(str(archive["said"]))
     except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+    if said.get("format") == 1:
+        raise ConfigError(
+            f"{file} was trained on proprioception of the old layout (8 numbers with a quaternion); this "
+            "version has tcp_rotation_6d instead: export the bags and train again"
+        )
     if said.get("format") != FORMAT:
         raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")
+    if tuple(said.get("state_layout", ())) != STATE_NAMES:
+        raise ConfigError(
+            f"{file} was trained on proprioception {said.get('state_layout')}, this version has {list(STATE_NAMES)}; "
+            "export the bags and train again"
+        )
     return said

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError, one_of
@@ -39,7 +38,7 @@ class Demonstration:
     images: Mapping[str, Images]
     """Camera name to uint8 images at the network's size, shape (T, side, side, 3)."""
     proprio: Floats
-    """Shape (T, 8): TCP position in the base frame [m], quaternion xyzw, gripper opening."""
+    """Shape (T, 10): `roboxim_core.proprioception.STATE_NAMES`."""
     actions: Floats
     """Shape (T, 7)."""
     instruction: str
@@ -91,13 +90,18 @@ def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> 
 
 
 def proprio_features(proprio: Floats) -> Floats:
-    """Reduce proprioception of shape (..., 8) to what the network sees: position, gripper opening, twice the yaw.
+    """Reduce proprioception to what the network sees: position, gripper opening, twice the yaw.
 
     A parallel gripper is the same after half a turn, hence sine and cosine of twice the angle.
+
+    Args:
+        proprio: Shape (..., 10): `roboxim_core.proprioception.STATE_NAMES`.
+
+    Returns:
+        Shape (..., `PROPRIO_SIZE`).
     """
-    matrix = Rotation.from_quat(proprio[..., 3:7]).as_matrix()
-    yaw = np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
-    parts = [proprio[..., :3], proprio[..., 7:8], np.sin(2 * yaw)[..., None], np.cos(2 * yaw)[..., None]]
+    yaw = np.arctan2(proprio[..., 4], proprio[..., 3])  # of the tool's x axis
+    parts = [proprio[..., :3], proprio[..., 9:10], np.sin(2 * yaw)[..., None], np.cos(2 * yaw)[..., None]]
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 

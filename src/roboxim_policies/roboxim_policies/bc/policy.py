@@ -13,6 +13,7 @@ from roboxim_core.actions import ActionArray
 from roboxim_core.errors import ConfigError
 from roboxim_core.images import resized
 from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
+from roboxim_core.proprioception import Proprioception
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.data import Floats, Images, proprio_features, word_indices
@@ -56,7 +57,7 @@ class BCPolicy(BasePolicy):
         network = network_of(jnp.asarray(averaged))
         self._predict = jax.jit(lambda *inputs: network(*inputs))
         self._words = self._encode("")
-        self._infer({n: np.zeros((s, s, 3), np.uint8) for n, s in said.input_sizes.items()}, np.zeros(8, np.float32))
+        self._infer({n: np.zeros((s, s, 3), np.uint8) for n, s in said.input_sizes.items()}, Proprioception().vector())
 
     def reset(self, start: EpisodeStart) -> None:
         """Read the instruction."""
@@ -65,7 +66,7 @@ class BCPolicy(BasePolicy):
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""
         newest = window.newest
-        said = self._infer(newest.images, newest.proprio)
+        said = self._infer(newest.images, newest.proprio.vector())
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
         actions[:, 6] = np.asarray(said.gripper[0, : self.horizon]) > 0
@@ -75,8 +76,6 @@ class BCPolicy(BasePolicy):
         return jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
 
     def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
-        if not np.any(proprio[3:7]):
-            proprio = np.array([*proprio[:3], 0, 0, 0, 1, proprio[7]], np.float32)
         pixels = {
             name: jnp.asarray(resized(images[name], side, side), jnp.float32)[None] / 255.0 - 0.5
             for name, side in self._said.input_sizes.items()

@@ -23,7 +23,7 @@ from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.images import encode_image
-from roboxim_core.policies import proprio_of
+from roboxim_core.proprioception import STATE_NAMES, Proprioception
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader
 from roboxim_datasets.rlds.format import MetaValue
 from roboxim_datasets.rlds.loader_files import action_statistics, dead_dimensions, loader_files, statistics_of
@@ -50,6 +50,8 @@ METADATA = {
     "robot": "text",
     "action_semantics": "text",
     "cameras": "text",
+    "state_layout": "text",
+    "joint_names": "text",
     "task": "text",
 }
 
@@ -161,6 +163,7 @@ def export_rlds(
         images={cameras[name]: size for name, size in _sizes(sources, cameras, config).items()},
         encoding=config.encoding,
         metadata=METADATA,
+        joints=_joint_count(sources[0]),
     )
     with disk_errors(path):
         writer = RldsWriter(
@@ -309,17 +312,18 @@ def _write_episodes(
 def _episode(source: _Source, cameras: dict[str, str], config: ExportConfig, pool: ThreadPoolExecutor) -> RldsEpisode:
     size = (config.image_height, config.image_width) if config.image_height else None
     images: dict[str, list[Future[bytes]]] = {key: [] for key in cameras.values()}
-    states, actions = [], []
+    measured: list[Proprioception] = []
+    actions = []
     base = source.info.scene.robot.pose
     for tick in BagReader(source.path).ticks(cameras=list(cameras)):
         if tick.step.phase == "act":
             actions.append(tick.step.action_label)
         if len(actions) == source.result.steps:
             break
-        states.append(proprio_of(tick.state, base))
+        measured.append(Proprioception.of(tick.state, base))
         for name, key in cameras.items():
             images[key].append(pool.submit(encode_image, tick.images[name], config.encoding, size))
-    if len(actions) != source.result.steps or len(states) != len(actions):
+    if len(actions) != source.result.steps or len(measured) != len(actions):
         raise RecorderError(
             f"bag {source.path} has {len(actions)} actions, its result says {source.result.steps}; check it",
             ErrorCode.BAG_DAMAGED,
@@ -330,15 +334,21 @@ def _episode(source: _Source, cameras: dict[str, str], config: ExportConfig, poo
     reward[-1] = source.result.outcome == "success"
     return RldsEpisode(
         images={key: [future.result() for future in futures] for key, futures in images.items()},
-        state=np.array(states, np.float32),
+        state=np.stack([proprio.vector() for proprio in measured]),
+        joint_positions=np.array([proprio.joint_positions for proprio in measured], np.float32),
         action=action,
         instruction=source.info.task.instruction,
         reward=reward,
-        metadata=_metadata(source, cameras),
+        metadata=_metadata(source, cameras, measured[0].joint_names),
     )
 
 
-def _metadata(source: _Source, cameras: dict[str, str]) -> dict[str, MetaValue]:
+def _joint_count(source: _Source) -> int:
+    first = next(iter(BagReader(source.path).ticks(cameras=[])))
+    return len(first.state.robot.joint_names)
+
+
+def _metadata(source: _Source, cameras: dict[str, str], joint_names: Sequence[str]) -> dict[str, MetaValue]:
     info = source.info
     return {
         "episode_id": info.episode_id,
@@ -352,6 +362,8 @@ def _metadata(source: _Source, cameras: dict[str, str]) -> dict[str, MetaValue]:
         "robot": info.scene.robot.model,
         "action_semantics": to_json(info.semantics),
         "cameras": json.dumps({key: name for name, key in cameras.items()}, sort_keys=True),
+        "state_layout": json.dumps(STATE_NAMES),
+        "joint_names": json.dumps(joint_names),
         "task": to_json(info.task),
     }
 

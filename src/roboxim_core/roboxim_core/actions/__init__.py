@@ -1,0 +1,36 @@
+"""Actions: what they mean (`semantics`), how one meaning becomes another (`transforms`), what is refused (`chunks`).
+
+The default meaning: end-effector delta in the robot's base frame, ``[dx, dy, dz, droll, dpitch, dyaw, gripper]``, where
+droll, dpitch, dyaw are the extrinsic XYZ Euler angles of ``R_next R_commanded^T`` and the gripper is absolute,
+1 = open, 0 = closed, linear in the total opening. A mismatch is refused before the first step.
+"""
+
+from roboxim_core.actions.chunks import ACTION_SIZE, ActionArray, check_chunk, hold_action
+from roboxim_core.actions.semantics import (
+    ActionSemantics,
+    ControlMode,
+    DeltaBase,
+    GripperConvention,
+    ReferenceFrame,
+)
+from roboxim_core.actions.transforms import ActionContext, ActionTransform, Kinematics
+from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
+from roboxim_core.rotations import RotationRepresentation
+
+__all__ = [
+    "ACTION_SIZE",
+    "ANY_RATE",
+    "DEFAULT_RATE_HZ",
+    "ActionArray",
+    "ActionContext",
+    "ActionSemantics",
+    "ActionTransform",
+    "ControlMode",
+    "DeltaBase",
+    "GripperConvention",
+    "Kinematics",
+    "ReferenceFrame",
+    "RotationRepresentation",
+    "check_chunk",
+    "hold_action",
+]

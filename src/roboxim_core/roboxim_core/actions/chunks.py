@@ -1,0 +1,99 @@
+"""Checks of action chunks: what a policy returns is either an array of finite numbers or refused by name.
+
+Nothing is cast that is not a real number already: booleans, strings, complex numbers, masked arrays and objects are
+refused, wherever they hide in a list.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, printable
+
+ACTION_SIZE = 7
+"""Size of an action of the default semantics."""
+ActionArray = npt.NDArray[np.float32]
+"""One action, shape (D,), or a chunk of them, shape (horizon, D); D is 7 by default."""
+MAX_ROWS = 1_000_000
+"""Most actions in a chunk where no horizon limits them."""
+
+
+def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX_ROWS) -> ActionArray:
+    """Check a chunk of actions at the door.
+
+    Args:
+        actions: Array-like of integers or floats, shape (horizon, size) or (size,).
+        size: Numbers of an action; none: any, but all the same.
+        most: Largest horizon.
+
+    Returns:
+        float32 array of shape (horizon, size).
+
+    Raises:
+        InvalidRequestError: With code ``INVALID_ACTION``, whatever is wrong: not numbers, a wrong shape, too many
+            actions, a NaN or an infinity (also of a number that float32 cannot hold).
+    """
+    try:
+        raw = _numbers(actions, most)
+    except InvalidRequestError:
+        raise
+    except (Exception, SystemExit) as error:  # an object may raise anything when it is asked for its array
+        raise _invalid(f"actions are not numbers: {type(error).__name__}: {printable(error)}") from None
+    shown = f"(horizon, {'n' if size is None else size})"
+    if raw.ndim not in (1, 2) or raw.size == 0 or (size is not None and raw.shape[-1] != size):
+        raise _invalid(f"actions must have shape {shown}, got {raw.shape}")
+    if raw.ndim == 2 and raw.shape[0] > most:
+        raise _invalid(f"actions must have shape {shown} with a horizon of at most {most}, got {raw.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        chunk = np.atleast_2d(raw).astype(np.float32)
+    if not np.isfinite(chunk).all():
+        row, column = np.argwhere(~np.isfinite(chunk))[0]
+        given = np.atleast_2d(raw)[row, column]
+        raise _invalid(f"actions must be finite, got {given} at step {row}, component {column}")
+    return chunk
+
+
+def _numbers(actions: Any, most: int) -> npt.NDArray[Any]:
+    """Return an array of integers or floats that are exactly what was given."""
+    if isinstance(actions, list | tuple):
+        _require_numbers(actions, most, depth=2)
+    elif isinstance(actions, np.ma.MaskedArray):
+        raise _invalid("actions are not numbers: a masked array; fill its masked values first")
+    raw = np.asarray(actions)
+    if raw.dtype.kind not in "iuf":
+        raise _invalid(f"actions are not numbers: {_kind(actions)} of {raw.dtype}; expected floats")
+    return raw
+
+
+def _require_numbers(values: list[Any] | tuple[Any, ...], most: int, *, depth: int) -> None:
+    """Refuse a list that NumPy would cast: with booleans, strings, masked parts, or too deep or too long."""
+    if len(values) > max(most, 1024):
+        raise _invalid(f"actions have a horizon of at most {most}, got {len(values)}")
+    for value in values:
+        if isinstance(value, list | tuple):
+            if depth == 1:
+                raise _invalid("actions have at most two dimensions, got a deeper list")
+            _require_numbers(value, 1024, depth=depth - 1)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            continue
+        elif isinstance(value, np.ma.MaskedArray) or np.asarray(value).dtype.kind not in "iuf":
+            raise _invalid(f"actions are not numbers: a list with {_kind(value)}")
+
+
+def _kind(value: Any) -> str:
+    name = type(value).__name__
+    return f"{'an' if name[:1].lower() in 'aeiou' else 'a'} {name}"
+
+
+def _invalid(message: str) -> InvalidRequestError:
+    return InvalidRequestError(message, ErrorCode.INVALID_ACTION)
+
+
+def hold_action(gripper: float) -> ActionArray:
+    """Return the action of the default semantics that stays: zero delta, gripper as given, 1 = open."""
+    action = np.zeros(ACTION_SIZE, dtype=np.float32)
+    action[6] = gripper
+    return action

@@ -1,0 +1,337 @@
+"""Transforms between actions of different meaning.
+
+An action of any meaning, together with the arm's commanded and measured state, names a *target*: a pose of the tool
+centre point or arm joint positions, and an opening of the gripper. A transform reads the target out of one meaning and
+writes it in the other. What that needs, and what is lost:
+
+==================================  ===============================  =========================================
+from, to                            needs                            invertible
+==================================  ===============================  =========================================
+end effector to end effector        poses that a delta adds to       yes, up to rounding
+joint space to joint space          joints that a delta adds to      yes, up to rounding
+joint space to end effector         the same, and kinematics (FK)    no: a redundant arm reaches a pose in many ways
+end effector to joint space         the same, and kinematics (IK)    by FK, to the IK's tolerance, where reachable
+different rates                     -                                no transform exists
+==================================  ===============================  =========================================
+
+So every transform that needs no kinematics is invertible: its inverse gives an action of the same meaning, with the
+same numbers where these are the representation's canonical ones (Euler angles within +-pi, a quaternion of norm 1).
+Numbers are not clipped, neither at the gripper's range nor at the limits per tick.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.actions.semantics import ActionSemantics, ControlMode, DeltaBase, ReferenceFrame
+from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError
+from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.rates import ANY_RATE
+from roboxim_core.rotations import GRIPPER_DOWN, IDENTITY_ROTATION, Floats, decode, encode
+from roboxim_core.state import StateRecord
+
+Joints = tuple[float, ...]
+T = TypeVar("T")
+
+
+class Kinematics(Protocol):
+    """What a transform between joint space and end effector needs of a robot; `ArmKinematics` has it."""
+
+    def fk(self, joints: npt.ArrayLike) -> Pose:
+        """Return the pose of the tool centre point in the base for arm joints [rad]."""
+        ...
+
+    def reach(self, pose: Pose, near: npt.ArrayLike) -> Floats:
+        """Return arm joints [rad] that reach a pose in the base, close to ``near``; `InvalidRequestError` if none."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionContext:
+    """Where the arm is before an action. What a transform does not need may be left out."""
+
+    pose_commanded: Pose | None = None
+    """Commanded pose of the tool centre point in the base."""
+    pose_measured: Pose | None = None
+    """Measured pose of the tool centre point in the base."""
+    joints_commanded: Joints | None = None
+    """Commanded arm joint positions [rad]."""
+    joints_measured: Joints | None = None
+    """Measured arm joint positions [rad]."""
+    kinematics: Kinematics | None = None
+    """The robot's kinematics."""
+
+    @staticmethod
+    def of(
+        state: StateRecord, pose_base_in_world: Pose = IDENTITY, kinematics: Kinematics | None = None
+    ) -> ActionContext:
+        """Return the context of the action that follows a state.
+
+        Args:
+            state: The state.
+            pose_base_in_world: Pose of the robot's base.
+            kinematics: The robot's kinematics; none: transforms between joint space and end effector are refused.
+        """
+        to_base = pose_base_in_world.inverse()
+        return ActionContext(
+            pose_commanded=to_base @ state.robot.pose_tcp_commanded,
+            pose_measured=to_base @ state.robot.pose_tcp_measured,
+            joints_commanded=state.robot.joint_commands,
+            joints_measured=state.robot.joint_positions,
+            kinematics=kinematics,
+        )
+
+    def after(self, target: Target) -> ActionContext:
+        """Return the context after a target was commanded. What will be measured then is not known."""
+        return replace(
+            self,
+            pose_commanded=target.pose,
+            pose_measured=None,
+            joints_commanded=target.joints,
+            joints_measured=None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What an action asks for at the end of its tick."""
+
+    pose: Pose | None = None
+    """Pose of the tool centre point in the base; none: in joint space."""
+    joints: Joints | None = None
+    """Arm joint positions [rad]; none: not in joint space."""
+    opening: float = 1.0
+    """Opening of the gripper, 1 = open, 0 = closed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionTransform:
+    """Converts actions. Made by `between`; `then` joins two, `inverse` turns one round."""
+
+    steps: tuple[ActionSemantics, ...]
+    """Meanings that an action takes on, first to last; at least two."""
+
+    @staticmethod
+    def between(source: ActionSemantics, target: ActionSemantics) -> ActionTransform:
+        """Return the transform from one meaning to another.
+
+        Args:
+            source: Meaning of the actions that there are.
+            target: Meaning that is wanted.
+
+        Raises:
+            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the rates differ.
+        """
+        if "rate_hz" in source.differing(target):
+            source.require_compatible(replace(source, rate_hz=target.rate_hz), mine="the source", theirs="the target")
+        rate_hz = source.rate_hz or target.rate_hz
+        if rate_hz == ANY_RATE and ControlMode.JOINT_VELOCITY in (source.control, target.control):
+            raise EvaluationError(
+                "a joint velocity is a motion per tick at a known rate only: set rate_hz on either side",
+                ErrorCode.SEMANTICS_MISMATCH,
+            )
+        return ActionTransform(steps=(replace(source, rate_hz=rate_hz), replace(target, rate_hz=rate_hz)))
+
+    @property
+    def source(self) -> ActionSemantics:
+        """Meaning of what goes in."""
+        return self.steps[0]
+
+    @property
+    def target(self) -> ActionSemantics:
+        """Meaning of what comes out."""
+        return self.steps[-1]
+
+    @property
+    def needs_kinematics(self) -> bool:
+        """Whether the robot's kinematics must be in the context."""
+        return len({step.control.is_joint_space for step in self.steps}) > 1
+
+    @property
+    def invertible(self) -> bool:
+        """Whether `inverse` gives every action its meaning back, up to rounding."""
+        return not self.needs_kinematics
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Fields of the context that it reads."""
+        needed = {
+            f"{'joints' if step.control.is_joint_space else 'pose'}_{step.delta_base}"
+            for step in (self.source, self.target)
+            if step.control.is_relative
+        }
+        if self.needs_kinematics:
+            needed |= {"kinematics"}
+        if any(b.control.is_joint_space and not a.control.is_joint_space for a, b in itertools.pairwise(self.steps)):
+            needed |= {"joints_commanded"}  # where the search for joints starts
+        return tuple(sorted(needed))
+
+    def inverse(self) -> ActionTransform:
+        """Return the transform back, for the same context. See `invertible`."""
+        return ActionTransform(steps=self.steps[::-1])
+
+    def then(self, other: ActionTransform) -> ActionTransform:
+        """Return this transform followed by another.
+
+        Raises:
+            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the other does not begin where this one ends.
+        """
+        self.target.require_compatible(other.source, mine="the first transform's end", theirs="the second's start")
+        return ActionTransform(steps=self.steps + other.steps[1:])
+
+    def apply(self, action: npt.ArrayLike, context: ActionContext) -> Floats:
+        """Convert one action.
+
+        Args:
+            action: Shape (D,), of the source's meaning.
+            context: Where the arm is before the action.
+
+        Returns:
+            float64, shape (D',), of the target's meaning.
+
+        Raises:
+            InvalidRequestError: When the context lacks something (naming it), the action has a wrong shape, its
+                numbers are no rotation, or a pose cannot be reached.
+        """
+        return self._convert(action, context)[0]
+
+    def apply_chunk(self, actions: npt.ArrayLike, context: ActionContext) -> Floats:
+        """Convert actions that follow one another; each adds to what the one before it commanded.
+
+        Args:
+            actions: Shape (horizon, D).
+            context: Where the arm is before the first action.
+
+        Returns:
+            float64, shape (horizon, D').
+
+        Raises:
+            InvalidRequestError: As `apply`; also when a later row adds to a measurement, which is not known yet.
+        """
+        rows = []
+        for action in np.atleast_2d(np.asarray(actions, dtype=float)):
+            row, target = self._convert(action, context)
+            rows.append(row)
+            context = context.after(target)
+        return np.stack(rows)
+
+    def _convert(self, action: npt.ArrayLike, context: ActionContext) -> tuple[Floats, Target]:
+        for name in self.needs:
+            if getattr(context, name) is None:
+                raise InvalidRequestError(
+                    f"the transform from {_shown(self.source)} to {_shown(self.target)} needs '{name}', which the "
+                    "context lacks; a measurement is known for the first action of a chunk only"
+                )
+        target = target_of(action, self.source, context)
+        for before, after in itertools.pairwise(self.steps):
+            if after.control.is_joint_space != before.control.is_joint_space:
+                target = _cross(target, after.control.is_joint_space, context)
+        return action_of(target, self.target, context), target
+
+
+def target_of(action: npt.ArrayLike, semantics: ActionSemantics, context: ActionContext) -> Target:
+    """Return what an action asks for.
+
+    Args:
+        action: Shape (D,).
+        semantics: Its meaning; a joint velocity needs a rate.
+        context: Where the arm is; a relative action needs what its ``delta_base`` names.
+
+    Raises:
+        InvalidRequestError: On a wrong shape, numbers that are no rotation, or a context that lacks something.
+    """
+    row = np.asarray(action, dtype=float)
+    base_joints, base_pose = _bases(semantics, context)
+    size = semantics.dimension(len(base_joints) if base_joints else max(row.size - 1, 1))
+    if row.shape != (size,) or not np.isfinite(row).all():
+        raise InvalidRequestError(
+            f"an action of {_shown(semantics)} is {size} finite numbers, got shape {row.shape}: {row}",
+            ErrorCode.INVALID_ACTION,
+        )
+    opening = semantics.gripper.opening(float(row[-1]))
+    if semantics.control.is_joint_space:
+        joints = row[:-1] / (semantics.rate_hz if semantics.control == ControlMode.JOINT_VELOCITY else 1.0)
+        if base_joints is not None:
+            joints = joints + np.array(base_joints)
+        return Target(joints=tuple(joints.tolist()), opening=opening)
+    translation, rotation = row[:3], decode(row[3:-1], semantics.rotation)
+    if base_pose is None:
+        return Target(pose=_pose(translation, rotation), opening=opening)
+    now, turned = np.array(base_pose.position), base_pose.rotation
+    if semantics.frame == ReferenceFrame.TOOL:
+        return Target(pose=_pose(now + turned.apply(translation), turned * rotation), opening=opening)
+    return Target(pose=_pose(now + translation, rotation * turned), opening=opening)
+
+
+def action_of(target: Target, semantics: ActionSemantics, context: ActionContext) -> Floats:
+    """Return the action of a meaning that asks for a target; the inverse of `target_of` for the same context.
+
+    Args:
+        target: What is asked for; of joint space if the semantics are.
+        semantics: Meaning of the action.
+        context: Where the arm is.
+
+    Raises:
+        InvalidRequestError: When target or context lacks what the meaning needs.
+    """
+    base_joints, base_pose = _bases(semantics, context)
+    gripper = semantics.gripper.number(target.opening)
+    if semantics.control.is_joint_space:
+        joints = np.array(_present(target.joints, "joints of the target"))
+        if base_joints is not None:
+            joints = joints - np.array(base_joints)
+        if semantics.control == ControlMode.JOINT_VELOCITY:
+            joints = joints * semantics.rate_hz
+        return np.array([*joints, gripper])
+    pose = _present(target.pose, "pose of the target")
+    if base_pose is None:
+        return np.array([*pose.position, *encode(pose.rotation, semantics.rotation, GRIPPER_DOWN), gripper])
+    turned = base_pose.rotation
+    translation = np.subtract(pose.position, base_pose.position)
+    if semantics.frame == ReferenceFrame.TOOL:
+        translation, rotation = turned.inv().apply(translation), turned.inv() * pose.rotation
+    else:
+        rotation = pose.rotation * turned.inv()
+    return np.array([*translation, *encode(rotation, semantics.rotation, IDENTITY_ROTATION), gripper])
+
+
+def _bases(semantics: ActionSemantics, context: ActionContext) -> tuple[Joints | None, Pose | None]:
+    """Return the joints or the pose that a relative action adds to; neither for an absolute one."""
+    if not semantics.control.is_relative:
+        return None, None
+    measured = semantics.delta_base == DeltaBase.MEASURED
+    if semantics.control.is_joint_space:
+        joints = context.joints_measured if measured else context.joints_commanded
+        return _present(joints, f"joints_{semantics.delta_base}"), None
+    pose = context.pose_measured if measured else context.pose_commanded
+    return None, _present(pose, f"pose_{semantics.delta_base}")
+
+
+def _cross(target: Target, into_joint_space: bool, context: ActionContext) -> Target:
+    """Return a target with the joints that reach its pose, or with the pose that its joints reach."""
+    kinematics = _present(context.kinematics, "kinematics")
+    if not into_joint_space:
+        return replace(target, pose=kinematics.fk(_present(target.joints, "joints of the target")))
+    pose = _present(target.pose, "pose of the target")
+    joints = kinematics.reach(pose, _present(context.joints_commanded, "joints_commanded"))
+    return replace(target, joints=tuple(np.asarray(joints, dtype=float).tolist()))
+
+
+def _present(value: T | None, name: str) -> T:
+    if value is None:
+        raise InvalidRequestError(f"the transform needs '{name}', which is not given")
+    return value
+
+
+def _pose(position: Floats, rotation: Rotation) -> Pose:
+    return Pose.from_arrays(position, rotation)
+
+
+def _shown(semantics: ActionSemantics) -> str:
+    return f"'{semantics.control}'"

@@ -1,0 +1,193 @@
+"""The guard between a policy and whoever asks it: whatever the policy does wrong becomes an error by name.
+
+Pure: a node decodes messages and calls this, and so does a loop without nodes. A policy's exception never ends its
+node: its traceback is logged and the answer carries ``POLICY_FAULT``. What a policy returns is checked before anybody
+uses it: everything that is not a chunk of finite numbers of the declared size is ``INVALID_ACTION``, nothing is cast.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.actions import check_chunk
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PolicyError, RoboximError, printable
+from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy, PolicyDescription
+
+LONGEST_PHASE = 64
+"""Longest word for a phase [characters]."""
+LONGEST_TRACEBACK = 20_000
+"""Longest traceback in the log [characters]."""
+
+
+def checked_answer(answer: Any, description: PolicyDescription) -> ActionChunk:
+    """Check what a policy returned.
+
+    Args:
+        answer: An `ActionChunk`, or the array-like of its actions.
+        description: What the policy said of itself: size of an action, horizon.
+
+    Returns:
+        Actions as float32, shape (horizon, D), ``done`` as a bool, phases as a tuple of strings.
+
+    Raises:
+        PolicyError: With code ``INVALID_ACTION``, whatever is wrong.
+    """
+    try:
+        return _checked(answer, description)
+    except InvalidRequestError as error:
+        raise PolicyError(str(error), ErrorCode.INVALID_ACTION) from None
+    except (Exception, SystemExit) as error:  # reading an attribute of an object may raise anything
+        raise PolicyError(
+            f"the answer cannot be read: {type(error).__name__}: {printable(error)}", ErrorCode.INVALID_ACTION
+        ) from None
+
+
+def _checked(answer: Any, description: PolicyDescription) -> ActionChunk:
+    chunk = answer if isinstance(answer, ActionChunk) else ActionChunk(actions=answer)
+    semantics = description.semantics
+    size = None if semantics.control.is_joint_space else semantics.dimension()
+    actions = check_chunk(chunk.actions, size=size, most=description.horizon)
+    done: Any = chunk.done
+    if not isinstance(done, bool | np.bool_):
+        raise InvalidRequestError(f"done must be a bool, got {printable(repr(done), 100)}")
+    phases: Any = chunk.phases
+    if not isinstance(phases, tuple | list) or len(phases) not in (0, len(actions)):
+        raise InvalidRequestError(
+            f"phases must be a tuple of one string per action ({len(actions)}), or empty; "
+            f"got {printable(repr(phases), 100)}"
+        )
+    for phase in phases:
+        if not isinstance(phase, str) or len(phase) > LONGEST_PHASE or not phase.isprintable():
+            raise InvalidRequestError(
+                f"a phase must be a printable string of at most {LONGEST_PHASE} characters, "
+                f"got {printable(repr(phase), 100)}"
+            )
+    return ActionChunk(actions=actions, done=bool(done), phases=tuple(str(phase) for phase in phases))
+
+
+class GuardedPolicy:
+    """Calls a policy and trusts nothing it does.
+
+    A policy that does not declare ``privileged`` never gets the task, the scene or a state record, even where a caller
+    sends them.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        log: Callable[[str], None] = lambda text: None,
+        named_errors: tuple[type[RoboximError], ...] = (),
+    ) -> None:
+        """Ask the policy what it is.
+
+        Args:
+            policy: The policy.
+            log: Takes the traceback of whatever the policy raises.
+            named_errors: Errors that keep their code, for a policy of RoboXim's own such as the expert; all else that
+                it raises, except a `PolicyError`, is ``POLICY_FAULT``.
+
+        Raises:
+            PolicyError: When its description is not one.
+        """
+        self._policy, self._log, self._named_errors = policy, log, named_errors
+        self._label = f"policy '{type(policy).__name__}'"
+        with self._blaming("describe"):
+            description = policy.describe()
+            if not isinstance(description, PolicyDescription):
+                raise PolicyError(f"{self._label}: describe must return a PolicyDescription, got {description!r}")
+        self.description = description
+        """What the policy said of itself."""
+        self._label = f"policy '{description.name}'"
+        self._episode: str | None = None
+
+    def describe(self) -> PolicyDescription:
+        """Return what the policy said of itself when it was made."""
+        return self.description
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode.
+
+        Raises:
+            PolicyError: When the policy raises.
+            InvalidRequestError: When a privileged policy is not given the task and the scene.
+        """
+        self._episode = None
+        if not self.description.privileged:
+            start = replace(start, task=None, scene=None)
+        elif start.task is None or start.scene is None:
+            raise InvalidRequestError(f"{self._label} is privileged: a reset needs the task and the scene")
+        with self._blaming(f"reset for episode {start.episode_id}"):
+            self._policy.reset(start)
+        self._episode = start.episode_id
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Ask for the next actions.
+
+        Raises:
+            InvalidRequestError: When the window is not what the policy declared, or its episode was not started.
+            PolicyError: With code ``POLICY_FAULT`` when the policy raises, ``INVALID_ACTION`` when what it returns is
+                no chunk of actions, see `checked_answer`.
+        """
+        self._check_window(window)
+        if not self.description.privileged:
+            observations = [replace(o, state=None) for o in window.observations]
+            window = replace(window, observations=observations)
+        where = f"act at tick {window.seq} of episode {window.episode_id}"
+        with self._blaming(where):
+            answer = self._policy.act(window)
+        try:
+            return checked_answer(answer, self.description)
+        except PolicyError as error:
+            raise PolicyError(f"{self._label} in {where}: {error}", error.code) from None
+
+    def _check_window(self, window: ObservationWindow) -> None:
+        if window.episode_id != self._episode:
+            raise InvalidRequestError(
+                f"{self._label} was not reset for episode '{window.episode_id}' "
+                f"(its episode: {self._episode or 'none'}); call reset_policy first"
+            )
+        if not window.observations or len(window.pad_mask) != len(window.observations):
+            raise InvalidRequestError(
+                f"a window needs at least one observation and a pad mask of the same length, got "
+                f"{len(window.observations)} and {len(window.pad_mask)}"
+            )
+        if self.description.privileged and window.newest.state is None:
+            raise InvalidRequestError(f"{self._label} is privileged: its observations need the state record")
+        for observation in window.observations:
+            for camera in self.description.cameras:
+                image = observation.images.get(camera.name)
+                if image is None:
+                    raise InvalidRequestError(
+                        f"{self._label} looks through camera '{camera.name}', but the observation of tick "
+                        f"{observation.seq} has only {sorted(observation.images) or 'none'}",
+                        ErrorCode.OBSERVATION_MISSING,
+                    )
+                wanted = (camera.height or image.shape[0], camera.width or image.shape[1])
+                if image.shape[:2] != wanted:
+                    raise InvalidRequestError(
+                        f"{self._label} wants camera '{camera.name}' at {wanted[1]}x{wanted[0]} px, got "
+                        f"{image.shape[1]}x{image.shape[0]}; leave the run's image size to the policy"
+                    )
+
+    @contextmanager
+    def _blaming(self, where: str) -> Iterator[None]:
+        """Turn whatever the policy raises, ``SystemExit`` included, into a `PolicyError`; Ctrl-C passes."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise
+        except self._named_errors as error:
+            raise error if isinstance(error, PolicyError) else PolicyError(str(error), error.code) from error
+        except BaseException as error:
+            self._log(printable(f"{self._label} in {where}:\n{traceback.format_exc()}", LONGEST_TRACEBACK))
+            if isinstance(error, PolicyError):
+                raise
+            text = printable(error) or "no message"
+            raise PolicyError(f"{self._label} raised {type(error).__name__} in {where}: {text}") from error

@@ -1,0 +1,238 @@
+"""The policy boundary: the one encoding of ``DescribePolicy``, ``ResetPolicy`` and ``Act``, and both of its ends.
+
+`PolicyService` serves a policy from a node, behind the core's guard, the expert and users' policies alike.
+`PolicyClient` asks one. What an answer may be is checked on both sides by `roboxim_core.policy_guard.checked_answer`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from roboxim_interfaces.msg import CameraImage
+from roboxim_interfaces.msg import Observation as ObservationMsg
+from roboxim_interfaces.msg import PolicyDescription as PolicyDescriptionMsg
+from roboxim_interfaces.msg import Proprioception as ProprioceptionMsg
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg
+from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
+from sensor_msgs.msg import Image
+
+from roboxim_core.errors import ErrorCode, PolicyError, RequestTimeoutError, RoboximError, UnavailableError
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policy_guard import GuardedPolicy, checked_answer
+from roboxim_core.proprioception import Proprioception
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import fill_image, from_msg, image_from_msg, to_msg
+from roboxim_ros.node import RoboximNode
+
+DESCRIBE_TIMEOUT_S = 60.0
+"""Longest wait for a policy to say what it is; it may still be loading its weights."""
+
+
+def encode_start(start: EpisodeStart) -> ResetPolicy.Request:
+    """Return the request that starts an episode."""
+    return ResetPolicy.Request(
+        episode_id=start.episode_id,
+        instruction=start.instruction,
+        seed=start.seed,
+        task=[to_msg(start.task, TaskSpecMsg)] if start.task else [],
+        scene=[to_msg(start.scene, SceneSpecMsg)] if start.scene else [],
+    )
+
+
+def decode_start(request: Any, *, privileged: bool) -> EpisodeStart:
+    """Read the request that starts an episode.
+
+    Args:
+        request: The request.
+        privileged: Whether the task and the scene are read; else they are not even converted.
+
+    Raises:
+        InvalidRequestError: On a task or scene that is not valid.
+    """
+    return EpisodeStart(
+        episode_id=request.episode_id,
+        instruction=request.instruction,
+        seed=int(request.seed),
+        task=from_msg(request.task[0], TaskSpec) if privileged and request.task else None,
+        scene=from_msg(request.scene[0], SceneSpec) if privileged and request.scene else None,
+    )
+
+
+def encode_window(window: ObservationWindow) -> Act.Request:
+    """Return the request for actions; a repeated frame is converted once, and each image copied once."""
+    done: dict[int, ObservationMsg] = {}
+    for observation in window.observations:
+        if id(observation) not in done:
+            done[id(observation)] = _encode_observation(observation)
+    return Act.Request(
+        episode_id=window.episode_id,
+        seq=window.seq,
+        instruction=window.instruction,
+        observations=[done[id(observation)] for observation in window.observations],
+        pad_mask=list(window.pad_mask),
+    )
+
+
+def decode_window(request: Any, *, privileged: bool) -> ObservationWindow:
+    """Read a request for actions. Images share the request's memory and are read-only.
+
+    Args:
+        request: The request.
+        privileged: Whether the state records are read; else they are not even converted.
+
+    Raises:
+        InvalidRequestError: On an image whose data does not fit its size or encoding, or proprioception that is not
+            finite.
+    """
+    return ObservationWindow(
+        instruction=request.instruction,
+        observations=[_decode_observation(item, privileged) for item in request.observations],
+        pad_mask=tuple(bool(real) for real in request.pad_mask),
+        episode_id=request.episode_id,
+        seq=int(request.seq),
+    )
+
+
+def _encode_observation(observation: Observation) -> ObservationMsg:
+    return ObservationMsg(
+        seq=observation.seq,
+        stamp_ns=observation.stamp_ns,
+        images=[
+            CameraImage(camera=name, image=fill_image(Image(), image, "rgb8"))
+            for name, image in observation.images.items()
+        ],
+        proprio=to_msg(observation.proprio, ProprioceptionMsg),
+        state=[] if observation.state is None else [to_msg(observation.state, StateRecordMsg)],
+    )
+
+
+def _decode_observation(item: Any, privileged: bool) -> Observation:
+    return Observation(
+        seq=int(item.seq),
+        stamp_ns=int(item.stamp_ns),
+        images={image.camera: image_from_msg(image.image) for image in item.images},
+        proprio=from_msg(item.proprio, Proprioception),
+        state=from_msg(item.state[0], StateRecord) if privileged and item.state else None,
+    )
+
+
+def fill_answer(response: Act.Response, chunk: ActionChunk) -> None:
+    """Fill the response with checked actions."""
+    response.horizon = len(chunk.actions)
+    response.actions = chunk.actions.ravel().tolist()
+    response.done = chunk.done
+    response.phases = list(chunk.phases)
+
+
+def decode_answer(response: Any, description: PolicyDescription) -> ActionChunk:
+    """Read and check the response with actions.
+
+    Args:
+        response: The response.
+        description: What the policy said of itself.
+
+    Raises:
+        PolicyError: With code ``INVALID_ACTION`` when it holds no chunk of actions of the declared size.
+    """
+    horizon, numbers = int(response.horizon), np.asarray(response.actions, np.float32)
+    if horizon < 1 or numbers.size % horizon:
+        raise PolicyError(
+            f"policy '{description.name}' answered horizon {horizon} with {numbers.size} numbers; expected a multiple",
+            ErrorCode.INVALID_ACTION,
+        )
+    chunk = ActionChunk(actions=numbers.reshape(horizon, -1), done=bool(response.done), phases=tuple(response.phases))
+    return checked_answer(chunk, description)
+
+
+class PolicyService:
+    """Serves a guarded policy from a node: ``describe_policy``, ``reset_policy``, ``act``."""
+
+    def __init__(self, node: RoboximNode, guard: GuardedPolicy, namespace: str = "") -> None:
+        """Offer the three services.
+
+        Args:
+            node: The node that serves.
+            guard: The policy behind its guard.
+            namespace: Namespace of the services below the node's, e.g. ``expert``; empty: the node's own.
+        """
+        self.guard = guard
+        prefix = f"{namespace}/" if namespace else ""
+        node.serve(DescribePolicy, f"{prefix}describe_policy", self._on_describe)
+        node.serve(ResetPolicy, f"{prefix}reset_policy", self._on_reset)
+        node.serve(Act, f"{prefix}act", self._on_act)
+
+    def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
+        response.description = to_msg(self.guard.description, PolicyDescriptionMsg)
+
+    def _on_reset(self, request: ResetPolicy.Request, _: ResetPolicy.Response) -> None:
+        self.guard.reset(decode_start(request, privileged=self.guard.description.privileged))
+
+    def _on_act(self, request: Act.Request, response: Act.Response) -> None:
+        fill_answer(response, self.guard.act(decode_window(request, privileged=self.guard.description.privileged)))
+
+
+class PolicyClient:
+    """A policy, through its three services. Whatever goes wrong with it is the policy's fault."""
+
+    def __init__(self, clients: Clients, namespace: str, timeout_s: float) -> None:
+        """Use the policy of a namespace.
+
+        Args:
+            clients: The clients.
+            namespace: Namespace of the policy, relative, e.g. ``expert``.
+            timeout_s: Longest wait for an answer [s].
+        """
+        self._clients = clients
+        self._namespace = namespace
+        self._timeout_s = timeout_s
+        self._description: PolicyDescription | None = None
+
+    def describe(self) -> PolicyDescription:
+        """Ask what it is.
+
+        Raises:
+            UnavailableError: When no policy serves the namespace.
+            InvalidRequestError: When its description is not valid.
+        """
+        answer = self._clients.call(
+            DescribePolicy,
+            f"{self._namespace}/describe_policy",
+            DescribePolicy.Request(),
+            timeout_s=DESCRIBE_TIMEOUT_S,
+        )
+        self._description = from_msg(answer.description, PolicyDescription)
+        return self._description
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode.
+
+        Raises:
+            PolicyError: With the code of whatever went wrong; ``POLICY_LATE``, ``POLICY_DIED``.
+        """
+        self._call(ResetPolicy, "reset_policy", encode_start(start))
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the next actions.
+
+        Raises:
+            PolicyError: With the code of whatever went wrong; ``POLICY_LATE``, ``POLICY_DIED``, ``INVALID_ACTION``.
+        """
+        description = self._description or self.describe()
+        return decode_answer(self._call(Act, "act", encode_window(window)), description)
+
+    def _call(self, srv_type: Any, name: str, request: Any) -> Any:
+        try:
+            return self._clients.call(
+                srv_type, f"{self._namespace}/{name}", request, timeout_s=self._timeout_s, wait_s=self._timeout_s
+            )
+        except RequestTimeoutError as error:
+            raise PolicyError(str(error), ErrorCode.POLICY_LATE) from None
+        except UnavailableError as error:
+            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
+        except RoboximError as error:
+            raise PolicyError(str(error), error.code) from None
