@@ -5,11 +5,13 @@ import os
 from setuptools import find_packages, setup
 
 
-def configuration():
-    """Return the YAML files of the checkout, to be installed as <prefix>/config, where roboxim_core looks."""
+def configuration(folder, target=""):
+    """Return the files of a folder of the checkout, to be installed below <prefix>/<target>."""
     root = os.path.join("..", "..")
-    folders = os.walk(os.path.join(root, "config"))
-    return [(os.path.relpath(path, root), [os.path.join(path, name) for name in names]) for path, _, names in folders]
+    return [
+        (os.path.join(target, os.path.relpath(path, root)), [os.path.join(path, name) for name in names])
+        for path, _, names in os.walk(os.path.join(root, folder))
+    ]
 
 
 setup(
@@ -20,7 +22,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/roboxim_core"]),
         ("share/roboxim_core", ["package.xml"]),
-        *configuration(),
+        *configuration("config"),  # where roboxim_core looks
+        *configuration(os.path.join("config", "robots"), "share/roboxim_core"),  # package:// of /robot_description
     ],
     zip_safe=False,
 )

@@ -6,7 +6,6 @@ For tests (an episode through the nodes must be this one, bit for bit) and for t
 from __future__ import annotations
 
 import time
-import zlib
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,9 +16,6 @@ from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
-from roboxim_interfaces.msg import TickNotice
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image
 
 from roboxim_bringup.cores import CoreEyes, CorePlanner
 from roboxim_core.actions import ActionArray
@@ -37,10 +33,10 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros.conversions import fill_stamp, to_msg
-from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
+from roboxim_ros.conversions import to_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig
+from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
@@ -94,6 +90,7 @@ class CoreSim:
         self._renderer = make_renderer(renderer)
         self._rig = CameraRig(self._renderer)
         self._messages: dict[str, Any] = {}
+        self._tick_messages: TickMessages | None = None
         self.images: dict[str, CameraImages] = {}
 
     @property
@@ -106,6 +103,7 @@ class CoreSim:
         record = self.world.load(scene, episode_id)
         if scene.cameras:
             self._rig.load(render_world(scene, self.library), scene)
+        self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)
         self._capture(record)
         return record
 
@@ -146,34 +144,9 @@ class CoreSim:
     def messages(self) -> dict[str, Any]:
         """The newest tick's messages, by topic."""
         if not self._messages:
-            self._messages = self._made_messages(self.world.record)
+            assert self._tick_messages is not None
+            self._messages = self._tick_messages.make(self.world.record, self.images)
         return self._messages
-
-    def _made_messages(self, record: StateRecord) -> dict[str, Any]:
-        world, stamp_ns = self.world, record.stamp_ns
-        cameras = world.camera_poses()
-        frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}
-        frames["tcp"] = record.robot.pose_tcp_measured
-        frames |= {entity.name: entity.pose for entity in record.entities}
-        frames |= {optical_frame(name): pose for name, pose in cameras.items()}
-        messages: dict[str, Any] = {
-            "clock": Clock(clock=fill_stamp(Clock().clock, stamp_ns)),
-            "joint_states": joint_state_msg(record, world.robot),
-            "tf": tf_msg(stamp_ns, frames),
-            "sim/state": to_msg(record, StateRecordMsg),
-        }
-        checksums = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0}
-        for camera in world.scene.cameras:
-            for kind, message in camera_msgs(stamp_ns, camera, self.images[camera.name]).items():
-                topic = f"camera/{camera.name}/{kind}"
-                messages[topic] = message
-                checksums[topic] = zlib.crc32(message.data) if isinstance(message, Image) else 0
-        notice = TickNotice(
-            episode_id=record.episode_id, seq=record.seq, topics=list(checksums), reset=record.seq == 0,
-            image_crc32=list(checksums.values()),
-        )  # fmt: skip
-        fill_stamp(notice.stamp, stamp_ns)
-        return {**messages, "sim/ticks": notice}
 
 
 class CoreRecorder:

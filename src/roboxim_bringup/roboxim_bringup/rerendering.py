@@ -13,8 +13,7 @@ import multiprocessing
 import os
 import queue
 import signal
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,6 @@ from typing import Any
 from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
-from roboxim_interfaces.msg import TickNotice
-from sensor_msgs.msg import Image
 
 from roboxim_bringup.process import describe_exit, die_with_parent
 from roboxim_bringup.run_folder import RunFolder
@@ -33,21 +30,19 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError, one_of, raise_for_code
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
-from roboxim_core.poses import Pose
 from roboxim_core.recorded import recorded_parameters
-from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import RGB, CameraSpec, LightSpec, LookSpec, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, find_episode
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros.conversions import fill_stamp, from_msg, stamp_to_ns, to_msg
-from roboxim_sim.conversions import camera_msgs, optical_frame, tf_msg
+from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.photo import THREADS_VARIABLE
 from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.rendering.textures import pixels
+from roboxim_sim.tick_messages import OF_STATE, TickMessages, tick_notice
 
 SURFACES = ("table", "floor", "wall")
 
@@ -195,66 +190,28 @@ class Rerenderer:
         """Give every tick of a bag to a recording, its cameras' part made anew."""
         rig, poses = CameraRig(self._renderer), ScenePoses(scene, self._library)
         rig.load(render_world(scene, self._library), scene)
-        old = reader.info.scene
-        of_cameras = {topic for topic in topics.scene_topics(old) if topic not in topics.ALWAYS}
-        frames = {optical_frame(camera.name) for camera in old.cameras}
-        tick: dict[str, Any] = {}
+        tick_messages = TickMessages(scene, self._library.robot(scene.robot.model), poses)
+        of_cameras = {topic for topic in topics.scene_topics(reader.info.scene) if topic not in topics.ALWAYS}
+        made_anew = {*of_cameras, *topics.OF_SCENE, "/tf", topics.NOTICE}
+        state: StateRecord | None = None
         for topic, cdr in reader.raw():
-            if topic in (topics.NOTICE, topics.RESULT) and tick:  # what is recorded besides follows a tick's step
-                record = from_msg(tick[topics.STATE], StateRecord)
-                cameras = poses.camera_poses(record.robot)
-                images = rig.capture(
-                    record.seq, poses.body_poses(record), [(c, cameras[c.name]) for c in scene.cameras]
-                )
-                made = _camera_messages(record.stamp_ns, scene, images)
-                transforms = {name: pose for name, pose in _transforms(tick["/tf"]).items() if name not in frames}
-                transforms |= {optical_frame(name): pose for name, pose in cameras.items()}
-                made["/tf"] = tf_msg(record.stamp_ns, transforms)
-                made[topics.NOTICE] = _notice(tick[topics.NOTICE], of_cameras, made)
-                for name, message in made.items():
-                    recording.message(name, _cdr(message))
-                tick = {}
+            if topic in (topics.NOTICE, topics.RESULT) and state is not None:  # extra topics follow a tick's step
+                cameras = poses.camera_poses(state.robot)
+                images = rig.capture(state.seq, poses.body_poses(state), [(c, cameras[c.name]) for c in scene.cameras])
+                made = tick_messages.make_seen(state, images)
+                notice = tick_notice(state, {**dict.fromkeys(OF_STATE), **made})
+                for name, message in {**made, topics.NOTICE: notice}.items():
+                    recording.message(topics.absolute(name), _cdr(message))
+                state = None
                 on_tick()
-            if topic in (topics.NOTICE, topics.STATE, "/tf"):
-                tick[topic] = reader.decode(topic, cdr)
-            if topic not in of_cameras and topic not in topics.OWN and topic not in (topics.NOTICE, "/tf"):
+            if topic == topics.STATE:
+                state = from_msg(reader.decode(topic, cdr), StateRecord)
+            if topic not in made_anew and topic not in topics.OWN:
                 recording.message(topic, cdr)
 
 
 def _cdr(message: Any) -> bytes:
     return bytes(serialize_message(message))
-
-
-def _camera_messages(stamp_ns: int, scene: SceneSpec, images: Mapping[str, CameraImages]) -> dict[str, Any]:
-    """Return topic to message of all cameras."""
-    return {
-        topics.image_topic(camera.name, kind): message
-        for camera in scene.cameras
-        for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items()
-    }
-
-
-def _transforms(tf: Any) -> dict[str, Pose]:
-    """Return frame to pose in the world."""
-    poses = {}
-    for transform in tf.transforms:
-        t, q = transform.transform.translation, transform.transform.rotation
-        poses[transform.child_frame_id] = Pose(position=(t.x, t.y, t.z), quat_xyzw=(q.x, q.y, q.z, q.w))
-    return poses
-
-
-def _notice(recorded: Any, of_cameras: set[str], made: Mapping[str, Any]) -> TickNotice:
-    """Return the notice of a tick with the cameras' topics in place of the recorded ones."""
-    names = {name: 0 for name in recorded.topics if topics.absolute(name) not in of_cameras}
-    for topic, message in made.items():
-        if topic.startswith("/camera/"):
-            names[topic[1:]] = zlib.crc32(message.data) if isinstance(message, Image) else 0
-    notice = TickNotice(
-        episode_id=recorded.episode_id, seq=int(recorded.seq), topics=list(names), image_crc32=list(names.values()),
-        reset=bool(recorded.reset),
-    )  # fmt: skip
-    fill_stamp(notice.stamp, stamp_to_ns(recorded.stamp))
-    return notice
 
 
 # ------------------------------------------------------------------ many bags, on several processes

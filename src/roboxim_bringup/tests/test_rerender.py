@@ -97,10 +97,14 @@ def test_cameras_lights_and_size_change_and_nothing_else(recorded: Path, tmp_pat
         }  # fmt: skip
         assert b.depth.keys() == {"workspace", "pose_1"}
         assert not b.segmentation
-    tf = next(message for topic, _, message in new.messages(["/tf"]))
-    frames = {transform.child_frame_id for transform in tf.transforms}
-    assert "pose_1_optical" in frames
-    assert "wrist_optical" not in frames
+    fixed, moving = (
+        {transform.child_frame_id for transform in next(iter(new.messages([topic])))[2].transforms}
+        for topic in ("/tf_static", "/tf")
+    )
+    assert {"panda_base", "workspace_optical", "pose_1_optical"} <= fixed
+    assert "panda_hand" in moving
+    assert not {"wrist_optical", "pose_1_optical"} & moving
+    assert new.counts["/tf_static"] == new.counts["/robot_description"] == 1
     assert new.result == old.result
 
 

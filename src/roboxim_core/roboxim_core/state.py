@@ -55,6 +55,12 @@ class RobotState:
     """Commanded opening, 1 = open, 0 = closed."""
     finger_positions: tuple[float, ...] = ()
     """Measured finger joint positions [m]."""
+    joint_efforts: tuple[float, ...] = ()
+    """Torque of each arm motor in the tick's last physics step [N m]."""
+    finger_velocities: tuple[float, ...] = ()
+    """Measured finger joint velocities [m/s]."""
+    finger_efforts: tuple[float, ...] = ()
+    """Force of each finger motor in the tick's last physics step [N]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +108,10 @@ class StateRecord:
     disturbed: bool = False
     """Whether anything but this episode's ticks has moved the world since tick 0."""
     state_hash: str = field(default="", compare=True)
-    """Hash of the full dynamic state, 32 hexadecimal digits; equal hashes mean equal bits."""
+    """Hash of the full dynamic state, 32 hexadecimal digits; equal hashes mean equal bits. Motor efforts are not in
+    it: they follow from the state and the command."""
+    scene_hash: str = ""
+    """`roboxim_core.config.digest` of the scene that this is a state of; empty: unknown."""
 
     def entity(self, name: str) -> EntityState:
         """Return an entity's state by name.

@@ -125,12 +125,12 @@ class SimClient:
     def watch(self, cameras: tuple[str, ...]) -> None:
         """Subscribe to cameras and the notices of ticks; done once per camera and run."""
         if cameras and not self._subscriptions:
-            self._clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.STATE)
+            self._clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.EVENTS)
         for camera in cameras:
             if camera not in self._subscriptions:
                 self._images[camera] = {}
                 self._subscriptions[camera] = self._clients.node.create_subscription(
-                    Image, f"camera/{camera}/image", lambda msg, name=camera: self._on_image(name, msg), qos.SENSOR
+                    Image, f"camera/{camera}/image", lambda msg, name=camera: self._on_image(name, msg), qos.EVENTS
                 )
 
     def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
@@ -229,8 +229,8 @@ class RecorderClient:
         self._acknowledged = threading.Condition()
         self._last = RecordedTick()
         self._open = ""
-        clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.STATE)
-        self._publisher: Publisher = clients.node.create_publisher(EpisodeStepMsg, "evaluator/step", qos.SENSOR)
+        clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.EVENTS)
+        self._publisher: Publisher = clients.node.create_publisher(EpisodeStepMsg, "evaluator/step", qos.EVENTS)
 
     def open(self, info: EpisodeInfo) -> None:
         """Open the episode's bag."""

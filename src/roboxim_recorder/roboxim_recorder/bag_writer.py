@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_recorder.schemas import MessageSchema
+from roboxim_recorder.topics import OF_SCENE
 
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 """How an episode is kept to the folder that it is kept in."""
@@ -26,20 +27,24 @@ METADATA = "roboxim"
 """Name of the MCAP metadata record."""
 FORMAT_VERSION = "2"
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
-_QOS = [
-    {
+
+
+def _qos(topic: str) -> dict[str, Any]:
+    """Return the QoS that a player offers; the topics of a scene hold for whoever subscribes later."""
+    latched = topic in OF_SCENE
+    return {
         "history": "keep_last",
-        "depth": 10,
+        "depth": 1 if latched else 10,
         "reliability": "reliable",
-        "durability": "volatile",
+        "durability": "transient_local" if latched else "volatile",
         "deadline": dict(_FOREVER),
         "lifespan": dict(_FOREVER),
         "liveliness": "automatic",
         "liveliness_lease_duration": dict(_FOREVER),
         "avoid_ros_namespace_conventions": False,
     }
-]
-_QOS_TEXT = yaml.safe_dump(_QOS, sort_keys=False)
+
+
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -87,7 +92,7 @@ class McapFile:
             "cdr",
             self._schema_ids[schema.name],
             {
-                "offered_qos_profiles": _QOS_TEXT,
+                "offered_qos_profiles": yaml.safe_dump([_qos(topic)], sort_keys=False),
                 "topic_type_hash": schema.type_hash,
             },
         )
@@ -130,7 +135,7 @@ class McapFile:
                     "name": topic,
                     "type": self._schemas[topic].name,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": [dict(_QOS[0])],
+                    "offered_qos_profiles": [_qos(topic)],
                     "type_description_hash": self._schemas[topic].type_hash,
                 },
                 "message_count": count,

@@ -43,7 +43,7 @@ class RecorderNode(RoboximNode):
         self._failed = ""
         self._opened_ns = 0
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
-        self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.STATE)
+        self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
         self._of_ticks = OnDemandGroup()
         for topic, kind in topics.ALWAYS.items():
             self._subscribe_tick(topic, kind)
@@ -105,7 +105,7 @@ class RecorderNode(RoboximNode):
 
     def _subscribe_tick(self, topic: str, kind: str) -> None:
         """Subscribe to a topic of every tick, by its name in the bag; only the step is heard as it comes."""
-        self._subscribe(topic[1:], kind, qos.STATE, None if topic == topics.STEP else self._of_ticks)
+        self._subscribe(topic[1:], kind, qos.EVENTS, None if topic == topics.STEP else self._of_ticks)
 
     def _subscribe(self, name: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None) -> None:
         """Subscribe to a topic by its name in the graph, unless that is done; another type replaces it."""

@@ -9,6 +9,8 @@ RESULT = "/episode/result"
 STEP = "/evaluator/step"
 NOTICE = "/sim/ticks"
 STATE = "/sim/state"
+TF_STATIC = "/tf_static"
+DESCRIPTION = "/robot_description"
 
 OWN = {INFO: "roboxim_interfaces/msg/EpisodeInfo", RESULT: "roboxim_interfaces/msg/EpisodeResult"}
 """Topics that the recorder itself writes: the first and the last message."""
@@ -17,10 +19,14 @@ ALWAYS = {
     "/clock": "rosgraph_msgs/msg/Clock",
     "/joint_states": "sensor_msgs/msg/JointState",
     "/tf": "tf2_msgs/msg/TFMessage",
+    TF_STATIC: "tf2_msgs/msg/TFMessage",
+    DESCRIPTION: "std_msgs/msg/String",
     STATE: "roboxim_interfaces/msg/StateRecord",
     STEP: "roboxim_interfaces/msg/EpisodeStep",
 }
 """Topics of every episode."""
+OF_SCENE = (TF_STATIC, DESCRIPTION)
+"""Those with a message in tick 0 only, which holds for the whole episode."""
 
 WALL_TIMES = {STEP: ("inference_s",), RESULT: ("wall_s", "inference_s")}
 """Fields that hold wall time [s]; they are 0 in bags, so that equal episodes give equal bytes."""

@@ -184,10 +184,10 @@ class RobotBody:
         self._turn_of_contacts = now
         self._next_finger = 1 - self._next_finger
 
-    def read_joints(self) -> tuple[list[float], list[float]]:
-        """Return positions and velocities of the arm's joints, then the fingers'."""
+    def read_joints(self) -> tuple[list[float], list[float], list[float]]:
+        """Return positions, velocities and the last step's motor efforts of the arm's joints, then the fingers'."""
         states = pybullet.getJointStates(self.id, self.arm + self.fingers, physicsClientId=self._client)
-        return [s[0] for s in states], [s[1] for s in states]
+        return [s[0] for s in states], [s[1] for s in states], [s[3] for s in states]
 
     def _finger_rotation(self) -> tuple[float, ...]:
         """Return the rotation of the first finger in the world as a quaternion; the fingers only slide."""

@@ -19,22 +19,20 @@ from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
 from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
 
-NAN = float("nan")
 ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
 """Kind of image to the encoding of its message."""
 
 
 def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
-    """Return the arm's and fingers' joints; NaN stands for what is not measured."""
+    """Return the arm's and fingers' joints."""
     robot = record.robot
-    fingers = len(robot.finger_positions)
     msg = JointState()
     fill_stamp(msg.header.stamp, record.stamp_ns)
     msg.header.frame_id = f"{model.id}_base"
     msg.name = [*robot.joint_names, *model.gripper.joint_names]
     msg.position = [*robot.joint_positions, *robot.finger_positions]
-    msg.velocity = [*robot.joint_velocities, *[NAN] * fingers]
-    msg.effort = [NAN] * len(msg.name)
+    msg.velocity = [*robot.joint_velocities, *robot.finger_velocities]
+    msg.effort = [*robot.joint_efforts, *robot.finger_efforts]
     return msg
 
 

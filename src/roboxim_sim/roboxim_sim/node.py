@@ -6,39 +6,47 @@ coroutine that gives the executor a turn after every control period, so that it 
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
-from roboxim_interfaces.msg import CameraImage, TickNotice
+from roboxim_interfaces.msg import CameraImage
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
-from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, RenderState, RestoreSnapshot, TakeSnapshot, Tick
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image, JointState
-from tf2_msgs.msg import TFMessage
+from roboxim_interfaces.srv import (
+    GetState,
+    LoadScene,
+    ReleaseEpisode,
+    RenderState,
+    RestoreSnapshot,
+    TakeSnapshot,
+    Tick,
+)
 
 from roboxim_core import limits
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.rendering import Renderer
+from roboxim_core.rendering import CameraImages, Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros import qos
-from roboxim_ros.conversions import fill_stamp, from_msg, to_msg
+from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
-from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.conversions import camera_msgs
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.snapshots import Snapshot
+from roboxim_sim.tick_messages import KINDS, TickMessages
 from roboxim_sim.world import World
+
+PROFILES = {topic: qos.LATCHED if topic in ("tf_static", "robot_description") else qos.STATE for topic in KINDS}
+"""Topic to its QoS; cameras have `qos.SENSOR`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,17 +89,16 @@ class SimNode(RoboximNode):
         self._rig: CameraRig | None = None
         self._states: dict[str, StateRenderer] = {}
         self._holder = ""
-        self._clock_out = self.create_publisher(Clock, "clock", qos.STATE)
-        self._joints_out = self.create_publisher(JointState, "joint_states", qos.STATE)
-        self._tf_out = self.create_publisher(TFMessage, "tf", qos.STATE)
+        self._tick_messages: TickMessages | None = None
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
-        self._state_out = self.create_publisher(StateRecordMsg, "sim/state", qos.STATE)
-        self._ticks_out = self.create_publisher(TickNotice, "sim/ticks", qos.STATE)
-        self._camera_publishers: dict[str, Publisher] = {}
+        self._outputs: dict[str, Publisher] = {}
+        for topic, kind in KINDS.items():
+            self._publisher(topic, kind)
 
         self.serve(LoadScene, "sim/load_scene", self._on_load_scene)
         self.serve(Tick, "sim/tick", self._on_tick)
         self.serve(ReleaseEpisode, "sim/release_episode", self._on_release)
+        self.serve(GetState, "sim/get_state", self._on_get_state)
         self.serve(TakeSnapshot, "sim/take_snapshot", self._on_take_snapshot)
         self.serve(RestoreSnapshot, "sim/restore_snapshot", self._on_restore_snapshot)
         self.serve(RenderState, "sim/render_state", self._on_render_state)
@@ -144,27 +151,11 @@ class SimNode(RoboximNode):
 
     def publish(self, record: StateRecord) -> StateRecordMsg:
         """Publish everything of a state and return its message."""
-        world, stamp_ns = self.world, record.stamp_ns
-        state = to_msg(record, StateRecordMsg)
-        cameras = world.camera_poses()
-        frames = {f"{world.robot.id}_base": world.scene.robot.pose, **world.link_poses()}
-        frames["tcp"] = record.robot.pose_tcp_measured
-        frames |= {entity.name: entity.pose for entity in record.entities}
-        frames |= {optical_frame(name): pose for name, pose in cameras.items()}
-        self._clock_out.publish(Clock(clock=fill_stamp(Clock().clock, stamp_ns)))
-        self._joints_out.publish(joint_state_msg(record, world.robot))
-        self._tf_out.publish(tf_msg(stamp_ns, frames))
-        self._state_out.publish(state)
-        topics = {"clock": 0, "joint_states": 0, "tf": 0, "sim/state": 0, **self._publish_cameras(record)}
-        notice = TickNotice(
-            episode_id=record.episode_id,
-            seq=record.seq,
-            topics=list(topics),
-            image_crc32=list(topics.values()),
-            reset=record.seq == 0,
-        )
-        fill_stamp(notice.stamp, stamp_ns)
-        self._ticks_out.publish(notice)
+        assert self._tick_messages is not None
+        messages = self._tick_messages.make(record, self._capture(record))
+        for topic, message in messages.items():
+            self._publisher(topic, type(message)).publish(message)
+        state: StateRecordMsg = messages["sim/state"]
         return state
 
     def _publish_or_release(self, record: StateRecord) -> StateRecordMsg:
@@ -178,6 +169,7 @@ class SimNode(RoboximNode):
     def _show_world(self) -> None:
         scene = self.world.scene
         self._scene_out.publish(to_msg(scene, SceneSpecMsg))
+        self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)
         if scene.cameras:
             self._rig = CameraRig(self._renderer(self._renderer_name, "live"))
             self._rig.load(render_world(scene, self.library), scene)
@@ -189,28 +181,21 @@ class SimNode(RoboximNode):
             self.get_logger().info(f"renderer for {use} images: {name} ({self._renderers[name, use].device})")
         return self._renderers[name, use]
 
-    def _publish_cameras(self, record: StateRecord) -> dict[str, int]:
-        """Render and publish; return topic to CRC-32 of the image's data, 0 for a camera info."""
-        scene = self.world.scene
-        if not scene.cameras:
+    def _capture(self, record: StateRecord) -> dict[str, CameraImages]:
+        """Return what the scene's cameras see, by name."""
+        cameras = self.world.scene.cameras
+        if not cameras:
             return {}
-        poses = self.world.camera_poses()
         assert self._rig is not None
-        images = self._rig.capture(
-            record.seq, self.world.body_poses(), [(camera, poses[camera.name]) for camera in scene.cameras]
+        poses = self.world.camera_poses()
+        return self._rig.capture(
+            record.seq, self.world.body_poses(), [(camera, poses[camera.name]) for camera in cameras]
         )
-        published: dict[str, int] = {}
-        for camera in scene.cameras:
-            for kind, msg in camera_msgs(record.stamp_ns, camera, images[camera.name]).items():
-                topic = f"camera/{camera.name}/{kind}"
-                self._camera_publisher(topic, type(msg)).publish(msg)
-                published[topic] = zlib.crc32(msg.data) if isinstance(msg, Image) else 0
-        return published
 
-    def _camera_publisher(self, topic: str, kind: Any) -> Publisher:
-        if topic not in self._camera_publishers:
-            self._camera_publishers[topic] = self.create_publisher(kind, topic, qos.SENSOR)
-        return self._camera_publishers[topic]
+    def _publisher(self, topic: str, kind: Any) -> Publisher:
+        if topic not in self._outputs:
+            self._outputs[topic] = self.create_publisher(kind, topic, PROFILES.get(topic, qos.SENSOR))
+        return self._outputs[topic]
 
     # ---------------------------------------------------------------- services
 
@@ -226,6 +211,10 @@ class SimNode(RoboximNode):
 
     def _on_release(self, request: ReleaseEpisode.Request, response: ReleaseEpisode.Response) -> None:
         self.world.release(request.episode_id)
+
+    def _on_get_state(self, request: GetState.Request, response: GetState.Response) -> None:
+        response.scene = to_msg(self.world.scene, SceneSpecMsg)
+        response.state = to_msg(self.world.record, StateRecordMsg)
 
     def _on_take_snapshot(self, request: TakeSnapshot.Request, response: TakeSnapshot.Response) -> None:
         response.snapshot_json = to_json(self.world.snapshot())

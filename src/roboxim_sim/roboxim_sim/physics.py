@@ -93,7 +93,15 @@ class Physics:
             self._observer.after_step()
 
     def read(
-        self, arm: ArmKinematics, command: ControllerState, *, episode_id: str, seq: int, stamp_ns: int, disturbed: bool
+        self,
+        arm: ArmKinematics,
+        command: ControllerState,
+        *,
+        episode_id: str,
+        seq: int,
+        stamp_ns: int,
+        disturbed: bool,
+        scene_hash: str,
     ) -> StateRecord:
         """Return the present state.
 
@@ -104,6 +112,7 @@ class Physics:
             seq: For the record.
             stamp_ns: For the record [ns].
             disturbed: For the record.
+            scene_hash: For the record.
 
         Raises:
             SimError: With code ``SIM_FAULT`` when a pose is not finite.
@@ -125,4 +134,5 @@ class Physics:
             contacts=self._observer.contacts(),
             disturbed=disturbed,
             state_hash=hash_state(joints, command, entities, [speeds for _, speeds in read]),
+            scene_hash=scene_hash,
         )

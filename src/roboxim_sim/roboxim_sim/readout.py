@@ -131,7 +131,7 @@ def read_robot(
         command: What it is commanded.
         base: Pose of its base in the world.
     """
-    positions, velocities = body.read_joints()
+    positions, velocities, efforts = body.read_joints()
     count = len(model.joint_names)
     fingers = tuple(positions[count:])
     measured = arm.fk(positions[:count])
@@ -145,6 +145,9 @@ def read_robot(
         gripper_opening=min(1.0, max(0.0, sum(fingers) / model.gripper.max_opening_m)),
         gripper_command=command.gripper,
         finger_positions=fingers,
+        joint_efforts=tuple(efforts[:count]),
+        finger_velocities=tuple(velocities[count:]),
+        finger_efforts=tuple(efforts[count:]),
     )
     return state, positions + velocities
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
 from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController
 from roboxim_core.models.description import RobotModel
@@ -34,7 +35,7 @@ R = TypeVar("R")
 
 
 class World:
-    """A Panda at a table in PyBullet. A context manager; one thread at a time.
+    """A robot at a table in PyBullet. A context manager; one thread at a time.
 
     Non-obvious: time moves in ticks while an episode holds the world (`tick`), freely otherwise (`step`,
     `follow_trajectory`, `move_gripper`); free motion marks the record as ``disturbed``, as no actions lead to it.
@@ -146,17 +147,29 @@ class World:
         """
         self._object(name)
 
+    @property
+    def scene_poses(self) -> ScenePoses:
+        """Where the scene's bodies and cameras are, given a state; another one when the scene changes.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        scene = self.scene
+        if self._scene_poses is None:
+            self._scene_poses = ScenePoses(scene, self.library, self._controller.arm)
+        return self._scene_poses
+
     def body_poses(self) -> dict[str, Pose]:
         """Return the pose of every moving body in the world, by the keys of `render_world`."""
-        return self._poses().body_poses(self._record)
+        return self.scene_poses.body_poses(self._record)
 
     def camera_poses(self) -> dict[str, Pose]:
         """Return the pose of every camera's optical frame in the world, by name."""
-        return self._poses().camera_poses(self._record.robot)
+        return self.scene_poses.camera_poses(self._record.robot)
 
     def link_poses(self) -> dict[str, Pose]:
         """Return the pose of every robot link in the world, by name."""
-        return self._poses().link_poses(self._record.robot)
+        return self.scene_poses.link_poses(self._record.robot)
 
     # ---------------------------------------------------------------- life of a scene
 
@@ -196,6 +209,7 @@ class World:
         self._steps_per_tick = round(scene.physics_rate_hz / scene.control_rate_hz)
         self._step_ns = 1e9 / scene.physics_rate_hz
         self._scene = self._tick0_scene = scene
+        self._scene_hash = digest(scene)
         self._rewatch()
         self._advance(max(0, scene.settle_steps - self._steps_per_tick))
         self.physics.begin_tick()
@@ -388,7 +402,7 @@ class World:
         scene = replace(self.scene, entities=(*self.scene.entities, entity))
         model = self.library.entity_model(entity)
         self.physics.add(entity, model)
-        self._scene = scene
+        self._scene, self._scene_hash = scene, digest(scene)
         return self._disturb()
 
     def delete_entity(self, name: str) -> StateRecord:
@@ -399,6 +413,7 @@ class World:
         """
         self.physics.remove(self._object(name))
         self._scene = replace(self.scene, entities=tuple(e for e in self.scene.entities if e.name != name))
+        self._scene_hash = digest(self._scene)
         return self._disturb()
 
     # ---------------------------------------------------------------- snapshots
@@ -455,11 +470,6 @@ class World:
             raise InvalidRequestError(f"gripper_opening must be from 0 to 1, got {scene.robot.gripper_opening}")
         return joints
 
-    def _poses(self) -> ScenePoses:
-        if self._scene_poses is None:
-            self._scene_poses = ScenePoses(self.scene, self.library, self._controller.arm)
-        return self._scene_poses
-
     def _rewatch(self) -> None:
         self.physics.rewatch()
         self._scene_poses = None
@@ -477,6 +487,7 @@ class World:
             seq=self._seq,
             stamp_ns=round(self._steps * self._step_ns),
             disturbed=self._disturbed,
+            scene_hash=self._scene_hash,
         )
 
     def require_free(self, what: str) -> None:

@@ -145,6 +145,8 @@ def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
     record = tick(clients, 1, "topics")
     notice = listener.wait("sim/ticks", lambda m: m.episode_id == "topics" and m.seq == 1)
     assert set(notice.topics) == {"sim/state", *listener.messages} - {"sim/ticks"}
+    first = listener.wait("sim/ticks", lambda m: m.episode_id == "topics" and m.seq == 0)
+    assert set(first.topics) == {*notice.topics, "tf_static", "robot_description"}
     crc = dict(zip(notice.topics, notice.image_crc32, strict=True))
     for camera in ("workspace", "wrist"):
         topic = f"camera/{camera}/image"
@@ -154,10 +156,14 @@ def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
         assert image_from_msg(image).std() > 5
     joints = listener.wait("joint_states", lambda m: stamp_to_ns(m.header.stamp) == record.stamp_ns)
     assert tuple(joints.position[:7]) == record.robot.joint_positions
+    assert tuple(joints.velocity) == (*record.robot.joint_velocities, *record.robot.finger_velocities)
+    assert tuple(joints.effort) == (*record.robot.joint_efforts, *record.robot.finger_efforts)
     assert len(joints.velocity) == len(joints.effort) == len(joints.name) == 9
+    assert np.isfinite([*joints.position, *joints.velocity, *joints.effort]).all()
     tf = listener.wait("tf", lambda m: stamp_to_ns(m.transforms[0].header.stamp) == record.stamp_ns)
     frames = {t.child_frame_id for t in tf.transforms}
-    assert frames >= {"panda_base", "tcp", "panda_hand", "red_cube", "wrist_optical"}
+    assert frames >= {"tcp", "panda_hand", "red_cube", "wrist_optical"}
+    assert not frames & {"panda_base", "panda_link0", "workspace_optical"}, "what does not move is in tf_static"
     info = listener.wait("camera/wrist/camera_info", lambda m: True)
     assert info.k[0] == pytest.approx(24 / np.tan(1.3090 / 2))
 

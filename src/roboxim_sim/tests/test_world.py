@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import hold_action
-from roboxim_core.config import from_json, to_json
+from roboxim_core.config import digest, from_json, to_json
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError, SimError
 from roboxim_core.kinematics import ArmKinematics, delta_between
 from roboxim_core.models.library import ModelLibrary
@@ -313,6 +313,20 @@ def test_gripper_closes_outside_an_episode(world: World) -> None:
     assert states[-1].robot.gripper_opening < 0.02
     assert len(states) < 20
     assert list(world.move_gripper(1.0))[-1].robot.gripper_opening > 0.98
+
+
+def test_motor_efforts_carry_the_arm_and_hold_the_cube(world: World) -> None:
+    record = world.load(cubes(0, 1))
+    robot = record.robot
+    assert len(robot.joint_efforts) == 7
+    assert len(robot.finger_efforts) == len(robot.finger_velocities) == 2
+    assert 10.0 < abs(robot.joint_efforts[1]) < 87.0, "the shoulder carries the arm's weight, within its motor's torque"
+    assert max(map(abs, robot.finger_velocities)) < 1e-3
+    closing = next(world.move_gripper(0.0)).robot
+    assert max(closing.finger_velocities) < -0.01
+    held = pick(world, "cube_0").robot
+    assert min(map(abs, held.finger_efforts)) > 1.0
+    assert world.record.scene_hash == digest(world.scene) == record.scene_hash
 
 
 def test_loading_ends_a_motion(world: World) -> None:

@@ -134,6 +134,7 @@ class ScenePoses:
         self._arm = arm or ArmKinematics(library.robot(scene.robot.model))
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         self._last: tuple[RobotState, dict[str, Pose]] | None = None
+        self._last_objects: tuple[StateRecord, dict[str, Pose]] | None = None
         for camera in scene.cameras:
             camera_parent(camera, self._arm)
 
@@ -151,12 +152,19 @@ class ScenePoses:
         """Return the pose of every moving body of `render_world` in the world, by key."""
         drawn = _drawn_links(self._arm.model.urdf)
         poses = {f"robot/{link}": pose for link, pose in self.link_poses(record.robot).items() if link in drawn}
-        for entity in record.entities:
-            if entity.name in self._models:
-                joints = dict(zip(entity.joint_names, entity.joint_positions, strict=True))
-                for link, pose in object_link_poses(self._models[entity.name], joints).items():
-                    poses[body_key(entity.name, link)] = entity.pose @ pose if link else entity.pose
-        return poses
+        return poses | self.object_poses(record)
+
+    def object_poses(self, record: StateRecord) -> dict[str, Pose]:
+        """Return the pose of every link of the objects in the world, by `body_key`."""
+        if self._last_objects is None or self._last_objects[0] is not record:
+            poses = {}
+            for entity in record.entities:
+                if entity.name in self._models:
+                    joints = dict(zip(entity.joint_names, entity.joint_positions, strict=True))
+                    for link, pose in object_link_poses(self._models[entity.name], joints).items():
+                        poses[body_key(entity.name, link)] = entity.pose @ pose if link else entity.pose
+            self._last_objects = (record, poses)
+        return self._last_objects[1]
 
     def camera_poses(self, robot: RobotState, cameras: tuple[CameraSpec, ...] | None = None) -> dict[str, Pose]:
         """Return the pose of each camera's optical frame in the world, by name.

@@ -1,0 +1,118 @@
+"""The messages of a tick: what the sim node publishes, the cores' graph records, and re-rendering makes anew."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+from roboxim_interfaces.msg import TickNotice
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from roboxim_core.models.description import RobotModel
+from roboxim_core.models.visuals import ScenePoses
+from roboxim_core.poses import Pose
+from roboxim_core.rendering import CameraImages
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros.conversions import fill_stamp, to_msg
+from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.robot_description import robot_description
+
+NOTICE = "sim/ticks"
+"""Topic that names the others; published last."""
+KINDS: Mapping[str, Any] = {
+    "clock": Clock,
+    "joint_states": JointState,
+    "tf": TFMessage,
+    "tf_static": TFMessage,
+    "robot_description": String,
+    "sim/state": StateRecordMsg,
+    NOTICE: TickNotice,
+}
+"""Topic to type of what every scene has; cameras have topics besides."""
+OF_STATE = ("clock", "joint_states", "sim/state")
+"""Topics of a tick that do not depend on the scene's cameras."""
+
+
+class TickMessages:
+    """Makes the messages of a scene's ticks, by topic. Make another one when the scene changes.
+
+    Frames that no tick moves (the robot's base, cameras whose parent is ``world``) are in ``tf_static``; it and
+    ``robot_description`` come with the first tick that is made, and with every tick 0.
+    """
+
+    def __init__(self, scene: SceneSpec, robot: RobotModel, poses: ScenePoses) -> None:
+        """Prepare what the ticks have in common.
+
+        Args:
+            scene: The scene.
+            robot: Its robot.
+            poses: Where its bodies and cameras are, given a state.
+        """
+        self._scene, self._robot, self._poses = scene, robot, poses
+        base = scene.robot.pose
+        self._fixed = {f"{robot.id}_base": base, robot.base_link: base}
+        self._fixed |= {optical_frame(camera.name): camera.pose for camera in scene.cameras if camera.parent == "world"}
+        self._fresh = True
+
+    def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
+        """Return all messages of a tick by topic, the notice last.
+
+        Args:
+            record: The tick's state.
+            images: Camera to what it sees.
+        """
+        messages: dict[str, Any] = {
+            "clock": Clock(clock=fill_stamp(Clock().clock, record.stamp_ns)),
+            "joint_states": joint_state_msg(record, self._robot),
+            "sim/state": to_msg(record, StateRecordMsg),
+            **self.make_seen(record, images),
+        }
+        messages[NOTICE] = tick_notice(record, messages)
+        return messages
+
+    def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
+        """Return the messages that depend on the scene's cameras: frames and images, by topic."""
+        moving, stamp_ns = self._moving_frames(record), record.stamp_ns
+        messages: dict[str, Any] = {"tf": tf_msg(stamp_ns, moving)}
+        if self._fresh or record.seq == 0:
+            self._fresh = False
+            messages["tf_static"] = tf_msg(stamp_ns, self._fixed)
+            messages["robot_description"] = String(data=robot_description(self._robot.urdf))
+        for camera in self._scene.cameras:
+            for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items():
+                messages[f"camera/{camera.name}/{kind}"] = message
+        return messages
+
+    def _moving_frames(self, record: StateRecord) -> dict[str, Pose]:
+        """Return the pose in the world of every frame that ticks move: links, tcp, objects and their links, cameras."""
+        frames = dict(self._poses.link_poses(record.robot))
+        frames["tcp"] = record.robot.pose_tcp_measured
+        frames |= {entity.name: entity.pose for entity in record.entities}
+        frames |= self._poses.object_poses(record)
+        for name, pose in self._poses.camera_poses(record.robot).items():
+            frames[optical_frame(name)] = pose
+        return {name: pose for name, pose in frames.items() if name not in self._fixed}
+
+
+def tick_notice(record: StateRecord, messages: Mapping[str, Any]) -> TickNotice:
+    """Return the notice of a tick.
+
+    Args:
+        record: The tick's state.
+        messages: Topic to message of the tick; images are named with their checksum.
+    """
+    notice = TickNotice(
+        episode_id=record.episode_id,
+        seq=record.seq,
+        topics=list(messages),
+        image_crc32=[zlib.crc32(msg.data) if isinstance(msg, Image) else 0 for msg in messages.values()],
+        reset=record.seq == 0,
+    )
+    fill_stamp(notice.stamp, record.stamp_ns)
+    return notice

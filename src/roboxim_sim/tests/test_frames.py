@@ -1,0 +1,121 @@
+"""Frames and the robot's description: what RViz and Foxglove need besides the tick's messages."""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import pytest
+from ament_index_python.packages import get_package_share_directory
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
+from roboxim_interfaces.srv import LoadScene
+from roboxim_interfaces.srv import Tick as TickSrv
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from roboxim_core.actions import hold_action
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
+from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
+from roboxim_ros.clients import Clients
+from roboxim_ros.conversions import stamp_to_ns, to_msg
+from roboxim_ros.testing import graph_host  # noqa: F401
+from roboxim_sim.node import SimNode
+from roboxim_sim.robot_description import robot_description
+from roboxim_sim.tick_messages import TickMessages
+from roboxim_sim.world import World
+
+CABINET = EntitySpec(
+    name="cabinet", model="cabinet", fixed=True, pose=Pose(position=(0.7, 0.3, 0.2)), joint_positions={"top": 0.1}
+)
+SCENE = SceneSpec(entities=(CABINET,))
+
+
+def frames(message: Any) -> dict[str, tuple[float, float, float]]:
+    found = {}
+    for transform in message.transforms:
+        position = transform.transform.translation
+        found[transform.child_frame_id] = (position.x, position.y, position.z)
+    return found
+
+
+def test_a_drawers_frame_moves_with_it() -> None:
+    with World() as world:
+        record = world.load(SCENE)
+        messages = TickMessages(world.scene, world.robot, world.scene_poses)
+        opened = frames(messages.make(record, {})["tf"])
+        assert opened["cabinet"] == opened["cabinet/body"] == record.entity("cabinet").pose.position
+        drawers = [f"cabinet/{name}_drawer" for name in record.entity("cabinet").joint_names]
+        closed = frames(messages.make(world.set_entity_state("cabinet", joint_positions={"top": 0.0}), {})["tf"])
+        moved = {name: abs(opened[name][0] - closed[name][0]) for name in drawers}
+        assert sorted(round(distance, 2) for distance in moved.values()) == [0.0] * (len(drawers) - 1) + [0.1]
+
+
+def test_what_holds_for_a_scene_comes_with_its_first_tick() -> None:
+    with World() as world:
+        record = world.load(SCENE)
+        messages = TickMessages(world.scene, world.robot, world.scene_poses)
+        static = frames(messages.make(record, {})["tf_static"])
+        assert static.keys() == {"panda_base", "panda_link0"}
+        following = messages.make(world.step(1), {})
+        assert not {"tf_static", "robot_description"} & following.keys()
+        assert not static.keys() & frames(following["tf"]).keys()
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+def test_every_mesh_of_the_description_is_found_as_a_viewer_finds_it(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
+    model = ModelLibrary().robot(robot)
+    root = ElementTree.fromstring(robot_description(model.urdf))
+    names = [mesh.attrib["filename"] for mesh in root.iter("mesh")]
+    assert len(names) > 8
+    for name in names:
+        package, _, path = name.removeprefix("package://").partition("/")
+        assert (Path(get_package_share_directory(package)) / path).is_file(), name
+    assert str(Path.home()) not in robot_description(model.urdf), "the text is the same on every machine"
+
+
+def test_a_robot_of_ones_own_has_its_meshes_full_paths(tmp_path: Path) -> None:
+    urdf = tmp_path / "mine" / "mine.urdf"
+    urdf.parent.mkdir()
+    urdf.write_text('<robot><mesh filename="package://mine/link.stl"/><mesh scale="1" filename="near.stl"/></robot>')
+    text = robot_description(urdf)
+    assert f'"file://{tmp_path}/mine/link.stl"' in text
+    assert f'"file://{tmp_path}/mine/near.stl"' in text
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("depth", [1, 10])
+def test_who_subscribes_late_gets_the_newest_state_only(graph_host: Any, depth: int) -> None:  # noqa: F811
+    camera = CameraSpec(
+        name="eye", width=16, height=16, pose=Pose(position=(0.5, 0.0, 1.0), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
+    )
+    graph_host.add(lambda context: SimNode(context=context, namespace=f"/late{depth}", parameters={"scene": ""}))
+    with Clients("early", context=graph_host.context, namespace=f"/late{depth}") as clients:
+        scene = SceneSpec(cameras=(camera,))
+        clients.call(LoadScene, "sim/load_scene", LoadScene.Request(scene=to_msg(scene, SceneSpecMsg), episode_id="e"))
+        for seq in range(1, 6):
+            action = hold_action(1.0)
+            clients.call(TickSrv, "sim/tick", TickSrv.Request(episode_id="e", seq=seq, action=action))
+        newest = 5 * scene.tick_ns
+        profile = QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        with Clients("late", context=graph_host.context, namespace=f"/late{depth}") as late:
+            for topic, kind in (("joint_states", JointState), ("tf", TFMessage), ("camera/eye/image", Image)):
+                heard: Queue[Any] = Queue()
+                late.node.create_subscription(kind, topic, heard.put, profile)
+                late.wake()
+                first = heard.get(timeout=20.0)
+                header = first.transforms[0].header if hasattr(first, "transforms") else first.header
+                assert stamp_to_ns(header.stamp) == newest, topic
+            for topic, kind in (("robot_description", String), ("tf_static", TFMessage)):
+                heard = Queue()
+                late.node.create_subscription(kind, topic, heard.put, profile)
+                late.wake()
+                heard.get(timeout=20.0)
