@@ -15,7 +15,6 @@ from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
-from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 
 from roboxim_bringup.cores import CoreEyes, CorePlanner
 from roboxim_core.actions import ActionArray
