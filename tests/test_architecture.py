@@ -10,8 +10,8 @@ import pytest
 
 SRC = Path(__file__).resolve().parents[1] / "src"
 ROOMS = ["sim", "planner", "tasks", "recorder", "eval", "policies"]
-NODE_MODULES = {"node", "conversions", "ports", "ros"}
-"""Modules of a room that may use rclpy."""
+NODE_MODULES = {"node", "conversions", "ports", "ros", "tick_messages", "controllers"}
+"""Modules of a room that may use rclpy or messages."""
 ALLOWED = {
     "roboxim_core": set(),
     "roboxim_datasets": {"roboxim_core"},
