@@ -251,6 +251,11 @@ class LineMotion:
         """[s]."""
         return float(self._law[0].x[-1])
 
+    @property
+    def breaks(self) -> Array:
+        """Times at which the jerk may jump [s]."""
+        return np.asarray(self._law[0].x)
+
     def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return positions, velocities, accelerations, jerks by the chain rule."""
         clipped = np.clip(times, 0.0, self.duration)

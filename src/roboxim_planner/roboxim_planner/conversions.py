@@ -166,8 +166,12 @@ def sample_period(msg: Any) -> float:
 
 
 def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s: float, tcp_poses: bool) -> Any:
-    """Return a ``MotionPlan`` message."""
-    samples = plan.sample(period_s)
+    """Return a ``MotionPlan`` message.
+
+    Raises:
+        PlannerError: As `Plan.points`.
+    """
+    samples = plan.points(period_s)
     msg = MotionPlanMsg(fraction=plan.fraction, route=plan.route)
     trajectory: JointTrajectory = msg.trajectory
     trajectory.header.frame_id = f"{robot.description.id}_base"

@@ -20,7 +20,8 @@ from roboxim_planner.constraint import Upright
 from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.lines import plan_line
 from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
-from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan, Trajectory
+from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan
+from roboxim_planner.points import Trajectory
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import PaddedSweep, Sweep
@@ -193,7 +194,7 @@ class Planner:
         fraction = done / len(waypoints)
         watch("verify", 0)
         motion = MotionSequence(motions)
-        plan = Plan(motion=motion, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
+        plan = Plan(motion=motion, limits=limits, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
         if fraction < min_fraction - 1e-9:
             raise PathIncompleteError(
                 f"only {100.0 * fraction:.1f} % of the straight line can be done, {100.0 * min_fraction:.0f} % asked: "
@@ -368,13 +369,13 @@ class Planner:
     ) -> Plan | None:
         """Return the plan of a straight joint line, or none when it is not valid."""
         path = np.stack([begin, goal])
-        if float(np.abs(goal - begin).max()) < 1e-9:
-            return Plan(motion=still(begin), route="still", goal_index=owner, waypoints=path)
         limits = self.limits(options)
+        if float(np.abs(goal - begin).max()) < 1e-9:
+            return Plan(motion=still(begin), limits=limits, route="still", goal_index=owner, waypoints=path)
         motion = time_path(path, np.zeros(0), limits, self.robot.kinematics.jacobian)
         if not verify_motion(worlds, self.robot, motion, limits, goal, explain=False).valid:
             return None
-        return Plan(motion=motion, route="direct", goal_index=owner, waypoints=path)
+        return Plan(motion=motion, limits=limits, route="direct", goal_index=owner, waypoints=path)
 
     def _first_direct(
         self,
@@ -439,7 +440,8 @@ class Planner:
                 )
             motion, valid = self._time_and_verify(worlds, world, path, options, watch)
             if valid:
-                return Plan(motion=motion, route="sampled", goal_index=owner, waypoints=path)
+                limits = self.limits(options)
+                return Plan(motion=motion, limits=limits, route="sampled", goal_index=owner, waypoints=path)
             failed = motion, path[-1]
             refused += 1
         if failed is not None:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_planner.constraint import Upright
 from roboxim_planner.paths import FINDERS, IMPROVERS
-from roboxim_planner.timing import Motion
+from roboxim_planner.points import Trajectory, controller_points, sample
+from roboxim_planner.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +69,8 @@ class Plan:
 
     motion: Motion
     """The motion as a function of time."""
+    limits: MotionLimits
+    """What it keeps."""
     route: str
     """``still``, ``direct``, ``sampled``, ``cartesian`` or ``retimed``."""
     goal_index: int = -1
@@ -90,23 +93,11 @@ class Plan:
     def sample(self, period_s: float) -> Trajectory:
         """Sample the motion at a period, its end included."""
         count = max(1, int(np.ceil(self.duration / period_s - 1e-9)))
-        times = np.append(np.arange(count) * period_s, self.duration)
-        q, v, a, _ = self.motion.evaluate(times)
-        return Trajectory(times=times, positions=q, velocities=v, accelerations=a)
+        return sample(self.motion, np.append(np.arange(count) * period_s, self.duration))
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trajectory:
-    """Samples of a motion."""
-
-    times: Array
-    """From 0, shape (N,) [s]."""
-    positions: Array
-    """Shape (N, dof) [rad]."""
-    velocities: Array
-    """Shape (N, dof) [rad/s]."""
-    accelerations: Array
-    """Shape (N, dof) [rad/s^2]."""
+    def points(self, period_s: float) -> Trajectory:
+        """Return points for a controller; see `controller_points`, whose errors this raises."""
+        return controller_points(self.motion, self.limits, period_s)
 
 
 class PathIncompleteError(PlannerError):

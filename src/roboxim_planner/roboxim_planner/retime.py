@@ -55,9 +55,9 @@ def retime(
     if not 0.0 < tolerance_rad <= 1.0:
         raise InvalidRequestError(f"path_tolerance must be in (0, 1] rad, got {tolerance_rad}")
     points = without_repeats(points)
-    if len(points) < 2 or float(np.abs(points - points[0]).max()) < 1e-9:
-        return Plan(motion=still(points[0]), route="retimed", waypoints=points)
     limits = planner.limits(options)
+    if len(points) < 2 or float(np.abs(points - points[0]).max()) < 1e-9:
+        return Plan(motion=still(points[0]), limits=limits, route="retimed", waypoints=points)
     sweep = None if scene is None else Sweep(planner.robot, scene)
     finding = Finding()
     for factor in (*(() if stop_at_points else _SHRINK), 0.0):
@@ -66,7 +66,7 @@ def retime(
         motion = time_path(line, _corners(line, half), limits, planner.robot.kinematics.jacobian)
         finding = verify_motion(sweep, planner.robot, motion, limits, points[-1])
         if finding.valid:
-            return Plan(motion=motion, route="retimed", waypoints=line)
+            return Plan(motion=motion, limits=limits, route="retimed", waypoints=line)
     raise PlannerError(f"the path cannot be executed as it is: {finding}", ErrorCode.TRAJECTORY_INVALID)
 
 

@@ -54,6 +54,10 @@ class Motion(Protocol):
     def duration(self) -> float:
         """[s]."""
 
+    @property
+    def breaks(self) -> Array:
+        """Times at which the jerk may jump, increasing, shape (M,) [s]."""
+
     def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return positions, velocities, accelerations, jerks at times of shape (N,); each of shape (N, dof)."""
 
@@ -76,6 +80,11 @@ class PolynomialMotion:
         """[s]."""
         return float(self._breaks[-1])
 
+    @property
+    def breaks(self) -> Array:
+        """Times at which the jerk may jump [s]."""
+        return self._breaks
+
     def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return positions, velocities, accelerations, jerks."""
         q, v, a, j = native.sample_polynomial(self._breaks, self._coefficients, times)
@@ -94,6 +103,11 @@ class MotionSequence:
     def duration(self) -> float:
         """[s]."""
         return float(self._starts[-1])
+
+    @property
+    def breaks(self) -> Array:
+        """Times at which the jerk may jump [s]."""
+        return np.concatenate([m.breaks + start for m, start in zip(self._motions, self._starts, strict=False)])
 
     def evaluate(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return positions, velocities, accelerations, jerks."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -17,6 +20,7 @@ from roboxim_tasks.planning import Surroundings
 from roboxim_tasks.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
+_PERIOD_NS = round(SAMPLE_PERIOD_S * 1e9)
 
 
 class PlannerClient:
@@ -44,7 +48,7 @@ class PlannerClient:
         request.request = motion_request(around.scene.robot.model, joints, around, seed)
         request.request.sample_period = SAMPLE_PERIOD_S
         answer = self._clients.call(PlanToPose, "planner/plan_to_pose", request, timeout_s=self._timeout_s)
-        return np.array([list(point.positions) for point in answer.plan.trajectory.points])
+        return _evenly_timed(answer.plan.trajectory.points)
 
     def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
         """Return what is wrong with a joint path, or an empty text.
@@ -91,3 +95,12 @@ class EyesClient:
         )
         answer = self._clients.call(RenderState, "sim/render_state", request, timeout_s=self._timeout_s)
         return {seen.camera: image_from_msg(seen.image) for seen in answer.segmentation}
+
+
+def _evenly_timed(points: Sequence[Any]) -> Array:
+    """Return the positions at multiples of the period and at the end, shape (N, dof) [rad].
+
+    The planner's answer has further points, which a controller needs.
+    """
+    even = [p for p in points[:-1] if p.time_from_start.nanosec % _PERIOD_NS == 0]
+    return np.array([list(point.positions) for point in [*even, points[-1]]])
