@@ -45,23 +45,30 @@ class CoreEyes:
 class CorePlanner:
     """The expert's planner port, served by the planner's core. Not thread-safe."""
 
-    def __init__(self, library: ModelLibrary, robot: str = "panda") -> None:
-        """Load a robot."""
+    def __init__(self, library: ModelLibrary) -> None:
+        """Use the models of a library; each robot is loaded when a scene with it is first asked about."""
         self._library = library
-        self._planner = Planner(library.robot(robot))
+        self._planners: dict[str, Planner] = {}
         self._last: tuple[tuple[object, ...], PlanningScene] | None = None
 
     def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
         """Return a collision-free joint path to a pose; see `roboxim_tasks.planning.PlannerPort`."""
-        plan = self._planner.plan_to_pose(self._scene(around), joints, [pose_tcp_in_world], MotionOptions(seed=seed))
+        planner, options = self._planner(around), MotionOptions(seed=seed)
+        plan = planner.plan_to_pose(self._scene(around), joints, [pose_tcp_in_world], options)
         return plan.sample(SAMPLE_PERIOD_S).positions
 
     def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
         """Return what is wrong with a joint path, or an empty text."""
         options = MotionOptions(padding_m=around.padding_m)
         times = np.arange(len(path)) * period_s
-        finding = self._planner.check_trajectory(self._scene(around), path, times, options=options)
+        finding = self._planner(around).check_trajectory(self._scene(around), path, times, options=options)
         return "" if finding.valid else str(finding)
+
+    def _planner(self, around: Surroundings) -> Planner:
+        robot = around.scene.robot.model
+        if robot not in self._planners:
+            self._planners[robot] = Planner(self._library.robot(robot))
+        return self._planners[robot]
 
     def _scene(self, around: Surroundings) -> PlanningScene:
         scene = self._snapshot(around)
