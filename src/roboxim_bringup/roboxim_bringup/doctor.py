@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import shutil
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from roboxim_core.errors import RoboximError
 
@@ -141,24 +143,24 @@ def _shared_memory() -> Finding:
     small = usage.free < 64 * MIB
     return Finding(
         name="shared memory",
-        state="warning" if small else "ok",
+        state="missing" if small else "ok",
         detail=f"{usage.free / MIB:.0f} MiB of {usage.total / MIB:.0f} MiB free, {left} files of Fast DDS",
         remedy="with no ROS process alive: fastdds shm clean; in Docker: --shm-size=512m",
-        without="images travel over loopback UDP, slower",
+        without="nodes cannot talk: shared memory is all that they use",
     )
 
 
 def _graph() -> Finding:
     """Call a service of a node in another context, as two processes would."""
-    from rclpy.node import Node
     from std_srvs.srv import Empty
 
     from roboxim_ros.clients import Clients
+    from roboxim_ros.guard import GuardedNode
     from roboxim_ros.host import NodeHost
     from roboxim_ros.runs import free_domain
 
-    def probe(context: object) -> Node:
-        node = Node("doctor", context=context)
+    def probe(context: Any) -> GuardedNode:
+        node = GuardedNode("doctor", context=context)
         node.create_service(Empty, "probe", lambda request, response: response)
         return node
 
@@ -177,20 +179,20 @@ def _graph() -> Finding:
             name="graph",
             state="missing",
             detail=str(error),
-            remedy="allow UDP on the loopback interface, ports 7400 to 33000, and writing to /dev/shm",
+            remedy="allow writing to /dev/shm; in a container, share it with the other processes (--ipc)",
             without="no node finds another one",
         )
-    return Finding(
-        name="graph", state="ok", detail=f"first answer over loopback after {time.monotonic() - started:.2f} s"
-    )
+    return Finding(name="graph", state="ok", detail=f"first answer after {time.monotonic() - started:.2f} s")
 
 
 def _network() -> Finding:
     wide = os.environ.get("ROBOXIM_TRANSPORT") == "network"
     return Finding(
-        name="network",
+        name="who can come in",
         state="warning" if wide else "ok",
-        detail="open: every host that reaches this one can call every service" if wide else "this machine only",
+        detail="every host and user that reaches this machine can call every service and read every topic"
+        if wide
+        else f"processes of user {getpass.getuser()} on this machine, and its superuser; no other user, no other host",
         remedy="unset ROBOXIM_TRANSPORT",
     )
 

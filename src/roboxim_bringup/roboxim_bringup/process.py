@@ -26,7 +26,9 @@ def die_with_parent(parent: int) -> None:
         os._exit(1)
 
 
-def spawn(module: str, arguments: Sequence[str], *, output: IO[Any] | None = None) -> subprocess.Popen[bytes]:
+def spawn(
+    module: str, arguments: Sequence[str], *, output: IO[Any] | None = None, ready: int | None = None
+) -> subprocess.Popen[bytes]:
     """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
 
     The child has a process group of its own: Ctrl-C reaches the parent alone, which ends its children in order.
@@ -35,17 +37,29 @@ def spawn(module: str, arguments: Sequence[str], *, output: IO[Any] | None = Non
         module: A module that calls `die_with_parent` with ``$ROBOXIM_PARENT`` when it starts.
         arguments: Its arguments.
         output: Where its stdout and stderr go; none: where this process's go.
+        ready: Write end of a pipe, which the child gets as ``$ROBOXIM_READY``; see `tell_ready`.
     """
     # One thread per library: the parallelism is in the processes.
     defaults = {name: "1" for name in _THREAD_COUNTS if name not in os.environ}
+    if ready is not None:
+        defaults["ROBOXIM_READY"] = str(ready)
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         env={**os.environ, **defaults, "ROBOXIM_PARENT": str(os.getpid()), "PYTHONUNBUFFERED": "1"},
+        pass_fds=() if ready is None else (ready,),
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=output,
         process_group=0,
     )
+
+
+def tell_ready() -> None:
+    """Tell the parent that this process has started whole; nothing when it does not wait for that."""
+    pipe = os.environ.pop("ROBOXIM_READY", None)
+    if pipe is not None:
+        os.write(int(pipe), b"1")
+        os.close(int(pipe))
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]], *, grace_s: float = 8.0) -> None:

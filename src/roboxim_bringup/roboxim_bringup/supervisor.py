@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -33,8 +34,25 @@ class Child:
     """The process."""
     started: float
     """When, on the monotonic clock [s]."""
+    pipe: int
+    """Read end of the pipe that it writes to when it has started whole."""
     quick_deaths: int = 0
     """Deaths in a row soon after the start."""
+
+    def ready(self) -> bool:
+        """Tell whether it has said that it started whole; a node in the graph may still find its parameters wrong."""
+        if self.pipe >= 0 and select.select([self.pipe], [], [], 0)[0]:
+            said = os.read(self.pipe, 1)
+            os.close(self.pipe)
+            self.pipe = -1 if said else -2
+        return self.pipe == -1
+
+    def restart(self) -> None:
+        """Start the process again."""
+        if self.pipe >= 0:
+            os.close(self.pipe)
+        self.process, self.pipe = _start(self.config)
+        self.started = time.monotonic()
 
 
 class Supervisor:
@@ -84,7 +102,8 @@ class Supervisor:
             parameters={"": self._common, name: given.get(name, {})},
             check_common=False,
         )
-        self.children.append(Child(name, config, _start(config), time.monotonic()))
+        process, pipe = _start(config)
+        self.children.append(Child(name, config, process, time.monotonic(), pipe))
 
     def node_names(self) -> list[str]:
         """Return the full names of the nodes."""
@@ -103,7 +122,11 @@ class Supervisor:
         deadline = time.monotonic() + READY_S
         peer = Peer()
         try:
-            while missing := set(expected) - set(peer.nodes(hidden=True)):
+            while missing := {
+                name
+                for name, child in zip(expected, self.children, strict=True)
+                if not child.ready() or name not in peer.nodes(hidden=True)
+            }:
                 for child in self.children:
                     code = child.process.poll()
                     if code is not None:
@@ -131,7 +154,7 @@ class Supervisor:
             click.echo(f"node '{child.name}' has died ({describe_exit(code)}); starting it again", err=True)
             if child.quick_deaths >= MAX_QUICK_DEATHS:
                 raise RoboximError(f"node '{child.name}' died {child.quick_deaths} times right after its start")
-            child.process, child.started = _start(child.config), time.monotonic()
+            child.restart()
             _register([child])
         return False
 
@@ -145,10 +168,15 @@ class Supervisor:
         stop(child.process for child in self.children)
 
 
-def _start(config: GraphConfig) -> subprocess.Popen[bytes]:
+def _start(config: GraphConfig) -> tuple[subprocess.Popen[bytes], int]:
+    """Start a process; return it and the read end of the pipe that it writes to when it is ready."""
     from roboxim_core.config import to_json
 
-    return spawn("roboxim_bringup.worker", [to_json(config)])
+    read, write = os.pipe()
+    try:
+        return spawn("roboxim_bringup.worker", [to_json(config)], ready=write), read
+    finally:
+        os.close(write)
 
 
 def _register(children: Sequence[Child]) -> None:

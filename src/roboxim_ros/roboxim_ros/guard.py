@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -22,13 +23,15 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.context import Context
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from roboxim_core import limits
-from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_ros.bounds import check_message
+from roboxim_ros.shared_memory import private_files, seal
 
 CAUGHT = (Exception, SystemExit)
 """What a callback may raise without ending its node."""
@@ -166,7 +169,25 @@ def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., A
 
 
 class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
-    """A node whose callbacks cannot end it: services, subscriptions, timers and actions, rclpy's own included."""
+    """A node whose callbacks cannot end it: services, subscriptions, timers and actions, rclpy's own included.
+
+    Its participant's shared memory is closed to other users, unless the run is open to the network.
+    """
+
+    def __init__(self, node_name: str, *, context: Context, **kwargs: Any) -> None:
+        """Make the node as rclpy does.
+
+        Raises:
+            UnavailableError: When the shared memory of its domain belongs to another user.
+        """
+        with private_files():
+            super().__init__(node_name, context=context, **kwargs)
+        if os.environ.get("ROBOXIM_TRANSPORT", "user") == "user":
+            try:
+                seal(context.get_domain_id())
+            except UnavailableError:
+                self.destroy_node()
+                raise
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
         """Offer a service as rclpy does; what its callback raises becomes the answer."""

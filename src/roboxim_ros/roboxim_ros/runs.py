@@ -5,10 +5,10 @@ is initialised.
 
 Non-obvious:
 - Fast DDS opens every network interface unless a profile says otherwise, and ``ROS_LOCALHOST_ONLY`` still lets in a
-  host that names this one as a static peer; only the whitelist of interfaces in ``transport/loopback.xml`` keeps it
-  out.
-- A domain is free when nobody has reserved it (`domain_coordinator`'s convention) *and* none of its UDP ports is in
-  use: what a killed process left behind would answer new clients with old types.
+  host that names this one as a static peer, and every user of this machine. ``transport/user.xml`` has no sockets at
+  all: who comes in is decided by the permissions of files (`roboxim_ros.shared_memory`).
+- A domain is free when nobody has reserved it (`domain_coordinator`'s convention) *and* nobody listens at one of its
+  ports, UDP or shared memory: what a killed process left behind would answer new clients with old types.
 """
 
 from __future__ import annotations
@@ -31,19 +31,20 @@ from typing import Any
 import domain_coordinator
 
 from roboxim_core.errors import ConfigError, UnavailableError
+from roboxim_ros.shared_memory import busy_domains
 
 LARGEST_DOMAIN = 100
 """Above, the ports of a domain reach into the ephemeral range, where any connection may take them."""
-_TRANSPORTS = ("loopback", "network")
+_TRANSPORTS = ("user", "network")
 
 
 def transport_environment(open_network: bool = False) -> dict[str, str]:
     """Return the environment variables that decide who can reach a graph.
 
     Args:
-        open_network: Let in every host that reaches this one; false: this machine only.
+        open_network: Let in every host that reaches this one; false: this user on this machine only.
     """
-    transport = "network" if open_network else "loopback"
+    transport = "network" if open_network else "user"
     profile = str(Path(__file__).parent / "transport" / f"{transport}.xml")
     return {
         "ROBOXIM_TRANSPORT": transport,
@@ -60,13 +61,13 @@ def activate_transport(open_network: bool | None = None) -> None:
     """Set the environment of this process and its children; call before a context is initialised.
 
     Args:
-        open_network: As for `transport_environment`; none: as the environment already says, else this machine only.
+        open_network: As for `transport_environment`; none: as the environment already says, else this user only.
 
     Raises:
-        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``loopback`` nor ``network``.
+        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``user`` nor ``network``.
     """
     if open_network is None:
-        given = os.environ.get("ROBOXIM_TRANSPORT", "loopback")
+        given = os.environ.get("ROBOXIM_TRANSPORT", "user")
         if given not in _TRANSPORTS:
             raise ConfigError(f"ROBOXIM_TRANSPORT is '{given}'; expected one of {', '.join(_TRANSPORTS)}")
         open_network = given == "network"
@@ -95,6 +96,7 @@ def free_domain() -> Iterator[int]:
         UnavailableError: When none of the domains is free.
     """
     busy = {(port - 7400) // 250 for port in _udp_ports_in_use()}  # DDS: ports 7400 + 250 * domain and up
+    busy |= busy_domains()
     start = os.getpid()  # so that processes started together do not all try the same ones
     candidates = [1 + (start + i) % LARGEST_DOMAIN for i in range(LARGEST_DOMAIN)]
     free = [domain for domain in candidates if domain not in busy]
@@ -147,7 +149,7 @@ class Run:
     domain: int
     """ROS domain of the run's graph."""
     transport: str
-    """``loopback``: this machine only; ``network``: every interface."""
+    """``user``: this user on this machine only; ``network``: every interface."""
     kind: str
     """What started it: up, generate, evaluate, ..."""
     namespaces: tuple[str, ...]
@@ -247,7 +249,7 @@ def register_run(
     run = Run(
         id=run_id or f"{kind}-{secrets.token_hex(2)}",
         domain=domain,
-        transport=os.environ.get("ROBOXIM_TRANSPORT", "loopback"),
+        transport=os.environ.get("ROBOXIM_TRANSPORT", "user"),
         kind=kind,
         namespaces=tuple(namespaces),
         started=datetime.now(UTC).isoformat(timespec="seconds"),

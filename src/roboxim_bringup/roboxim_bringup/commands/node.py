@@ -60,7 +60,7 @@ def membership_options(start: Any) -> Any:
         ),
         click.option(
             "--open-network", is_flag=True,
-            help="Let other hosts reach the graph; without it only this machine can. For a new run.",
+            help="Let other hosts and users reach the graph; without it only you can, on this machine. For a new run.",
         ),
     )  # fmt: skip
     for option in reversed(options):

@@ -23,7 +23,7 @@ def command(as_json: bool) -> None:
         return
     rows = [("RUN", "KIND", "DOMAIN", "NETWORK", "PROCESSES", "STARTED (UTC)", "NAMESPACES")]
     for run in runs:
-        network = "this machine" if run.transport == "loopback" else "open"
+        network = "this user" if run.transport == "user" else "open"
         names = " ".join(name or "/" for name in run.namespaces)
         started = run.started.removesuffix("+00:00")
         rows.append((run.id, run.kind, str(run.domain), network, str(len(run.live_pids)), started, names))

@@ -73,7 +73,11 @@ def command(
             extend_run(run.id, nodes=node_names)
             click.echo(
                 f"run {run.id} is up in domain {run.domain}"
-                + (": every host of the network can reach it" if open_network else "")
+                + (
+                    ": every host and user that reaches this machine can drive it"
+                    if open_network
+                    else "; only you can reach it"
+                )
                 + "\ntry in another terminal: roboxim service list; Ctrl-C ends the run"
             )
             from roboxim_ros.host import wait_for_stop
