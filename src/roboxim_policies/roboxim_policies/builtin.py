@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ACTION_SIZE, ActionArray, ActionSemantics, check_chunk, hold_action
+from roboxim_core.actions import ACTION_SIZE, ANY_RATE, ActionArray, ActionSemantics, check_chunk, hold_action
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy
 from roboxim_policies.base import POLICIES, BasePolicy
@@ -22,9 +22,10 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 @POLICIES.register("zero")
 class ZeroPolicy(BasePolicy):
-    """Holds still with an open gripper."""
+    """Holds still with an open gripper, at any rate."""
 
     name = "zero"
+    semantics = ActionSemantics(rate_hz=ANY_RATE)
 
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the action that stays."""
@@ -33,12 +34,13 @@ class ZeroPolicy(BasePolicy):
 
 @POLICIES.register("random")
 class RandomPolicy(BasePolicy):
-    """Draws every action at random within the action limits, from the episode's seed.
+    """Draws every action at random within the action limits, from the episode's seed, at any rate.
 
     The gripper is a persistent coin: it flips with probability 0.1 a tick, so that it can close around something.
     """
 
     name = "random"
+    semantics = ActionSemantics(rate_hz=ANY_RATE)
 
     def __init__(self, *, distribution: str = "gaussian", scale: float = 0.5) -> None:
         """Choose the distribution.

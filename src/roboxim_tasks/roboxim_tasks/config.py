@@ -17,7 +17,7 @@ from typing import Any
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.rates import DEFAULT_RATE_HZ
+from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.specs import Scalar
 from roboxim_tasks.checks import (
     Document,
@@ -111,7 +111,7 @@ class TaskConfig:
     rate_hz: float = DEFAULT_RATE_HZ
     """Control rate [Hz]."""
     max_steps: int = 0
-    """Actions after which an episode has failed; 0: the skill's."""
+    """Actions after which an episode has failed; 0: the skill's, for the same time at any control rate."""
     max_draws: int = 100
     """Draws of a placement after which the reset is infeasible."""
 
@@ -174,7 +174,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         reset=reset,
         objects=objects,
         templates=config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1]),
-        max_steps=config.max_steps or skill.max_steps,
+        max_steps=config.max_steps or max(0, ticks(skill.max_steps / DEFAULT_RATE_HZ, config.rate_hz)),
     )
     check_arguments(document, complete, library)
     check_exclusions(document, complete, library)

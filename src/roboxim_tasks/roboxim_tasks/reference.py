@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.actions import ActionSemantics
 from roboxim_core.poses import Array, Pose
 from roboxim_tasks.motion import Stage
+
+_SHARE_OF_LIMIT = 0.99
+"""Share of the limits per tick that the expert uses, so that rounding never clips an action."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,16 @@ class SpeedConfig:
         """
         if min(self.max_tcp_speed_m_s, self.max_tcp_rot_speed_rad_s) <= 0 or self.smoothing_s < 0:
             raise ValueError(f"speeds must be > 0 and smoothing_s >= 0, got {self}")
+
+    def within(self, limits: ActionSemantics, rate_hz: float) -> SpeedConfig:
+        """Return speeds at which no action of a control rate [Hz] is beyond the limits per tick."""
+        return replace(
+            self,
+            max_tcp_speed_m_s=min(self.max_tcp_speed_m_s, _SHARE_OF_LIMIT * limits.max_translation_m * rate_hz),
+            max_tcp_rot_speed_rad_s=min(
+                self.max_tcp_rot_speed_rad_s, _SHARE_OF_LIMIT * limits.max_rotation_rad * rate_hz
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +88,7 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
     Returns:
         The poses of tick 1 on; the last one is the last leg's pose.
     """
+    config = config.within(ActionSemantics(), rate_hz)
     points: list[ReferencePoint] = []
     here, first = start, 0
     while first < len(legs):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +16,7 @@ from roboxim_core.episode.start import start_refusal
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.rates import ticks
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
@@ -156,7 +156,10 @@ class EpisodeRunner:
             config_json=f'{{"run":{to_json(replace(self.config, output_dir=""))},"task":{draw.config_json}}}',
             recorded=recorded_parameters(draw.task, scene),
         )  # fmt: skip
-        episode = _Episode(self, info, seed, self.config.max_steps or draw.max_steps, cancelled)
+        limit = self.config.max_steps or draw.max_steps
+        if not self.config.max_steps and scene.control_rate_hz != draw.scene.control_rate_hz:
+            limit = ticks(draw.max_steps / draw.scene.control_rate_hz, scene.control_rate_hz)  # the same time
+        episode = _Episode(self, info, seed, limit, cancelled)
         try:
             return episode.run(started)
         except BaseException:
@@ -309,7 +312,7 @@ class _Episode:
 
     def _settle(self) -> None:
         """Hold still, so that success is judged of a world at rest."""
-        for _ in range(self.config.settle_ticks or math.ceil(SETTLE_S * self.info.scene.control_rate_hz)):
+        for _ in range(self.config.settle_ticks or ticks(SETTLE_S, self.info.scene.control_rate_hz)):
             hold = hold_action(self.state.robot.gripper_command)
             self._advance(hold)
             self.last_inference_s = 0.0

@@ -56,7 +56,7 @@ class Skill(ABC):
     reset: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Reset component to those of its keys whose defaults this skill changes; a task's configuration goes before."""
     max_steps: ClassVar[int] = 100
-    """Actions after which an episode has failed."""
+    """Actions after which an episode has failed, at the default control rate; at others it is the same time."""
     Parameters: ClassVar[type]
     """Frozen dataclass of scalars with defaults: the ``parameters`` of the YAML, the ``arguments`` of the task."""
 
