@@ -8,7 +8,7 @@ into the same class, so an error looks the same on both sides of a service call.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import IntEnum
 
 
@@ -183,15 +183,16 @@ def raise_for_code(error_code: int, error_msg: str) -> None:
     raise cls(error_msg, code)
 
 
-def printable(value: object, limit: int = 2000) -> str:
-    """Return a text that any message may hold, whatever a stranger's ``__str__`` does.
+def printable(value: object, limit: int = 2000, *, form: Callable[[object], str] = str) -> str:
+    """Return a text that any message may hold, whatever a stranger's ``__str__`` or ``__repr__`` does.
 
     Args:
         value: For example an exception that a user's code raised.
         limit: Longest text; what is longer is cut off.
+        form: ``str`` or ``repr``.
     """
     try:
-        text = str(value)
+        text = form(value)
     except (Exception, SystemExit):
         text = f"(a {type(value).__name__} that cannot be shown)"
     text = text if len(text) <= limit else f"{text[:limit]}..."

@@ -91,16 +91,17 @@ class PolicyDescription:
 
 
 def _require_text(what: str, value: Any) -> None:
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not (value.isprintable()):
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise InvalidRequestError(
-            f"{what} must be a printable string of at most {LONGEST_TEXT} characters, got {printable(repr(value), 100)}"
+            f"{what} must be a printable string of at most {LONGEST_TEXT} characters, "
+            f"got {printable(value, 100, form=repr)}"
         )
 
 
 def _require_whole(what: str, value: Any, least: int, most: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise InvalidRequestError(
-            f"{what} must be a whole number from {least} to {most}, got {printable(repr(value), 100)}"
+            f"{what} must be a whole number from {least} to {most}, got {printable(value, 100, form=repr)}"
         )
 
 

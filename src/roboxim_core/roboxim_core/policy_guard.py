@@ -55,18 +55,18 @@ def _checked(answer: Any, description: PolicyDescription) -> ActionChunk:
     actions = check_chunk(chunk.actions, size=size, most=description.horizon)
     done: Any = chunk.done
     if not isinstance(done, bool | np.bool_):
-        raise InvalidRequestError(f"done must be a bool, got {printable(repr(done), 100)}")
+        raise InvalidRequestError(f"done must be a bool, got {printable(done, 100, form=repr)}")
     phases: Any = chunk.phases
     if not isinstance(phases, tuple | list) or len(phases) not in (0, len(actions)):
         raise InvalidRequestError(
             f"phases must be a tuple of one string per action ({len(actions)}), or empty; "
-            f"got {printable(repr(phases), 100)}"
+            f"got {printable(phases, 100, form=repr)}"
         )
     for phase in phases:
         if not isinstance(phase, str) or len(phase) > LONGEST_PHASE or not phase.isprintable():
             raise InvalidRequestError(
                 f"a phase must be a printable string of at most {LONGEST_PHASE} characters, "
-                f"got {printable(repr(phase), 100)}"
+                f"got {printable(phase, 100, form=repr)}"
             )
     return ActionChunk(actions=actions, done=bool(done), phases=tuple(str(phase) for phase in phases))
 

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode
-from roboxim_core.policies import PolicyDescription
+from roboxim_core.policies import ActionChunk, PolicyDescription
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
@@ -32,6 +32,32 @@ PROPRIO = Proprioception(
 )  # fmt: skip
 
 
+class RequiresGrad:
+    """A tensor of another library that does not become an array by itself."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad")
+
+
+BAD_ANSWERS = {
+    "requires a gradient": RequiresGrad(),
+    "huge integer": [10**400] * 7,
+    "complex": np.zeros(7, complex),
+    "masked": np.ma.array(np.zeros(7), mask=True),
+    "strings": ["0"] * 7,
+    "a boolean": [0.0] * 6 + [True],
+    "NaN": [np.nan] * 7,
+    "too large for float32": [1e39] * 7,
+    "six numbers": np.zeros(6),
+    "ragged": [[0.0] * 7, [0.0]],
+    "none": None,
+    "three rows": np.zeros((3, 7)),
+    "phases none": ActionChunk(actions=np.zeros((1, 7)), phases=None),
+    "phases that no message can hold": ActionChunk(actions=np.zeros((1, 7)), phases=("\ud800",)),
+    "done a number": ActionChunk(actions=np.zeros((1, 7)), done=1),
+}
+
+
 class Users(BasePolicy):
     cameras = ("workspace",)
     window = 2
@@ -40,12 +66,13 @@ class Users(BasePolicy):
     def __init__(self):
         self.seen = []
         self.fail = False
+        self.answer = [[0.01, 0, 0, 0, 0, 0, 1], [0.02, 0, 0, 0, 0, 0, 0]]
 
     def act(self, window):
         self.seen.append(window)
         if self.fail:
             raise ZeroDivisionError("the user's bug")
-        return [[0.01, 0, 0, 0, 0, 0, 1], [0.02, 0, 0, 0, 0, 0, 0]]
+        return self.answer
 
 
 @pytest.fixture
@@ -104,6 +131,21 @@ def test_a_users_exception_is_an_answer_and_the_node_lives_on(served):
     assert "the user's bug" in answer.error_msg
     policy.fail = False
     assert call(clients, Act, "mine/act", request).error_code == ErrorCode.OK
+
+
+def test_whatever_a_policy_returns_is_an_invalid_action_and_the_node_lives_on(served):
+    policy, clients = served
+    clients.call(ResetPolicy, "mine/reset_policy", ResetPolicy.Request(episode_id="e"))
+    request = act_request(np.zeros((20, 30, 3), np.uint8))
+    clients.client(Act, "mine/act").wait_for_service(10.0)
+    good = policy.answer
+    for name, policy.answer in BAD_ANSWERS.items():
+        answer = call(clients, Act, "mine/act", request)
+        assert answer.error_code == ErrorCode.INVALID_ACTION, (name, answer.error_msg)
+        assert "policy 'Users' in act at tick 4" in answer.error_msg
+        assert (answer.horizon, len(answer.actions)) == (0, 0)
+    policy.answer = good
+    assert call(clients, Act, "mine/act", request).horizon == 2
 
 
 def test_a_damaged_image_is_refused(served):
