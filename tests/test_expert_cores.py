@@ -18,6 +18,7 @@ from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge
+from roboxim_tasks.solvable import Solvability
 
 NOISE = np.array([0.004] * 3 + [0.01] * 3 + [0.0])
 
@@ -36,6 +37,16 @@ def world(library):
 @pytest.fixture(scope="module")
 def generator(library):
     return EpisodeGenerator(library)
+
+
+class CountingPlanner(CorePlanner):
+    """Counts the paths that it checks."""
+
+    checks = 0
+
+    def check_path(self, path, period_s, around):
+        self.checks += 1
+        return super().check_path(path, period_s, around)
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +116,54 @@ def test_the_expert_picks_every_cube_at_its_first_try(world, generator, expert, 
         for name in (entity.name for entity in drawn.scene.entities if entity.name != "target"):
             moved = np.subtract(records[-1].entity(name).pose.position, records[0].entity(name).pose.position)
             assert np.linalg.norm(moved) < 0.005
+
+
+def test_a_scene_is_planned_once_and_the_expert_acts_the_same_without_the_resets_solution(world, library):
+    planner = CountingPlanner(library)
+    solvability = Solvability(library, planner)
+    seed = SeedPath(run_seed=11, purpose="test", index=4)
+    drawn = EpisodeGenerator(library, solvability).draw(seed, load_task_config("place_on"))
+    state, answers, checks = world.load(drawn.scene, "e"), [], []
+    for shared in (solvability, None):
+        expert = Expert(library, planner, solvability=shared)
+        expert.reset(
+            EpisodeStart(
+                episode_id="e", instruction="", seed=seed.derived_seed("policy"), task=drawn.task,
+                scene=replace(drawn.scene, cameras=()),
+            )
+        )  # fmt: skip
+        before = planner.checks
+        answers.append(expert.act(window(state)).actions.tobytes())
+        checks.append(planner.checks - before)
+    world.release("e")
+    assert answers[0] == answers[1]
+    moving = sum(stage.pose is not None for stage in solvability.solution(*_asked(drawn, seed)).stages)
+    assert 0 < checks[0] <= 2 * moving, "with and without clearance"
+    assert checks[1] > checks[0]
+
+
+def _asked(drawn, seed):
+    return drawn.task, drawn.scene, seed.derived_seed("policy")
+
+
+def test_a_scene_that_has_not_settled_as_drawn_is_planned_anew(world, generator, expert):
+    _, drawn = draw(generator, 5)
+    start(expert, drawn, "e")
+    state = world.load(drawn.scene, "e")
+    world.release("e")
+    target = state.entity("target").pose
+    x, y, z = target.position
+    elsewhere = replace(target, position=(x + 0.004, y, z))
+    moved = replace(
+        state, entities=tuple(replace(e, pose=elsewhere) if e.name == "target" else e for e in state.entities)
+    )
+    reached = []
+    for at in (state, moved):
+        start(expert, drawn, "e")
+        expert.act(window(at))
+        descend = next(stage for stage in expert._solution.stages if stage.name == "descend")
+        reached.append(descend.pose.position[0])
+    assert reached[1] - reached[0] == pytest.approx(0.004, abs=1e-4)
 
 
 def test_the_expert_is_smooth_and_the_same_every_time(world, generator, expert):

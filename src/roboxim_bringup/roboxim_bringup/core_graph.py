@@ -48,11 +48,11 @@ from roboxim_tasks.visible import Visibility
 class CoreTasks:
     """Draws and judges."""
 
-    def __init__(self, library: ModelLibrary, planner: CorePlanner | None = None, eyes: CoreEyes | None = None) -> None:
-        """Draw scenes that a planner can solve and eyes can see, if given."""
-        self.generator = EpisodeGenerator(
-            library, Solvability(library, planner) if planner else None, Visibility(eyes) if eyes else None
-        )
+    def __init__(
+        self, library: ModelLibrary, solvability: Solvability | None = None, eyes: CoreEyes | None = None
+    ) -> None:
+        """Draw scenes that can be solved and that eyes can see, if given."""
+        self.generator = EpisodeGenerator(library, solvability, Visibility(eyes) if eyes else None)
         self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._judge: Judge | None = None
 
@@ -198,8 +198,9 @@ class CoreGraph:
         self.sim = CoreSim(library, renderer)
         planner = CorePlanner(library)
         self.eyes = CoreEyes(library)
-        self.tasks = CoreTasks(library, planner, self.eyes)
-        self._actor: ActorPort = CoreActor(policy or Expert(library, planner))
+        solvability = Solvability(library, planner)
+        self.tasks = CoreTasks(library, solvability, self.eyes)
+        self._actor: ActorPort = CoreActor(policy or Expert(library, planner, solvability=solvability))
         self._recorder = CoreRecorder(self.sim, output_dir)
 
     @property

@@ -92,7 +92,7 @@ class EpisodeGenerator:
             library=self._library,
             arm=arm,
             ordinal=ordinal,
-            way_blocked=partial(self._solvability.way_blocked, task, arm) if self._solvability else None,
+            way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
         )
         self.last_reset = context
         context.constraints = SKILLS[config.skill].constraints(context)
@@ -123,7 +123,7 @@ class EpisodeGenerator:
         task, arm = context.task, context.arm
         if self._visibility and (refused := self._visibility.refusal(task, scene, arm, context.config.visible)):
             raise RejectedError(refused)
-        if self._solvability and not self._solvability.holds(task, scene, arm, context.seed.derived_seed("policy")):
+        if self._solvability and not self._solvability.holds(task, scene, context.seed.derived_seed("policy")):
             raise RejectedError(CONSTRAINT)
 
     def _arm(self, model: str) -> ArmKinematics:

@@ -1,7 +1,8 @@
 """The expert: a skill's executor behind the policy interface.
 
-It plans once, at its first request, and then answers each request with the delta from the *commanded* pose to the
-reference's next pose, so injected noise is corrected and never accumulates.
+A scene is planned once: the expert takes the solution of the drawn scene, which the reset has found, and verifies it
+in the settled scene at its first request. It plans anew only if that fails. It then answers each request with the delta
+from the *commanded* pose to the reference's next pose, so injected noise is corrected and never accumulates.
 
 It looks at what it holds: when the grasp turned out a little different from the plan, or what was lifted sags, it
 plans the rest again from the object's true pose in the hand, which costs no tick; when it holds nothing it lets go,
@@ -24,6 +25,7 @@ from roboxim_tasks.motion import ROBOT, ExpertScene, Stage
 from roboxim_tasks.planning import PlannerPort
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.solvable import Solvability
 from roboxim_tasks.solver import Solution, Solver
 
 MAX_RECOVERIES = 2
@@ -36,7 +38,7 @@ SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
 class Expert:
     """A privileged policy that solves any registered skill. One episode at a time; not thread-safe.
 
-    Non-obvious: planning happens in the first `act`, because only then is the settled state known.
+    Non-obvious: the motion is chosen in the first `act`, because only then is the settled state known.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class Expert:
         config: SpeedConfig | None = None,
         *,
         direct: bool = False,
+        solvability: Solvability | None = None,
     ) -> None:
         """Make an expert.
 
@@ -55,9 +58,12 @@ class Expert:
             config: Speeds; none: the default.
             direct: Whether it goes straight from stage to stage and asks the planner nothing: what a scene whose way
                 is blocked is compared with.
+            solvability: Solves drawn scenes, with the same speeds; that of the resets spares planning a scene twice,
+                and does not change what the expert does. None: one of its own.
         """
         self._library = library
         self._solver = Solver(library, planner, config, direct=direct)
+        self._solvability = solvability or Solvability(library, planner, config)
         self._direct = direct
         self._start: EpisodeStart | None = None
         self._solution: Solution | None = None
@@ -107,7 +113,7 @@ class Expert:
             task=self._start.task, scene=self._start.scene, state=state, library=self._library, direct=self._direct
         )
         if self._solution is None:
-            self._solution, self._first_seq = self._plan(view), state.seq
+            self._solution, self._first_seq = self._plan_first(view), state.seq
         elif self._recoveries < MAX_RECOVERIES:
             self._look(view, self._solution)
         reference = self._solution.reference
@@ -122,6 +128,17 @@ class Expert:
     def _step(self, state: StateRecord) -> int:
         assert self._solution is not None
         return min(max(state.seq - self._first_seq, 0), len(self._solution.reference) - 1)
+
+    def _plan_first(self, view: ExpertScene) -> Solution:
+        """Return the drawn scene's solution if it holds in the settled scene, else one of the settled scene."""
+        assert self._start is not None
+        if self._direct:
+            return self._plan(view)
+        try:
+            drawn = self._solvability.solution(view.task, view.scene, self._start.seed)
+        except PolicyError:
+            return self._plan(view)
+        return self._plan(view) if self._solver.mismatch(view, drawn) else drawn
 
     def _plan(self, view: ExpertScene) -> Solution:
         assert self._start is not None

@@ -92,11 +92,11 @@ class TaskNode(RoboximNode):
             smoothing_s=self.config.smoothing_s,
         )
         planner = PlannerClient(self.clients_of_node, self.config.planner_timeout_s)
-        solvability = Solvability(self._library, planner, speeds) if self.config.solvable else None
+        solvability = Solvability(self._library, planner, speeds)
         eyes = EyesClient(self.clients_of_node, self.config.visible_renderer, self.config.render_timeout_s)
         visibility = Visibility(eyes) if self.config.visible else None
-        self._generator = EpisodeGenerator(self._library, solvability, visibility)
-        self._expert = Expert(self._library, planner, speeds, direct=self.config.direct)
+        self._generator = EpisodeGenerator(self._library, solvability if self.config.solvable else None, visibility)
+        self._expert = Expert(self._library, planner, speeds, direct=self.config.direct, solvability=solvability)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)
         guard = GuardedPolicy(

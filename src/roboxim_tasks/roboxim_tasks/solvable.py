@@ -1,7 +1,8 @@
-"""Whether a drawn scene can be solved: shown by planning every stage, before anything is simulated."""
+"""Solutions of drawn scenes: whether there is one, shown by planning every stage before anything is simulated."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 
 from roboxim_core.errors import PolicyError
@@ -14,17 +15,23 @@ from roboxim_tasks.planning import PlannerPort
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.roles import task_distractors
 from roboxim_tasks.skills import SKILLS
-from roboxim_tasks.solver import Solver
+from roboxim_tasks.solver import Solution, Solver
 
 CONSTRAINT = "solvable"
 """Name of the constraint for messages and statistics."""
+KEPT_SOLUTIONS = 4
+"""Solutions kept between the reset and the expert's first action: a task node serves one episode at a time."""
 
 
 class Solvability:
-    """Plans a scene's task as the expert will. Not thread-safe (kinematics)."""
+    """Solves scenes as they were drawn, before they are simulated. Not thread-safe (kinematics).
+
+    Non-obvious: a solution is a function of task, scene, seed and speeds. The newest ones are kept, so that the expert
+    gets the solution that the reset found. An expert that did not see the reset makes the same one again.
+    """
 
     def __init__(self, library: ModelLibrary, planner: PlannerPort, speeds: SpeedConfig | None = None) -> None:
-        """Make a check.
+        """Make a solver of scenes.
 
         Args:
             library: Robots and objects.
@@ -34,32 +41,51 @@ class Solvability:
         self._library = library
         self._solver = Solver(library, planner, speeds)
         self._direct = Solver(library, planner, speeds, direct=True)
+        self._kept: deque[tuple[tuple[TaskSpec, SceneSpec, int], Solution]] = deque(maxlen=KEPT_SOLUTIONS)
 
-    def holds(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics, seed: int) -> bool:
-        """Tell whether a collision-free plan exists for every stage of one of the skill's candidates.
+    def solution(self, task: TaskSpec, scene: SceneSpec, seed: int) -> Solution:
+        """Return the motion that solves a scene, with every object where it was drawn.
+
+        Args:
+            task: The task.
+            scene: Its scene; its cameras do not matter.
+            seed: Seed of the planner's detours.
+
+        Raises:
+            PolicyError: When no candidate of the skill has a collision-free plan for every stage.
+            RoboximError: When the planner cannot be asked.
+        """
+        asked = task, replace(scene, cameras=()), seed
+        for known, solution in self._kept:
+            if known == asked:
+                return solution
+        view = self._view(task, scene)
+        solution = self._solver.solve(view, SKILLS[task.skill].stages(view), seed)
+        self._kept.append((asked, solution))
+        return solution
+
+    def holds(self, task: TaskSpec, scene: SceneSpec, seed: int) -> bool:
+        """Tell whether a scene has a solution.
 
         Args:
             task: The task.
             scene: Its scene, with objects where they come to rest.
-            arm: Kinematics of the scene's robot.
             seed: Seed of the planner's detours.
 
         Raises:
             RoboximError: When the planner cannot be asked.
         """
-        view = self._view(task, scene, arm)
         try:
-            self._solver.solve(view, SKILLS[task.skill].stages(view), seed)
+            self.solution(task, scene, seed)
         except PolicyError:
             return False
         return True
 
-    def way_blocked(self, task: TaskSpec, arm: ArmKinematics, scene: SceneSpec) -> bool:
+    def way_blocked(self, task: TaskSpec, scene: SceneSpec) -> bool:
         """Tell whether distractors are all that keeps straight lines from stage to stage from solving a task.
 
         Args:
             task: The task.
-            arm: Kinematics of the scene's robot.
             scene: Its scene.
 
         Raises:
@@ -67,17 +93,18 @@ class Solvability:
         """
         names = {thing.entity for thing in task_distractors(task)}
         alone = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name not in names))
-        view = replace(self._view(task, alone, arm), direct=True)
+        view = replace(self._view(task, alone), direct=True)
         try:
             straight = self._direct.solve(view, SKILLS[task.skill].stages(view), 0)
         except PolicyError:
             return False
         if self._direct.obstruction(view, straight):
             return False
-        return bool(self._direct.obstruction(self._view(task, scene, arm), straight))
+        return bool(self._direct.obstruction(self._view(task, scene), straight))
 
-    def _view(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics) -> ExpertScene:
-        return ExpertScene(task=task, scene=scene, state=state_at_rest(scene, arm), library=self._library)
+    def _view(self, task: TaskSpec, scene: SceneSpec) -> ExpertScene:
+        state = state_at_rest(scene, self._solver.arm(scene.robot.model))
+        return ExpertScene(task=task, scene=scene, state=state, library=self._library)
 
 
 def state_at_rest(scene: SceneSpec, arm: ArmKinematics) -> StateRecord:

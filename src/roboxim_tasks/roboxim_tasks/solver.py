@@ -16,7 +16,7 @@ from roboxim_core.errors import PlannerError, PolicyError
 from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_between
 from roboxim_core.kinematics.delta import ControllerState
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.poses import Array, Pose
+from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import GRIPPER, TABLE, ExpertScene, Stage
 from roboxim_tasks.planning import PlannerPort, Surroundings
 from roboxim_tasks.reference import Leg, ReferencePoint, SpeedConfig, make_reference
@@ -30,6 +30,9 @@ CLEARANCE_M = 0.004
 
 Noise and the controller's lag take it off the verified path.
 """
+START_TOLERANCE_RAD = 1e-6
+SETTLED_TOLERANCE_M, SETTLED_TOLERANCE_RAD = 1e-3, 0.01
+"""How far a thing may have settled from where it was drawn for the solution of the drawn scene to hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,15 +135,47 @@ class Solver:
             f"candidates refused: {'; '.join(dict.fromkeys(reasons)) or '(none)'}"
         )
 
-    def obstruction(self, view: ExpertScene, solution: Solution) -> str:
-        """Return what the planner finds wrong with a solution, e.g. one of a direct solver, or nothing."""
-        blocked = self._verify(view, solution.stages, solution.reference, [tuple(row) for row in solution.path])
+    def obstruction(self, view: ExpertScene, solution: Solution, clearance_m: float = 0.0) -> str:
+        """Return what the planner finds wrong with a solution, e.g. one of a direct solver, or nothing.
+
+        Args:
+            view: The scene as it is.
+            solution: The solution.
+            clearance_m: Distance that the motion keeps from distractors, and the arm from everything [m].
+
+        Raises:
+            RoboximError: When the planner cannot be asked.
+        """
+        path = [tuple(row) for row in solution.path]
+        blocked = self._verify(view, solution.stages, solution.reference, path, clearance_m)
         return f"{solution.stages[blocked.stage].name}: {blocked.reason}" if blocked else ""
+
+    def mismatch(self, view: ExpertScene, solution: Solution) -> str:
+        """Return why the solution of a drawn scene does not hold in the settled one, or nothing.
+
+        Args:
+            view: The scene once it has settled.
+            solution: The solution of the same scene as it was drawn.
+
+        Raises:
+            RoboximError: When the planner cannot be asked.
+        """
+        commands = view.state.robot.joint_commands
+        if len(commands) != solution.path.shape[1] or np.abs(solution.path[0] - commands).max() > START_TOLERANCE_RAD:
+            return "the arm starts elsewhere"
+        for entity in view.scene.entities:
+            state = view.state.entity(entity.name)
+            joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
+            shift_m, angle_rad = distance(entity.pose, state.pose)
+            slid = max((abs(joints[name] - q) for name, q in entity.joint_positions.items()), default=0.0)
+            if max(shift_m, slid) > SETTLED_TOLERANCE_M or angle_rad > SETTLED_TOLERANCE_RAD:
+                return f"{entity.name} has moved"
+        return self.obstruction(view, solution, CLEARANCE_M)
 
     def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int, cache: _Cache) -> _Rolled | _Blocked:
         """Roll out and verify a candidate, one run between standstills after the other."""
         controller = DeltaController(
-            self._arm(view.scene.robot.model),
+            self.arm(view.scene.robot.model),
             workspace=view.scene.workspace,
             pose_base_in_world=view.scene.robot.pose,
             semantics=ActionSemantics(rate_hz=view.scene.control_rate_hz),
@@ -222,7 +257,7 @@ class Solver:
 
     def _detour(self, view: ExpertScene, stage: Stage, joints: Array, seed: int) -> tuple[Pose, ...]:
         assert stage.pose is not None
-        arm = self._arm(view.scene.robot.model)
+        arm = self.arm(view.scene.robot.model)
         goal = view.scene.robot.pose @ stage.pose
         poses = [arm.fk(row) for row in self._planner.plan_to_pose(joints, goal, _around(view, stage), seed)]
         kept = [poses[0]]
@@ -231,7 +266,8 @@ class Solver:
                 kept.append(pose)
         return tuple(kept[1:])
 
-    def _arm(self, model: str) -> ArmKinematics:
+    def arm(self, model: str) -> ArmKinematics:
+        """Return the kinematics of a robot by its model's name."""
         if model not in self._arms:
             self._arms[model] = ArmKinematics(self._library.robot(model))
         return self._arms[model]
