@@ -27,7 +27,8 @@ from roboxim_eval import ports
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_recorder.bag_writer import McapFile
-from roboxim_recorder.check import check_bag, list_bags
+from roboxim_recorder.check import check_bag
+from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, to_msg

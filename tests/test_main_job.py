@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.run_folder import RunFolder
-from roboxim_recorder.check import check_bag, list_bags
+from roboxim_recorder.check import check_bag
+from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(3600)]

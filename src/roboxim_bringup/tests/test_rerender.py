@@ -17,7 +17,8 @@ from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, RecorderError, SimError
 from roboxim_policies.builtin import RandomPolicy
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag, list_bags
+from roboxim_recorder.check import check_bag
+from roboxim_recorder.run_bags import list_bags
 
 TASK = """
 reset:

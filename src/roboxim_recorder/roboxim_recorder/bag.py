@@ -26,7 +26,8 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
-from roboxim_recorder.schemas import MessageSchema, typestore
+from roboxim_recorder.cdr import MessageLayout
+from roboxim_recorder.schemas import MessageSchema, message_layout, typestore
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
 
 T = TypeVar("T")
@@ -34,13 +35,15 @@ T = TypeVar("T")
 
 @contextlib.contextmanager
 def damage(path: Path) -> Iterator[None]:
-    """Turn whatever a broken file makes the libraries raise into a `RecorderError` with code ``BAG_DAMAGED``."""
+    """Turn every exception that a damaged file causes into a `RecorderError` with code ``BAG_DAMAGED``."""
     try:
         yield
     except (McapError, SerdeError, TypesysError, CRCValidationError, zstandard.ZstdError) as error:
         raise damaged(path, str(error) or type(error).__name__) from error
-    except (struct.error, EOFError, UnicodeDecodeError, InvalidRequestError) as error:
+    except (struct.error, EOFError, InvalidRequestError) as error:
         raise damaged(path, str(error)) from error
+    except (ValueError, LookupError, OverflowError, MemoryError, AssertionError) as error:
+        raise damaged(path, f"{type(error).__name__}: {error}") from error
     except OSError as error:
         raise damaged(path, error.strerror or str(error)) from error
     except AttributeError as error:  # a field that this version of RoboXim expects
@@ -136,11 +139,14 @@ class BagReader:
             """Topic to number of messages."""
             self.types = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
             """Topic to message type."""
-            self._store = typestore(map(_schema, summary.schemas.values()))
+            self.type_hashes = {c.topic: c.metadata.get("topic_type_hash", "") for c in summary.channels.values()}
+            """Topic to the hash of its message type."""
+            self._schemas = {schema.name: _schema(schema) for schema in summary.schemas.values()}
+            self._store = typestore(self._schemas.values())
 
     @cached_property
     def info(self) -> EpisodeInfo:
-        """Everything that makes the episode again.
+        """Everything needed to reproduce the episode.
 
         Raises:
             RecorderError: With code ``BAG_DAMAGED``.
@@ -204,6 +210,15 @@ class BagReader:
         """
         with damage(self.path):
             return self._store.deserialize_cdr(cdr, self.types[topic])
+
+    def layout(self, topic: str) -> MessageLayout:
+        """Return how a topic's messages lie in CDR.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        with damage(self.path):
+            return message_layout(self._schemas[self.types[topic]])
 
     def ticks(self, cameras: Sequence[str] | None = None) -> Iterator[BagTick]:
         """Yield the ticks in order.

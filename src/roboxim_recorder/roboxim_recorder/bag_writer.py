@@ -1,7 +1,7 @@
-"""Writes one episode's bag: a rosbag2 folder with one MCAP file, in its place only when it is whole.
+"""Writes one episode's bag: a rosbag2 folder with one MCAP file, in its final place only when it is whole.
 
 The bag grows in ``<out>/.partial/<id>`` and is renamed into ``<out>/episodes`` or ``<out>/set_apart`` when closed. A
-killed recorder loses the messages since the last `BagWriter.flush`; the rest is recovered by `check.repair_bag`.
+killed recorder loses the messages since the last `BagWriter.flush`; `repair.repair_bag` recovers the rest.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import contextlib
 import errno
 import shutil
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +26,7 @@ PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 PARTIAL = ".partial"
 METADATA = "roboxim"
 """Name of the MCAP metadata record."""
+METADATA_FILE = "metadata.yaml"
 FORMAT_VERSION = "2"
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -48,9 +50,15 @@ def _qos(topic: str) -> dict[str, Any]:
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
+@cache
+def _qos_text(topic: str) -> str:
+    text: str = yaml.dump([_qos(topic)], Dumper=_Dumper, sort_keys=False)
+    return text
+
+
 @contextlib.contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Turn what the operating system says of a file into a `RecorderError` with code ``DISK``."""
+    """Turn an operating system's error into a `RecorderError` with code ``DISK``."""
     try:
         yield
     except OSError as error:
@@ -61,18 +69,18 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 def find_episode(output_dir: Path, episode_id: str) -> Path | None:
-    """Return the folder of an episode that a run has already, kept or set apart."""
+    """Return the folder of an episode that a run already has, kept or set apart; None when it has none."""
     candidates = (output_dir / place / episode_id for place in PLACES.values())
     return next((path for path in candidates if path.exists()), None)
 
 
 class McapFile:
-    """An MCAP file with the profile of rosbag2 and what its ``metadata.yaml`` must say of it."""
+    """An MCAP file with rosbag2's profile, and the ``metadata.yaml`` that describes it."""
 
     def __init__(self, folder: Path, name: str) -> None:
         """Make the folder and ``<name>_0.mcap`` in it; an OSError is the caller's."""
         folder.mkdir(parents=True)
-        self.path = folder / f"{name}_0.mcap"
+        self.path = folder / mcap_name(name)
         self._file = self.path.open("wb")
         self._writer = Writer(self._file, chunk_size=16 << 20, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="roboxim")
@@ -92,7 +100,7 @@ class McapFile:
             "cdr",
             self._schema_ids[schema.name],
             {
-                "offered_qos_profiles": yaml.safe_dump([_qos(topic)], sort_keys=False),
+                "offered_qos_profiles": _qos_text(topic),
                 "topic_type_hash": schema.type_hash,
             },
         )
@@ -117,60 +125,81 @@ class McapFile:
             self._writer.add_metadata(METADATA, dict(metadata))
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
-        text = yaml.dump(self._description(metadata), Dumper=_Dumper, sort_keys=False, width=200)
-        (self.path.parent / "metadata.yaml").write_text(text)
+        topics = {
+            topic: (self._schemas[topic].name, self._schemas[topic].type_hash, count)
+            for topic, count in self.counts.items()
+        }
+        description = bag_description(self.path.name, topics, self._span, metadata)
+        (self.path.parent / METADATA_FILE).write_text(metadata_text(description))
 
     def abandon(self) -> None:
         """Close the file as it is."""
         with contextlib.suppress(OSError):
             self._file.close()
 
-    def _description(self, metadata: Mapping[str, str]) -> dict[str, Any]:
-        total = sum(self.counts.values())
-        start = {"nanoseconds_since_epoch": self._span[0]}
-        duration = {"nanoseconds": self._span[1] - self._span[0]}
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": self._schemas[topic].name,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [_qos(topic)],
-                    "type_description_hash": self._schemas[topic].type_hash,
-                },
-                "message_count": count,
-            }
-            for topic, count in self.counts.items()
-        ]
-        file = {
-            "path": self.path.name,
-            "starting_time": dict(start),
-            "duration": dict(duration),
+
+def mcap_name(name: str) -> str:
+    """Return the name of the MCAP file in a bag's folder of that name."""
+    return f"{name}_0.mcap"
+
+
+def metadata_text(description: Mapping[str, Any]) -> str:
+    """Return the text of a ``metadata.yaml``."""
+    text: str = yaml.dump(dict(description), Dumper=_Dumper, sort_keys=False, width=200)
+    return text
+
+
+def bag_description(
+    file_name: str, topics: Mapping[str, tuple[str, str, int]], span_ns: tuple[int, int], metadata: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what rosbag2's ``metadata.yaml`` says of a bag, plain data.
+
+    Args:
+        file_name: Name of the MCAP file.
+        topics: Topic to its type, the type's hash and its number of messages, in the order of announcement.
+        span_ns: Stamps of the first and the last message [ns].
+        metadata: The bag's metadata record.
+    """
+    total = sum(count for _, _, count in topics.values())
+    start = {"nanoseconds_since_epoch": span_ns[0]}
+    duration = {"nanoseconds": span_ns[1] - span_ns[0]}
+    listed = [
+        {
+            "topic_metadata": {
+                "name": topic,
+                "type": kind,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [_qos(topic)],
+                "type_description_hash": type_hash,
+            },
+            "message_count": count,
+        }
+        for topic, (kind, type_hash, count) in topics.items()
+    ]
+    file = {"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": total}
+    return {
+        "rosbag2_bagfile_information": {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "duration": duration,
+            "starting_time": start,
             "message_count": total,
+            "topics_with_message_count": listed,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file_name],
+            "files": [file],
+            "custom_data": dict(metadata),
+            "ros_distro": "jazzy",
         }
-        return {
-            "rosbag2_bagfile_information": {
-                "version": 9,
-                "storage_identifier": "mcap",
-                "duration": duration,
-                "starting_time": start,
-                "message_count": total,
-                "topics_with_message_count": topics,
-                "compression_format": "",
-                "compression_mode": "",
-                "relative_file_paths": [self.path.name],
-                "files": [file],
-                "custom_data": dict(metadata),
-                "ros_distro": "jazzy",
-            }
-        }
+    }
 
 
 class BagWriter:
     """Writes an episode's bag below a run's folder. Every fault of the disk is a `RecorderError` with code ``DISK``."""
 
     def __init__(self, output_dir: Path, episode_id: str) -> None:
-        """Open the bag; what a killed recorder left of the same episode is removed.
+        """Open the bag; remains of the same episode from a killed recorder are removed.
 
         Args:
             output_dir: The run's folder, absolute.

@@ -42,6 +42,17 @@ class _Notice:
     """Topic, by its name in the bag, to the CRC-32 of the image on it; 0: not an image."""
 
 
+def outcome_metadata(info: EpisodeInfo, result: EpisodeResult) -> dict[str, str]:
+    """Return what a bag's metadata record says of the episode and its outcome."""
+    return {
+        "outcome": result.outcome,
+        "reason": result.reason,
+        "instruction": info.task.instruction,
+        "skill": info.task.skill,
+        "ticks": str(result.last_seq + 1),
+    }
+
+
 class EpisodeRecording:
     """The bag of a running episode."""
 
@@ -52,7 +63,7 @@ class EpisodeRecording:
 
         Args:
             output_dir: The run's folder, absolute.
-            info: What makes the episode again.
+            info: What is needed to reproduce the episode.
             info_cdr: The same as a serialised ``EpisodeInfo`` message.
             extra_topics: Topic to type of what is recorded besides; not needed for a tick to be whole.
 
@@ -240,16 +251,7 @@ class EpisodeRecording:
         except RecorderError:
             self.drop()
             raise
-        return self._writer.close(
-            keep,
-            {
-                "outcome": result.outcome,
-                "reason": result.reason,
-                "instruction": self.info.task.instruction,
-                "skill": self.info.task.skill,
-                "ticks": str(self._next),
-            },
-        )
+        return self._writer.close(keep, outcome_metadata(self.info, result))
 
     def _name_gap(self, last_seq: int) -> str:
         if last_seq < self._next:

@@ -12,7 +12,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES
-from roboxim_recorder.check import list_bags
+from roboxim_recorder.run_bags import list_bags
 
 
 def bag_info(path: Path | str) -> str:

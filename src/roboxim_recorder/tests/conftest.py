@@ -65,7 +65,7 @@ class FakeEpisode:
         return EpisodeResult(
             episode_id=self.info.episode_id, index=self.index, outcome=self.outcome, steps=self.steps,
             reason="" if self.outcome == "success" else "not_lifted", last_seq=self.last_seq, verdict=verdict,
-            instruction=self.instruction, skill="pick_up", final_state_hash=f"{self.index:032x}",
+            instruction=self.instruction, skill="pick_up", final_state_hash=self.state(self.last_seq).state_hash,
         )  # fmt: skip
 
     def stamp_ns(self, seq: int) -> int:

@@ -34,7 +34,8 @@ def check(paths: tuple[Path, ...]) -> None:
     """Check that bags are whole: every tick, every topic, every checksum. The exit code is 1 when one is not."""
     from roboxim_core.errors import ErrorCode, RecorderError
     from roboxim_recorder.bag import mcap_file
-    from roboxim_recorder.check import check_bag, list_bags
+    from roboxim_recorder.check import check_bag
+    from roboxim_recorder.run_bags import list_bags
 
     broken = total = 0
     for path in paths:
@@ -54,7 +55,7 @@ def check(paths: tuple[Path, ...]) -> None:
 @click.argument("path", type=_bag)
 def repair(path: Path) -> None:
     """Save what can be read of a damaged bag as a new one beside it."""
-    from roboxim_recorder.check import repair_bag
+    from roboxim_recorder.repair import repair_bag
 
     click.echo(f"saved {repair_bag(path)}")
 

@@ -23,7 +23,7 @@ def command(bags: tuple[Path, ...], namespace: str, run_id: str | None, domain: 
     """
     join_run(run_id, domain)
     from roboxim_core.errors import ErrorCode, SimError
-    from roboxim_recorder.check import list_bags
+    from roboxim_recorder.run_bags import list_bags
     from roboxim_ros.clients import Clients
     from roboxim_ros.host import NodeHost
 

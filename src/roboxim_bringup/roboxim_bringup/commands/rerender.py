@@ -69,7 +69,7 @@ def command(
     from roboxim_core.config import load_config, named_config
     from roboxim_core.errors import ConfigError
     from roboxim_core.specs import SceneSpec
-    from roboxim_recorder.check import list_bags
+    from roboxim_recorder.run_bags import list_bags
 
     bags = [bag for source in sources for bag in ([source] if source.is_file() else list_bags(source))]
     for word in textures:

@@ -30,7 +30,7 @@ from roboxim_datasets.rlds.loader_files import action_statistics, dead_dimension
 from roboxim_datasets.rlds.writer import RldsWriter
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import disk_errors
-from roboxim_recorder.check import list_bags
+from roboxim_recorder.run_bags import list_bags
 
 Progress = Callable[[int, int], None]
 EXPORT_FILE = "export.json"
