@@ -41,7 +41,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="roboxim-") as folder, free_domain() as domain:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         with NodeHost(domain_id=domain) as host:
-            graph = start_graph(host, parameters={"sim": {"scene": ""}}, policies=[PolicyLaunch(spec="random")])
+            graph = start_graph(
+                host,
+                parameters={"sim": {"scene": ""}, "recorder": {"output_root": "/"}},
+                policies=[PolicyLaunch(spec="random")],
+            )
             with graph.clients() as clients:
 
                 def episode_ms(index: int, ticks: int) -> float:

@@ -32,7 +32,7 @@ def main() -> None:
         shared = {"purpose": "demo", "keep": "successful", "image_width": size, "image_height": size}
         with CoreGraph(direct) as cores, NodeHost(domain_id=domain) as host:
             runner = EpisodeRunner(cores.ports, RunConfig(**shared, output_dir=str(direct)))
-            graph = start_graph(host, parameters={"sim": {"scene": ""}})
+            graph = start_graph(host, parameters={"sim": {"scene": ""}, "recorder": {"output_root": "/"}})
             with graph.clients() as clients:
                 times: dict[str, list[float]] = {"cores": [], "nodes": []}
                 hashes: dict[str, list[str]] = {"cores": [], "nodes": []}

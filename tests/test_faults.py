@@ -54,7 +54,9 @@ class Scripted(BasePolicy):
 def shared():
     """One graph for all tests of this file: what a fault leaves behind would show in the next test."""
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
-        graph = start_graph(host, parameters={"sim": {"scene": "", "renderer": "tiny"}})
+        graph = start_graph(
+            host, parameters={"sim": {"scene": "", "renderer": "tiny"}, "recorder": {"output_root": "/"}}
+        )
         policy = Scripted()
         node = host.add(lambda context: PolicyNode(policy, context=context, namespace="policy"))
         with graph.clients() as clients:

@@ -119,6 +119,7 @@ def run_job(
                     parameters={
                         "sim": {"renderer": job.renderer, "scene": ""},
                         "tasks": {"visible_renderer": job.looking_renderer},
+                        "recorder": {"output_root": str(Path(job.config.output_dir).absolute())},
                     },
                     policies=job.policies,
                     log_dir=folder.path / "logs",

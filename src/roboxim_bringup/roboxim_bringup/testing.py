@@ -13,6 +13,7 @@ Override ``graph_parameters`` for parameters other than the defaults.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -29,9 +30,10 @@ def graph_parameters() -> Mapping[str, Mapping[str, Any]]:
 
 @pytest.fixture
 def graph(graph_parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[Graph]:
-    """All nodes of the graph, in this process."""
+    """All nodes of the graph, in this process; bags may be written below the temporary folder, as ``tmp_path`` is."""
     from roboxim_ros.host import NodeHost
     from roboxim_ros.runs import free_domain
 
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
-        yield start_graph(host, parameters=graph_parameters)
+        recorder = {"output_root": tempfile.gettempdir(), **graph_parameters.get("recorder", {})}
+        yield start_graph(host, parameters={**graph_parameters, "recorder": recorder})

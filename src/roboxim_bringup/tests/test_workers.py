@@ -14,7 +14,7 @@ from roboxim_ros.runs import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-SMALL = {"sim": {"renderer": "tiny"}}
+SMALL = {"sim": {"renderer": "tiny"}, "recorder": {"output_root": "/"}}
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,23 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
+from roboxim_recorder.output_root import require_inside
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_ros import qos
 from roboxim_ros.conversions import from_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecorderConfig:
+    """Parameters of the recorder node."""
+
+    output_root: str = field(
+        default=".",
+        metadata={"description": "folder that every bag must be in; relative: to where the node was started"},
+    )
+    """Folder that no request leads out of."""
 
 
 class RecorderNode(RoboximNode):
@@ -39,6 +52,7 @@ class RecorderNode(RoboximNode):
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`."""
         super().__init__("recorder", context=context, namespace=namespace, parameters=parameters)
+        self._root = Path(self.declare_config(RecorderConfig).output_root).expanduser().absolute()
         self._recording: EpisodeRecording | None = None
         self._failed = ""
         self._opened_ns = 0
@@ -61,7 +75,7 @@ class RecorderNode(RoboximNode):
             self._abort(f"'{info.episode_id}' is opened")
         extra = {name: self._type_of(name) for name in request.topics}
         recording = EpisodeRecording(
-            Path(request.output_dir),
+            require_inside(request.output_dir, self._root),
             info,
             serialize_message(request.info),
             {topics.absolute(name): kind for name, kind in extra.items()},

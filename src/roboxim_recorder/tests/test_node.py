@@ -28,7 +28,9 @@ class FakeGraph:
     """Publishes made-up episodes; camera publishers are made when the first image is, as the sim does."""
 
     def __init__(self, host):
-        self.recorder = host.add(lambda context: RecorderNode(context=context, namespace="/w1"))
+        self.recorder = host.add(
+            lambda context: RecorderNode(context=context, namespace="/w1", parameters={"output_root": "/"})
+        )
         self.node = host.add(lambda context: Node("fake", context=context, namespace="/w1"))
         self.clients = Clients("fake_clients", context=host.context, namespace="/w1")
         self.acknowledged = queue.Queue()
