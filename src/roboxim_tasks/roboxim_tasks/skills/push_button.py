@@ -87,8 +87,8 @@ class PushButton(Skill):
 
         def reachable(scene: SceneSpec) -> bool:
             spec: EntitySpec = scene.entity(entity)
-            face = _face(context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose)
-            pressed = (_pressed(face, yaw) for yaw in YAWS)
+            face = button_face(context.library.entity_model(spec), scene.robot.pose.inverse() @ spec.pose)
+            pressed = (pressed_pose(face, yaw) for yaw in YAWS)
             return any(reaches_in_lines(context, retreated(pose, APPROACH_M), pose) for pose in pressed)
 
         return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
@@ -96,12 +96,12 @@ class PushButton(Skill):
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Go above it with closed fingers, press, withdraw; the yaw that the tool has first."""
         entity = scene.task.objects["target"].entity
-        face = _face(scene.model_of(entity), scene.pose_of(entity))
+        face = button_face(scene.model_of(entity), scene.pose_of(entity))
         touching = fingers_touch(scene, entity)
         now = scene.pose_tcp.rotation.apply([1.0, 0.0, 0.0])
         heading = math.atan2(now[1], now[0])
         for yaw in YAWS:
-            pressed = _pressed(face, heading + yaw)
+            pressed = pressed_pose(face, heading + yaw)
             script = Script(scene)
             script.opening = 0.0
             script.move(retreated(pressed, APPROACH_M), name="approach", free=True)
@@ -132,13 +132,13 @@ class PushButton(Skill):
         )  # fmt: skip
 
 
-def _face(model: ObjectModel, base: Pose) -> Pose:
+def button_face(model: ObjectModel, base: Pose) -> Pose:
     """Return the pose of the button's face, z outwards, in the frame of its base pose."""
     point = model.press_points[0]
     return base @ object_link_poses(model, {})[point.link] @ point.pose
 
 
-def _pressed(face: Pose, yaw_rad: float) -> Pose:
+def pressed_pose(face: Pose, yaw_rad: float) -> Pose:
     """Return the pose of the tool that has pressed the button in, its x axis at a heading in the base."""
     x, y, z = face.apply((0.0, 0.0, -DEPTH_M)).tolist()
     return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))

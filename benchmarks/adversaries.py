@@ -1,0 +1,103 @@
+"""Whether every skill's evaluator refuses cheats and accepts honest ways (roboxim_tasks/trials).
+
+Each trial acts in scenes of its skill through the delta controller, as a policy does, over the cores and without
+cameras. A cheat is as expected when no tick was a success; an honest way when it is a success after settling. With
+``--out`` episodes are kept as they end, and the same command goes on where it was stopped. ``--docs`` writes the table
+into docs/tasks.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from _harness import Bench
+from _kept import Kept
+from roboxim_bringup.trial_runs import TrialRuns
+from roboxim_tasks.trials import TRIALS, Trial
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
+BEGIN, END = "<!-- adversaries: begin -->", "<!-- adversaries: end -->"
+HEAD = "| skill | what is tried | must | as expected |\n| --- | --- | --- | --- |"
+
+
+def main() -> None:
+    """Measure and print."""
+    bench = Bench("adversaries", __doc__, add_options)
+    options = bench.options
+    chosen = {key: TRIALS[key] for key in TRIALS if any(text in key for text in options.trials.split(","))}
+    if not chosen:
+        raise SystemExit(f"no trial's name contains any of '{options.trials}'; trials are: {', '.join(TRIALS)}")
+    scenes = 1 if bench.quick else options.scenes
+    start = time.perf_counter()
+    outcomes = measure(chosen, scenes, options.out)
+    for key, trial in chosen.items():
+        bench.row(**row(trial, outcomes[key]))
+    if options.docs:
+        write_docs(chosen, outcomes)
+    found = [outcome for key in chosen for outcome in outcomes[key]]
+    print(f"{len(found)} episodes, {time.perf_counter() - start:.0f} s")
+    share = sum(outcome["as_expected"] for outcome in found) / len(found)
+    bench.finish("trials judged as expected", share, "", at_least=1.0)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes here and go on from them")
+    parser.add_argument("--trials", default="", metavar="TEXT[,TEXT]", help="only trials whose name contains a text")
+    parser.add_argument("--scenes", type=int, default=10, metavar="N", help="scenes per trial (default: 10)")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/tasks.md")
+
+
+def measure(chosen: dict[str, Trial], scenes: int, out: Path | None) -> dict[str, list[dict[str, Any]]]:
+    """Run what is not there yet; return every trial's episodes."""
+    kept = Kept(out, {key: trial.config() for key, trial in chosen.items()}) if out else None
+    known = kept.load() if kept else {}
+    outcomes = {key: [o for o in known.get(key, []) if o["index"] < scenes] for key in chosen}
+    done = sum(map(len, outcomes.values()))
+    with TrialRuns() as runs, tqdm(total=scenes * len(chosen), initial=done, unit="episode", disable=None) as bar:
+        for key, trial in chosen.items():
+            there = {outcome["index"] for outcome in outcomes[key]}
+            for index in (index for index in range(scenes) if index not in there):
+                outcome = {"cell": key, **runs.run(trial, index).plain()}
+                outcomes[key].append(outcome)
+                if kept:
+                    kept.add([outcome])
+                bar.update()
+    return outcomes
+
+
+def row(trial: Trial, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
+    """Return a trial's row."""
+    reasons = Counter(outcome["reason"] or "success" for outcome in outcomes)
+    return {
+        "skill": trial.skill,
+        "trial": trial.name,
+        "expected": trial.reason or "success",
+        "as_expected": f"{sum(outcome['as_expected'] for outcome in outcomes)} of {len(outcomes)}",
+        "ended": ", ".join(f"{reason} {count}" for reason, count in reasons.most_common()),
+    }
+
+
+def write_docs(chosen: dict[str, Trial], outcomes: dict[str, list[dict[str, Any]]]) -> None:
+    """Replace the table in docs/tasks.md."""
+    order = sorted(chosen.items(), key=lambda item: (item[1].skill, item[1].honest, item[1].name))
+    lines = [HEAD]
+    for key, trial in order:
+        must = "succeed" if trial.honest else f"fail: `{trial.reason}`"
+        count = row(trial, outcomes[key])["as_expected"]
+        lines.append(f"| `{trial.skill}` | {trial.does.rstrip('.')} | {must} | {count} |")
+    text = DOCS.read_text()
+    if BEGIN not in text or END not in text:
+        raise SystemExit(f"{DOCS} has no '{BEGIN}' and '{END}' to write the table between")
+    before, rest = text.split(BEGIN, 1)
+    DOCS.write_text("\n".join([before + BEGIN, *lines, END + rest.split(END, 1)[1]]))
+
+
+if __name__ == "__main__":
+    main()

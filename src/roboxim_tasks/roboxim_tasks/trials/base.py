@@ -1,0 +1,119 @@
+"""Trials of a skill's evaluator: scripted cheats that must fail, and other honest ways that must succeed.
+
+A trial is a function like a skill's `stages`: it gets the scene and yields candidates, each the stages of a `Script`.
+What it yields is executed through the delta controller, as a policy's actions are::
+
+    @cheat("place_on", reason="dropped")
+    def drop(scene):
+        \"\"\"Let go of it 30 cm above the support.\"\"\"
+        for grasp, goal in own_ways(scene):
+            script = Script(scene)
+            script.pick("target", grasp)
+            script.place(goal, onto="support", drop_m=0.3)
+            yield script.stages
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import config_dirs
+from roboxim_core.registry import Registry
+from roboxim_tasks.config import merged
+from roboxim_tasks.motion import ExpertScene, Stage
+
+Stages = Callable[[ExpertScene], Iterable[tuple[Stage, ...]]]
+LEAST = 3
+"""Cheats, and honest ways, that every skill has at least."""
+ALONE: Mapping[str, Any] = {"distractors": {"minimum": 0, "maximum": 0}}
+"""What differs from a skill's own task in every trial, besides that there are no cameras."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """A scripted way to act in a skill's scenes, and what the evaluator must say of it."""
+
+    skill: str
+    """The skill."""
+    name: str
+    """Name, unique for the skill."""
+    does: str
+    """What it does, in a sentence."""
+    stages: Stages
+    """Yields the candidate ways, best first."""
+    reason: str = ""
+    """Why a cheat fails; empty: it is honest and succeeds."""
+    change: Mapping[str, Any] = field(default_factory=dict)
+    """What differs from the skill's own task."""
+
+    @property
+    def honest(self) -> bool:
+        """Whether it must succeed."""
+        return not self.reason
+
+    def config(self) -> str:
+        """Return the task configuration of its scenes as YAML text."""
+        files = (folder / "tasks" / f"{self.skill}.yaml" for folder in config_dirs())
+        own = next((yaml.safe_load(file.read_text()) for file in files if file.is_file()), {"skill": self.skill})
+        own["reset"] = {**own.get("reset", {}), "cameras": {"names": []}}
+        return str(yaml.safe_dump(merged(merged(own, ALONE), self.change)))
+
+
+TRIALS: Registry[Trial] = Registry("trial")
+"""``<skill>/<name>`` to the trial; a skill outside of RoboXim brings its own by the entry point ``roboxim.trial``."""
+
+
+def cheat(*skills: str, reason: str, change: Mapping[str, Any] | None = None) -> Callable[[Stages], Stages]:
+    """Register a function as a cheat at some skills.
+
+    Args:
+        skills: The skills.
+        reason: The verdict's reason for at least half of the episodes; all must fail.
+        change: What differs from the skill's own task.
+    """
+    return _register(skills, reason, change or {})
+
+
+def honest(*skills: str, change: Mapping[str, Any] | None = None) -> Callable[[Stages], Stages]:
+    """Register a function as an honest way to solve some skills.
+
+    Args:
+        skills: The skills.
+        change: What differs from the skill's own task.
+    """
+    return _register(skills, "", change or {})
+
+
+def _register(skills: Iterable[str], reason: str, change: Mapping[str, Any]) -> Callable[[Stages], Stages]:
+    def add(stages: Stages) -> Stages:
+        name, does = stages.__name__, (stages.__doc__ or "").splitlines()[0]  # type: ignore[attr-defined]
+        for skill in skills:
+            trial = Trial(skill=skill, name=name, does=does, stages=stages, reason=reason, change=change)
+            TRIALS.register(f"{skill}/{name}")(trial)
+        return stages
+
+    return add
+
+
+def trials_of(skill: str) -> list[Trial]:
+    """Return the trials of a skill, cheats first."""
+    found = (TRIALS[key] for key in TRIALS)
+    return sorted((t for t in found if t.skill == skill), key=lambda t: (t.honest, t.name))
+
+
+def missing_trials(skill: str) -> str:
+    """Return which trials a skill lacks, or nothing: it needs three cheats and three honest ways."""
+    trials = trials_of(skill)
+    lacks = [
+        f"{LEAST - count} more {kind}"
+        for kind, count in (
+            ("cheats (@cheat)", sum(not trial.honest for trial in trials)),
+            ("honest ways (@honest)", sum(trial.honest for trial in trials)),
+        )
+        if count < LEAST
+    ]
+    return f"skill '{skill}' needs {' and '.join(lacks)} in roboxim_tasks.trials" if lacks else ""

@@ -1,0 +1,111 @@
+"""What the trials of many skills are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.poses import Pose, distance
+from roboxim_tasks.motion import ExpertScene, Grasp, Stage
+from roboxim_tasks.script import Script
+from roboxim_tasks.skills import SKILLS
+
+SLOWLY = 0.35
+"""Speed of slow ways, as a fraction of the expert's."""
+OTHER_RAD = 0.7
+"""Another grasp is turned by at least so much from the expert's [rad]."""
+ASIDE_M = 0.06
+"""How far a thing is set aside before it is grasped again [m]."""
+
+
+def own_stages(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Yield the candidates of the skill's own executor."""
+    return iter(SKILLS[scene.task.skill].stages(scene))
+
+
+def own_ways(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
+    """Yield the grasps that the skill's own executor tries, each with where it puts the target.
+
+    Non-obvious: for skills whose executors pick the target up; where it stays in the hand, the pose is where it is now.
+    """
+    entity, last = scene.task.objects["target"].entity, None
+    for stages in own_stages(scene):
+        by_name = {stage.name: stage for stage in stages}
+        grasp, release = by_name["descend"], by_name.get("release", by_name["descend"])
+        assert grasp.pose is not None
+        moved = {state.name: scene.in_base(state.pose) for state in stages[-1].moved}
+        way = (
+            Grasp(pose=grasp.pose, opening=grasp.opening, release_opening=release.opening),
+            moved.get(entity, scene.pose_of(entity)),
+        )
+        if way != last:
+            yield way
+        last = way
+
+
+def other_grasps(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
+    """Yield the ways whose grasp is turned from that of the first, by `OTHER_RAD` or more."""
+    first: Pose | None = None
+    for grasp, goal in own_ways(scene):
+        first = first or grasp.pose
+        if distance(first, grasp.pose)[1] >= OTHER_RAD:
+            yield grasp, goal
+
+
+def slowed(stages: tuple[Stage, ...], share: float = SLOWLY) -> tuple[Stage, ...]:
+    """Return stages at a fraction of their speed."""
+    return tuple(replace(stage, speed=stage.speed * share) for stage in stages)
+
+
+def without(stages: tuple[Stage, ...], *names: str) -> tuple[Stage, ...]:
+    """Return stages without those of some names."""
+    return tuple(stage for stage in stages if stage.name not in names)
+
+
+def caging(script: Script, entity: str, goal: Pose, onto: str) -> None:
+    """Put what is held at a pose and open the fingers, but do not withdraw."""
+    at = goal @ script.held_in_tcp.inverse()
+    script.carry(at)
+    script.move(at, name="lower", speed=0.6, touching=((entity, onto),))
+    script.grip(1.0, name="open")
+    script.wait(2.0)
+
+
+def set_aside(script: Script, entity: str, grasp: Grasp, shift: tuple[float, float]) -> Grasp:
+    """Pick an object up, set it down beside where it is, and return the same grasp of it there."""
+    script.pick(entity, grasp)
+    now = script.scene.pose_of(entity)
+    there = replace(now, position=(now.position[0] + shift[0], now.position[1] + shift[1], now.position[2]))
+    script.place(there)
+    return replace(grasp, pose=there @ now.inverse() @ grasp.pose)
+
+
+def around(length_m: float, count: int = 8) -> Iterator[tuple[float, float]]:
+    """Yield horizontal vectors of a length in all directions [m]."""
+    for angle in np.arange(count) * 2 * np.pi / count:
+        yield float(length_m * np.cos(angle)), float(length_m * np.sin(angle))
+
+
+def displaced(pose: Pose, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pose:
+    """Return a pose moved in its parent frame [m]."""
+    return Pose.from_arrays(np.add(pose.position, (x, y, z)), pose.rotation)
+
+
+def about_vertical(pose: Pose, angle_rad: float) -> Pose:
+    """Return a pose turned about the vertical through its origin."""
+    return Pose.from_arrays(pose.position, Rotation.from_euler("z", angle_rad) * pose.rotation)
+
+
+def ways_with(make: Callable[[Script, Grasp, Pose], object]) -> Callable[[ExpertScene], Iterator[tuple[Stage, ...]]]:
+    """Return a function that yields a script for each of the skill's own ways, made by a function of it."""
+
+    def ways(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        for grasp, goal in own_ways(scene):
+            script = Script(scene)
+            make(script, grasp, goal)
+            yield script.stages
+
+    return ways

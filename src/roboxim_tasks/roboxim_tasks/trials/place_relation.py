@@ -1,0 +1,92 @@
+"""Trials of ``place_left_of`` and its sisters besides those of `roboxim_tasks.trials.placing`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from roboxim_core.poses import Array, Pose
+from roboxim_tasks.motion import ExpertScene, Stage, grasps_of
+from roboxim_tasks.script import Script
+from roboxim_tasks.trials.base import cheat, honest
+from roboxim_tasks.trials.moves import own_ways
+from roboxim_tasks.trials.placing import RELATIONS
+
+CUBES = {"objects": {role: {"models": {"values": ["cube"]}} for role in ("reference", "target")}}
+RED_AND_BLUE = {
+    "objects": {
+        role: {"models": {"values": ["cube"]}, "modifiers": {"color": {"values": [color]}}}
+        for role, color in (("reference", "blue"), ("target", "red"))
+    }
+}
+
+
+def direction(scene: ExpertScene) -> Array:
+    """Return the direction that is asked for, in the base, shape (3,)."""
+    arguments = scene.task.arguments
+    return scene.scene.robot.pose.rotation.inv().apply((arguments["direction_x"], arguments["direction_y"], 0.0))
+
+
+def beside(scene: ExpertScene, entity: str, other: str, vector: Array) -> Pose:
+    """Return the pose of an entity at a vector from another one, as it lies now otherwise."""
+    x, y, _ = scene.pose_of(other).position + vector
+    now = scene.pose_of(entity)
+    return replace(now, position=(float(x), float(y), now.position[2]))
+
+
+def across(toward: Array) -> Array:
+    """Return the horizontal vector at right angles, shape (3,)."""
+    return np.array([-toward[1], toward[0], 0.0])
+
+
+@cheat(*RELATIONS, reason="not_in_direction", change=RED_AND_BLUE)
+def on_the_opposite_side(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it on the opposite side."""
+    for length in (0.1, 0.13, 0.08):
+        for slope in (0.0, 0.4, -0.4, 0.9, -0.9):
+            away = -direction(scene) + slope * across(direction(scene))
+            for grasp, _ in own_ways(scene):
+                script = Script(scene)
+                script.pick("target", grasp)
+                script.place(beside(scene, "target", "reference", length * away))
+                yield script.stages
+
+
+@cheat(*RELATIONS, reason="too_far_to_the_side", change=RED_AND_BLUE)
+def diagonally(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it as far to the side as in the direction."""
+    for side in (1.2, -1.2):
+        vector = 0.09 * (direction(scene) + side * across(direction(scene)))
+        for grasp, _ in own_ways(scene):
+            script = Script(scene)
+            script.pick("target", grasp)
+            script.place(beside(scene, "target", "reference", vector))
+            yield script.stages
+
+
+@cheat(*RELATIONS, reason="moved_reference", change=RED_AND_BLUE)
+def move_the_reference(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Move the reference to the other side of it instead."""
+    for length in (0.1, 0.14):
+        for slope in (0.0, 0.4, -0.4):
+            vector = length * (slope * across(direction(scene)) - direction(scene))
+            for grasp in grasps_of(scene, "reference"):
+                script = Script(scene)
+                script.pick("reference", grasp)
+                script.place(beside(scene, "reference", "target", vector))
+                yield script.stages
+
+
+@honest(*RELATIONS, change=RED_AND_BLUE)
+def slanting(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it farther away than the expert does, and a little to the side."""
+    for length in (0.15, 0.12, 0.18, 0.1):
+        for side in (0.5, -0.5, 0.3, -0.3):
+            vector = length * (direction(scene) + side * across(direction(scene)))
+            for grasp, _ in own_ways(scene):
+                script = Script(scene)
+                script.pick("target", grasp)
+                script.place(beside(scene, "target", "reference", vector))
+                yield script.stages

@@ -1,0 +1,85 @@
+"""Trials that the skills share which pick something up and put it somewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from roboxim_tasks.motion import TABLE, ExpertScene, Stage
+from roboxim_tasks.script import Script
+from roboxim_tasks.trials.base import cheat, honest
+from roboxim_tasks.trials.moves import around, caging, other_grasps, own_stages, own_ways, set_aside, slowed
+
+RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
+PLACING = ("place_on", *RELATIONS, "stack")
+CUBES = {"objects": {"target": {"models": {"values": ["cube"]}}}}
+"""What is the same for every grasp, so that trials are about how it is handled."""
+ASIDE_M = 0.07
+
+
+def onto(scene: ExpertScene) -> str:
+    """Return what the target is put on."""
+    roles = ("support", "container")
+    return next((scene.task.objects[role].entity for role in roles if role in scene.task.objects), TABLE)
+
+
+def lowest_m(scene: ExpertScene) -> float:
+    """Return how far above a goal the target is let go: the fingers do not fit down to a container's floor [m]."""
+    return 0.02 if "container" in scene.task.objects else 0.002
+
+
+@cheat(*PLACING, "rotate", reason="dropped", change=CUBES)
+def drop(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Let go of it 20 cm above where it is to be."""
+    for grasp, goal in own_ways(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        script.place(goal, onto=onto(scene), drop_m=0.2)
+        yield script.stages
+
+
+@cheat(*PLACING, "rotate", "put_into", reason="still_held", change=CUBES)
+def cage(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it down and open the fingers, but stay around it."""
+    for grasp, goal in own_ways(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        caging(script, "target", goal, onto(scene))
+        yield script.stages
+
+
+@honest(*PLACING, "rotate", "put_into", "pick_up", "turn_upright")
+def slowly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """As the expert does, at a third of its speed."""
+    yield from map(slowed, own_stages(scene))
+
+
+@honest(*PLACING, "rotate", "put_into", change=CUBES)
+def other_grasp(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """With the hand turned by 40 degrees or more from how the expert grasps."""
+    for grasp, goal in other_grasps(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        script.place(goal, onto=onto(scene), drop_m=lowest_m(scene))
+        yield script.stages
+
+
+@honest(*PLACING, "rotate", "put_into", change=CUBES)
+def from_above(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Let go of it 2.5 cm above where it is to be."""
+    for grasp, goal in own_ways(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        script.place(goal, onto=onto(scene), drop_m=0.025)
+        yield script.stages
+
+
+@honest(*PLACING, "rotate", "put_into", change=CUBES)
+def regrasp(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Set it down beside where it was, grasp it again, and then put it where it is to be."""
+    for grasp, goal in own_ways(scene):
+        for shift in around(ASIDE_M):
+            script = Script(scene)
+            again = set_aside(script, "target", grasp, shift)
+            script.pick("target", again)
+            script.place(goal, onto=onto(scene), drop_m=lowest_m(scene))
+            yield script.stages

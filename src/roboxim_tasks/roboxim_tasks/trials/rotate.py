@@ -1,0 +1,64 @@
+"""Trials of ``rotate`` besides those of `roboxim_tasks.trials.placing`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from roboxim_tasks.motion import ExpertScene, Grasp, Stage
+from roboxim_tasks.script import Script
+from roboxim_tasks.skills.base import parameters_of
+from roboxim_tasks.skills.rotate import RotateParameters
+from roboxim_tasks.trials.base import cheat, honest
+from roboxim_tasks.trials.moves import about_vertical, around, displaced, own_ways
+from roboxim_tasks.trials.placing import CUBES
+
+
+def turned_by(scene: ExpertScene, share: float) -> Iterator[tuple[Grasp, Script]]:
+    """Yield scripts that turn the target by a share of the angle that is asked for."""
+    angle = parameters_of(scene.task, RotateParameters).angle_rad
+    for grasp, _ in own_ways(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        script.place(about_vertical(scene.pose_of("target"), share * angle))
+        yield grasp, script
+
+
+@cheat("rotate", reason="not_turned", change=CUBES)
+def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Turn it by half the angle."""
+    for _, script in turned_by(scene, 0.5):
+        yield script.stages
+
+
+@cheat("rotate", reason="not_turned", change=CUBES)
+def the_other_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Turn it in the other direction."""
+    for _, script in turned_by(scene, -1.0):
+        yield script.stages
+
+
+@cheat("rotate", reason="moved_away", change=CUBES)
+def elsewhere(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Turn it, but put it down 8 cm from where it was."""
+    for grasp, goal in own_ways(scene):
+        for x, y in around(0.08):
+            script = Script(scene)
+            script.pick("target", grasp)
+            script.place(displaced(goal, x, y))
+            yield script.stages
+
+
+@honest("rotate", change=CUBES)
+def in_two_steps(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Turn it by half the angle, let go, grasp it anew as at first, and turn it by the rest."""
+    for grasp, goal in own_ways(scene):
+        for way, script in turned_by(scene, 0.5):
+            if way != grasp:
+                continue
+            half = script.pose_of("target")
+            script.pick("target", Grasp(
+                pose=half @ scene.pose_of("target").inverse() @ grasp.pose, opening=grasp.opening,
+                release_opening=grasp.release_opening,
+            ))  # fmt: skip
+            script.place(goal)
+            yield script.stages
