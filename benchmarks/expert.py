@@ -29,7 +29,7 @@ from _harness import Bench
 from _kept import Kept
 from roboxim_bringup.process import die_with_parent
 from roboxim_eval.statistics import success_rate
-from roboxim_tasks.visible import VisibleConfig
+from roboxim_tasks.task_config import VisibleConfig
 
 CHUNK = 10
 QUICK_CELLS = (

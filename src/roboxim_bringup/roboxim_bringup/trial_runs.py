@@ -95,7 +95,7 @@ class TrialRuns:
                 break
         succeeded = result.outcome == "success"
         as_expected = succeeded if trial.honest else result.outcome == "failure" and not result.success_ever
-        reason = "" if succeeded else result.verdict.reason or result.reason if result.verdict else result.reason
+        reason = "" if succeeded else result.verdict.reason or result.reason
         return TrialOutcome(
             trial=f"{trial.skill}/{trial.name}", index=index, as_expected=as_expected, reason=reason,
             message=result.message,

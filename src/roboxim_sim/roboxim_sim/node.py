@@ -6,7 +6,6 @@ coroutine that gives the executor a turn after every control period, so that it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,8 +34,8 @@ from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros import qos
 from roboxim_ros.conversions import from_msg, to_msg
-from roboxim_ros.node import RoboximNode
 from roboxim_sim.conversions import camera_msgs
+from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
@@ -49,32 +48,11 @@ PROFILES = {topic: qos.LATCHED if topic in ("tf_static", "robot_description") el
 """Topic to its QoS; cameras have `qos.SENSOR`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimConfig:
-    """Parameters of the sim node."""
-
-    renderer: str = field(default="raster", metadata={"description": "renderer by name: raster, tiny"})
-    """Renderer used unless a request names one."""
-    scene: str = field(
-        default="three_cubes",
-        metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"},
-    )
-    """Scene loaded at the start."""
-    motion_timeout_s: float = field(
-        default=600.0,
-        metadata={
-            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is given up [s]",
-            "range": (0.1, 86400.0),
-        },
-    )
-    """Wall-clock limit of what advances time without an episode."""
-
-
-class SimNode(RoboximNode):
+class SimNode(SimServer):
     """Serves a `World`. All topics of a tick are published before its service answers, the notice last."""
 
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
-        """Make the node and load its first scene; see `RoboximNode`.
+        """Make the node and load its first scene; see `roboxim_ros.node.RoboximNode`.
 
         Raises:
             ConfigError: When a parameter or the scene is wrong.

@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Generator, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory, GripperCommand
@@ -33,9 +33,7 @@ from roboxim_core.specs import EntitySpec
 from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import fill_stamp, pose_from_msg
 from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
-
-if TYPE_CHECKING:
-    from roboxim_sim.node import SimNode
+from roboxim_sim.ports import SimServer
 
 RESULT_OF_CODE = {
     ErrorCode.UNKNOWN_ENTITY: Result.RESULT_NOT_FOUND,
@@ -62,7 +60,7 @@ GRIPPER_TOLERANCE_M = 0.003
 class StandardServices:
     """The services of `simulation_interfaces` that apply to a lockstep tabletop."""
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, node: SimServer) -> None:
         """Offer the services on a node."""
         self._node, self._world = node, node.world
         for kind, name, handler in (
@@ -188,7 +186,7 @@ def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], N
 class _Turn:
     """Awaited, gives the executor one turn: rclpy resumes a waiting coroutine only when something wakes it."""
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, node: SimServer) -> None:
         self._node = node
 
     def __await__(self) -> Generator[None, None, None]:
@@ -200,7 +198,7 @@ class _Turn:
 class MotionActions:
     """Trajectory, gripper and stepping actions: they advance time themselves, outside an episode only."""
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, node: SimServer) -> None:
         """Offer the actions on a node."""
         self._node, self._world = node, node.world
         self._servers = [

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from string import Formatter
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 from roboxim_core.config import complaint_at, from_plain, section_of
 from roboxim_core.errors import ConfigError, RoboximError, one_of
@@ -19,15 +19,13 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import Scalar, SceneSpec
+from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.exclusions import MODEL, all_excluded
 from roboxim_tasks.files import named
-from roboxim_tasks.roles import SPOKEN
-from roboxim_tasks.skills import SKILLS, Role, Skill
-
-if TYPE_CHECKING:
-    from roboxim_tasks.choices import Choice
-    from roboxim_tasks.config import DistractorConfig, ObjectConfig, TaskConfig
+from roboxim_tasks.roles import SPOKEN, Role
+from roboxim_tasks.skills import SKILLS, Skill
+from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
 
 MAX_COMBINATIONS = 1000
 """Combinations of arguments of which each is tried."""

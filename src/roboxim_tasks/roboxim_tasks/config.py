@@ -18,7 +18,6 @@ from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_c
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
-from roboxim_core.specs import Scalar
 from roboxim_tasks.checks import (
     Document,
     Path,
@@ -32,102 +31,11 @@ from roboxim_tasks.checks import (
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.skills import SKILLS
-from roboxim_tasks.visible import VisibleConfig
+from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 
 DEFAULT_TASK = "pick_cube"
 TASK = "task"
 """Key of a mix's exclusions beside the roles."""
-MAX_DISTRACTORS = 8
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectConfig:
-    """Which objects may fill a role."""
-
-    models: Choice = Choice(values=("cube",))
-    """Ids of object models."""
-    modifiers: dict[str, Choice] = field(default_factory=dict)
-    """Modifier name to its values, e.g. ``color`` or ``scale``; those left out take the model's default."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DistractorConfig:
-    """Objects that the task is not about; none of them fits the description of an object of the task."""
-
-    minimum: int = 0
-    """Fewest distractors."""
-    maximum: int = 0
-    """Most distractors."""
-    models: Choice = Choice(values=("cube",))
-    """Ids of object models."""
-    modifiers: dict[str, Choice] = field(default_factory=dict)
-    """Modifier name to its values."""
-    stay_m: float = 0.0
-    """An episode has failed once a distractor was moved further than this [m]; 0: they may be moved."""
-
-    def __post_init__(self) -> None:
-        """Check the range.
-
-        Raises:
-            ConfigError: When it is empty or too large.
-        """
-        if self.stay_m < 0:
-            raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
-        if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:
-            raise ConfigError(
-                f"minimum and maximum must be 0 <= minimum <= maximum <= {MAX_DISTRACTORS}, "
-                f"got {self.minimum} and {self.maximum}"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskConfig:
-    """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several."""
-
-    skill: str = "pick_up"
-    """Registered skill."""
-    parameters: Any = None
-    """The skill's own parameters and thresholds, as demonstrations must meet them."""
-    lenient: Any = None
-    """Parameters that differ where a policy is evaluated (purpose ``eval``)."""
-    arguments: dict[str, Choice] = field(default_factory=dict)
-    """Parameters that vary from episode to episode, e.g. ``{drawer: {values: [top, middle], order: in_order}}``."""
-    templates: Choice | None = None
-    """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
-    paraphrases: bool = False
-    """Without templates: whether all of the skill's are used, or the first alone."""
-    objects: dict[str, ObjectConfig] = field(default_factory=dict)
-    """Role of the skill to the objects that may fill it."""
-    exclude: tuple[dict[str, dict[str, Scalar]], ...] = ()
-    """Combinations of objects that are never drawn: role to ``model`` and modifiers, all of which agree."""
-    distractors: DistractorConfig = DistractorConfig()
-    """Further objects."""
-    scene: str = "empty_table"
-    """Name of a scene in ``config/scenes``."""
-    reset: dict[str, Any] = field(default_factory=dict)
-    """Reset component to its configuration; the skill's own components need not be named."""
-    visible: VisibleConfig = VisibleConfig()
-    """What the cameras that are fixed in the world must see of the objects that the instruction names."""
-    rate_hz: float = DEFAULT_RATE_HZ
-    """Control rate [Hz]."""
-    max_steps: int = 0
-    """Actions after which an episode has failed; 0: the skill's, for the same time at any control rate."""
-    max_draws: int = 100
-    """Draws of a placement after which the reset is infeasible."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: On a number out of range.
-        """
-        for name, least in (("max_steps", 0), ("max_draws", 1)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} must be >= {least}, got {getattr(self, name)}")
-
-    def at(self, index: int) -> tuple[TaskConfig, int]:
-        """Return the configuration of an episode and the number that its ordered lists go by: as given."""
-        return self, index
 
 
 def task_config(data: Any, *, source: str = "task configuration", library: ModelLibrary | None = None) -> TaskConfig:

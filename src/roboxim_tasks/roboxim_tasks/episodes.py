@@ -13,13 +13,14 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext
-from roboxim_tasks.config import TaskConfig, TaskMix
+from roboxim_tasks.config import TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.solvable import CONSTRAINT, Solvability
+from roboxim_tasks.task_config import TaskConfig
 from roboxim_tasks.visible import Visibility
 
 

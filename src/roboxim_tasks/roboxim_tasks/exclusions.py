@@ -5,16 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import PhysicalObject, Scalar
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.roles import SPOKEN
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import ObjectConfig
+from roboxim_tasks.task_config import ObjectConfig
 
 MODEL = "model"
 """Key of an excluded combination beside the modifiers."""

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.models.description import ObjectModel
@@ -19,11 +19,8 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.exclusions import MODEL, matches, taken
-from roboxim_tasks.roles import STAY, Wording, description, distractor_role
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import DistractorConfig, ObjectConfig, TaskConfig
-    from roboxim_tasks.skills.base import Role
+from roboxim_tasks.roles import STAY, Role, Wording, description, distractor_role
+from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
 
 MAX_TRIES = 1000
 ROUNDS = 50

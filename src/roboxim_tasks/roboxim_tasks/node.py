@@ -22,13 +22,14 @@ from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.policy_service import PolicyService
-from roboxim_tasks.config import DEFAULT_TASK, TaskConfig, TaskMix, load_task_config, parse_task_config
+from roboxim_tasks.config import DEFAULT_TASK, TaskMix, load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge as TaskJudge
 from roboxim_tasks.ports import EyesClient, PlannerClient
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.task_config import TaskConfig
 from roboxim_tasks.visible import Visibility
 
 MAX_JUDGES = 16

@@ -5,19 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from string import Formatter
-from typing import TYPE_CHECKING
 
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
-
-if TYPE_CHECKING:
-    from roboxim_tasks.skills.base import Role
 
 DISTRACTOR = "distractor"
 STAY = "distractors_stay_m"
 """Argument that a task of any skill may have: how far its distractors may be moved [m]."""
 SIZE_SLACK = 0.1
 """An object whose ``scale`` is so near to what a size word stands for, as a share of it, may be called by the word."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Role:
+    """An object that a skill's instruction speaks of."""
+
+    affordance: str = ""
+    """What its model must afford, e.g. ``graspable``; empty: anything."""
+    models: tuple[str, ...] = ("cube",)
+    """Models that fill it when a task's configuration does not say."""
+    max_width_m: float = 0.0
+    """Longest side of its base that makes sense [m]; 0: any."""
+
+    def suits(self, model: ObjectModel) -> bool:
+        """Tell whether a model can fill the role."""
+        fits = not self.max_width_m or max(model.size[:2]) <= self.max_width_m
+        return fits and (not self.affordance or self.affordance in model.affordances)
 
 
 def distractor_role(number: int) -> str:

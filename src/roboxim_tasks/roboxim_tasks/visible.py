@@ -30,6 +30,7 @@ from roboxim_core.specs import (
 from roboxim_core.state import StateRecord
 from roboxim_tasks.roles import task_objects
 from roboxim_tasks.solvable import state_at_rest
+from roboxim_tasks.task_config import VisibleConfig
 
 CONSTRAINT = "visible"
 """Name of the constraint for messages and statistics; the object that is not seen comes before it."""
@@ -42,27 +43,6 @@ LOOK = LookSpec(table=PLAIN, floor=PLAIN, wall=PLAIN, lights=(), background="pla
 """No shadows and no textures: only the segmentation is looked at."""
 
 Segmentation = npt.NDArray[np.uint16]
-
-
-@dataclass(frozen=True, kw_only=True)
-class VisibleConfig:
-    """What the world's fixed cameras must see of every object that the instruction names."""
-
-    share: float = 0.5
-    """Least share of the object's whole silhouette, 0..1; what is hidden or out of the picture is missing."""
-    pixels: int = 40
-    """Fewest pixels, in an image whose longer side has 128."""
-    cameras: tuple[str, ...] | None = None
-    """Cameras that must see them; none: every camera that is fixed in the world. Empty: no camera need see anything."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: On a number out of range.
-        """
-        if not 0.0 <= self.share <= 1.0 or self.pixels < 0:
-            raise ConfigError(f"visible needs 0 <= share <= 1 and pixels >= 0, got {self.share:g} and {self.pixels}")
 
 
 class Eyes(Protocol):

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,9 +20,7 @@ from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.choices import VectorChoice
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.task_config import TaskConfig
 
 
 @dataclass(frozen=True, kw_only=True)

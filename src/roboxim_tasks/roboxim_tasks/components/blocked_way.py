@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,9 +16,7 @@ from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import refusal
 from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import distractor_role, task_distractors
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.task_config import TaskConfig
 
 TOOL = "tool"
 CONSTRAINT = "way_blocked"

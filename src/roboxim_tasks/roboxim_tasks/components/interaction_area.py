@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.roles import distractor_role
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.task_config import TaskConfig
 
 AREAS = {
     "far_left": VectorChoice(lower=(0.36, 0.32), upper=(0.52, 0.48)),

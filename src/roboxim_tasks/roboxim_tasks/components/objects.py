@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.placement import PlacementConfig, place
 from roboxim_tasks.roles import task_objects
-
-if TYPE_CHECKING:
-    from roboxim_tasks.config import TaskConfig
+from roboxim_tasks.task_config import TaskConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from roboxim_core.config import from_plain
@@ -20,24 +19,7 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.predicates import Assessment, Evaluator
-from roboxim_tasks.roles import STAY
-
-
-@dataclass(frozen=True, kw_only=True)
-class Role:
-    """An object that a skill's instruction speaks of."""
-
-    affordance: str = ""
-    """What its model must afford, e.g. ``graspable``; empty: anything."""
-    models: tuple[str, ...] = ("cube",)
-    """Models that fill it when a task's configuration does not say."""
-    max_width_m: float = 0.0
-    """Longest side of its base that makes sense [m]; 0: any."""
-
-    def suits(self, model: ObjectModel) -> bool:
-        """Tell whether a model can fill the role."""
-        fits = not self.max_width_m or max(model.size[:2]) <= self.max_width_m
-        return fits and (not self.affordance or self.affordance in model.affordances)
+from roboxim_tasks.roles import STAY, Role
 
 
 class Skill(ABC):

@@ -58,7 +58,9 @@ class Trial:
     def config(self) -> str:
         """Return the task configuration of its scenes as YAML text."""
         files = (folder / "tasks" / f"{self.skill}.yaml" for folder in config_dirs())
-        own = next((yaml.safe_load(file.read_text()) for file in files if file.is_file()), {"skill": self.skill})
+        own: dict[str, Any] = next(
+            (yaml.safe_load(file.read_text()) for file in files if file.is_file()), {"skill": self.skill}
+        )
         own["reset"] = {**own.get("reset", {}), "cameras": {"names": []}}
         return str(yaml.safe_dump(merged(merged(own, ALONE), self.change)))
 
@@ -90,7 +92,7 @@ def honest(*skills: str, change: Mapping[str, Any] | None = None) -> Callable[[S
 
 def _register(skills: Iterable[str], reason: str, change: Mapping[str, Any]) -> Callable[[Stages], Stages]:
     def add(stages: Stages) -> Stages:
-        name, does = stages.__name__, (stages.__doc__ or "").splitlines()[0]  # type: ignore[attr-defined]
+        name, does = stages.__name__, (stages.__doc__ or "").splitlines()[0]
         for skill in skills:
             trial = Trial(skill=skill, name=name, does=does, stages=stages, reason=reason, change=change)
             TRIALS.register(f"{skill}/{name}")(trial)

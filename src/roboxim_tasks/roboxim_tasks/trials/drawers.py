@@ -196,9 +196,9 @@ def half_shut(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     yield from (script.stages for script in pushes(scene, 0.03))
 
 
-@cheat("close_drawer", reason="not_released")
-def lean_on_it(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Push it shut and go on pushing."""
+@cheat("close_drawer", reason="still_held")
+def stay_at_it(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Push it shut and leave the fingers at its handle."""
     yield from (script.stages for script in pushes(scene, 0.0, leave=False))
 
 

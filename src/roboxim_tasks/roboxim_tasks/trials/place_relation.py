@@ -26,7 +26,8 @@ RED_AND_BLUE = {
 def direction(scene: ExpertScene) -> Array:
     """Return the direction that is asked for, in the base, shape (3,)."""
     arguments = scene.task.arguments
-    return scene.scene.robot.pose.rotation.inv().apply((arguments["direction_x"], arguments["direction_y"], 0.0))
+    toward = (float(arguments["direction_x"]), float(arguments["direction_y"]), 0.0)
+    return np.asarray(scene.scene.robot.pose.rotation.inv().apply(toward))
 
 
 def beside(scene: ExpertScene, entity: str, other: str, vector: Array) -> Pose:

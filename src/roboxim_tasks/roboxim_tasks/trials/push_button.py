@@ -41,7 +41,7 @@ def presses(scene: ExpertScene, entity: str, change: Pose, opening: float = 0.0)
 @cheat("push_button", reason="not_pressed")
 def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Press it in by 4 mm."""
-    yield from presses(scene, "target", Pose(position=(0.0, 0.0, -(DEPTH_M - 0.004))))
+    yield from presses(scene, "target", Pose(position=(0.0, 0.0, 0.002 - DEPTH_M)))
 
 
 @cheat("push_button", reason="not_pressed")

@@ -10,7 +10,7 @@ from roboxim_tasks.motion import TABLE, ExpertScene, Stage, fingers_touch, grasp
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.push_object import BACK_OFF_M, STANDOFF_M, pushing_poses, way_m
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import displaced, own_stages, slowed
+from roboxim_tasks.trials.moves import displaced, own_stages, slowed, without
 from roboxim_tasks.trials.place_relation import direction
 from roboxim_tasks.trials.placing import CUBES
 
@@ -78,20 +78,14 @@ def too_short(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         yield script.stages
 
 
-@cheat("push_object", reason="not_released", change=CUBES)
-def lean_on_it(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Push it there and press it to the table from above."""
+@cheat("push_object", reason="still_held", change=CUBES)
+def stay_at_it(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Push it there and leave the fingers at it."""
     for begin, opening in starts(scene):
         script = Script(scene)
         script.opening = opening
         push(script, begin, full_way(scene))
-        there = script.pose_of("target").position
-        above = Pose(position=(there[0], there[1], there[2] + 0.06), quat_xyzw=scene.pose_tcp.quat_xyzw)
-        script.grip(0.0, name="close")
-        script.move(above, name="over")
-        script.move(shifted(above, -0.045), name="press", speed=0.6)
-        script.wait(1.0)
-        yield script.stages
+        yield (*without(script.stages, "back_off", "rise"), Stage(name="stay", opening=opening, duration_s=2.0))
 
 
 @honest("push_object")

@@ -29,7 +29,7 @@ def hold_upright(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     for grasp, goal in own_ways(scene):
         script = Script(scene)
         script.pick("target", grasp)
-        at = displaced(goal, z=0.001) @ script.held_in_tcp.inverse()
+        at = displaced(goal, z=-0.002) @ script.held_in_tcp.inverse()
         script.carry(at)
         script.move(at, name="lower", speed=0.6, touching=(("target", TABLE),))
         script.wait(2.0)

@@ -1,0 +1,64 @@
+"""What the standard services and actions use of the sim node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+
+from roboxim_core.errors import RequestTimeoutError
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_ros.node import RoboximNode
+from roboxim_sim.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimConfig:
+    """Parameters of the sim node."""
+
+    renderer: str = field(default="raster", metadata={"description": "renderer by name: raster, tiny"})
+    """Renderer used unless a request names one."""
+    scene: str = field(
+        default="three_cubes",
+        metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"},
+    )
+    """Scene loaded at the start."""
+    motion_timeout_s: float = field(
+        default=600.0,
+        metadata={
+            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is given up [s]",
+            "range": (0.1, 86400.0),
+        },
+    )
+    """Wall-clock limit of what advances time without an episode."""
+
+
+class SimServer(RoboximNode):
+    """A node that serves a world; `roboxim_sim.node.SimNode` is the one."""
+
+    config: SimConfig
+    """Its parameters."""
+    world: World
+    """What it serves."""
+
+    @property
+    def renderer_info(self) -> dict[str, str]:
+        """Name and device of the renderer in use."""
+        raise NotImplementedError
+
+    def overtime(self) -> RequestTimeoutError:
+        """Return the error of a motion that takes too long."""
+        raise NotImplementedError
+
+    def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
+        """Load a scene and publish tick 0."""
+        raise NotImplementedError
+
+    def scene_changed(self) -> StateRecordMsg:
+        """Publish after entities came or went."""
+        raise NotImplementedError
+
+    def publish(self, record: StateRecord) -> StateRecordMsg:
+        """Publish everything of a state and return its message."""
+        raise NotImplementedError

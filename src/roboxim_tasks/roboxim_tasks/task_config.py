@@ -1,0 +1,124 @@
+"""What a task's YAML file holds, as values; `roboxim_tasks.config` reads and checks it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.rates import DEFAULT_RATE_HZ
+from roboxim_core.specs import Scalar
+from roboxim_tasks.choices import Choice
+
+MAX_DISTRACTORS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibleConfig:
+    """What the world's fixed cameras must see of every object that the instruction names."""
+
+    share: float = 0.5
+    """Least share of the object's whole silhouette, 0..1; what is hidden or out of the picture is missing."""
+    pixels: int = 40
+    """Fewest pixels, in an image whose longer side has 128."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras that must see them; none: every camera that is fixed in the world. Empty: no camera need see anything."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On a number out of range.
+        """
+        if not 0.0 <= self.share <= 1.0 or self.pixels < 0:
+            raise ConfigError(f"visible needs 0 <= share <= 1 and pixels >= 0, got {self.share:g} and {self.pixels}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig:
+    """Which objects may fill a role."""
+
+    models: Choice = Choice(values=("cube",))
+    """Ids of object models."""
+    modifiers: dict[str, Choice] = field(default_factory=dict)
+    """Modifier name to its values, e.g. ``color`` or ``scale``; those left out take the model's default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistractorConfig:
+    """Objects that the task is not about; none of them fits the description of an object of the task."""
+
+    minimum: int = 0
+    """Fewest distractors."""
+    maximum: int = 0
+    """Most distractors."""
+    models: Choice = Choice(values=("cube",))
+    """Ids of object models."""
+    modifiers: dict[str, Choice] = field(default_factory=dict)
+    """Modifier name to its values."""
+    stay_m: float = 0.0
+    """An episode has failed once a distractor was moved further than this [m]; 0: they may be moved."""
+
+    def __post_init__(self) -> None:
+        """Check the range.
+
+        Raises:
+            ConfigError: When it is empty or too large.
+        """
+        if self.stay_m < 0:
+            raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
+        if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:
+            raise ConfigError(
+                f"minimum and maximum must be 0 <= minimum <= maximum <= {MAX_DISTRACTORS}, "
+                f"got {self.minimum} and {self.maximum}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several."""
+
+    skill: str = "pick_up"
+    """Registered skill."""
+    parameters: Any = None
+    """The skill's own parameters and thresholds, as demonstrations must meet them."""
+    lenient: Any = None
+    """Parameters that differ where a policy is evaluated (purpose ``eval``)."""
+    arguments: dict[str, Choice] = field(default_factory=dict)
+    """Parameters that vary from episode to episode, e.g. ``{drawer: {values: [top, middle], order: in_order}}``."""
+    templates: Choice | None = None
+    """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
+    paraphrases: bool = False
+    """Without templates: whether all of the skill's are used, or the first alone."""
+    objects: dict[str, ObjectConfig] = field(default_factory=dict)
+    """Role of the skill to the objects that may fill it."""
+    exclude: tuple[dict[str, dict[str, Scalar]], ...] = ()
+    """Combinations of objects that are never drawn: role to ``model`` and modifiers, all of which agree."""
+    distractors: DistractorConfig = DistractorConfig()
+    """Further objects."""
+    scene: str = "empty_table"
+    """Name of a scene in ``config/scenes``."""
+    reset: dict[str, Any] = field(default_factory=dict)
+    """Reset component to its configuration; the skill's own components need not be named."""
+    visible: VisibleConfig = VisibleConfig()
+    """What the cameras that are fixed in the world must see of the objects that the instruction names."""
+    rate_hz: float = DEFAULT_RATE_HZ
+    """Control rate [Hz]."""
+    max_steps: int = 0
+    """Actions after which an episode has failed; 0: the skill's, for the same time at any control rate."""
+    max_draws: int = 100
+    """Draws of a placement after which the reset is infeasible."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On a number out of range.
+        """
+        for name, least in (("max_steps", 0), ("max_draws", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} must be >= {least}, got {getattr(self, name)}")
+
+    def at(self, index: int) -> tuple[TaskConfig, int]:
+        """Return the configuration of an episode and the number that its ordered lists go by: as given."""
+        return self, index
