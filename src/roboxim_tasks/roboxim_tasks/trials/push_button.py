@@ -40,8 +40,8 @@ def presses(scene: ExpertScene, entity: str, change: Pose, opening: float = 0.0)
 
 @cheat("push_button", reason="not_pressed")
 def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Press it in by 4 mm."""
-    yield from presses(scene, "target", Pose(position=(0.0, 0.0, 0.002 - DEPTH_M)))
+    """Press it in by 3.5 mm."""
+    yield from presses(scene, "target", Pose(position=(0.0, 0.0, -0.006 - DEPTH_M)))
 
 
 @cheat("push_button", reason="not_pressed")
