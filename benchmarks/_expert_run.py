@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from _cells import Cell
 from roboxim_bringup.core_graph import CoreGraph, CoreTasks
 from roboxim_core.actions import ActionArray
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
@@ -172,12 +170,22 @@ class CellRunner:
         return verdict.success
 
 
-@cache
-def _runner() -> CellRunner:
-    return CellRunner()
+class ChunkWorker:
+    """Runs some indices of a cell for each job; see `roboxim_bringup.executors`."""
 
+    def __init__(self, settings: None, number: int) -> None:
+        """Make the cores."""
+        self._runner = CellRunner()
 
-def run_chunk(cell: Cell, indices: list[int], replayed: list[int]) -> list[dict[str, Any]]:
-    """Run some indices of a cell: what a worker process does."""
-    config = cell.config()
-    return [asdict(_runner().run(cell.name, config, index, replay=index in replayed)) for index in indices]
+    def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> list[dict[str, Any]]:
+        """Run a chunk: ``cell``, ``config``, ``indices`` and ``replayed``; notes every episode."""
+        outcomes = []
+        for index in job["indices"]:
+            outcomes.append(
+                asdict(self._runner.run(job["cell"], job["config"], index, replay=index in job["replayed"]))
+            )
+            note(index)
+        return outcomes
+
+    def close(self) -> None:
+        """Free nothing: the cores end with the process."""

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.config import config_dirs
 
 PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup")
@@ -31,10 +32,10 @@ class Kept:
         Raises:
             SystemExit: When it holds episodes of other code, or of another configuration of a cell.
         """
-        self._episodes = folder / "episodes.jsonl"
+        self._log = ResultsLog(folder / "episodes.jsonl")
         made_by, cells = folder / "made_by.json", {name: _digest(text.encode()) for name, text in configs.items()}
         now: dict[str, Any] = {"code": code_digest(), "commit": commit(), "cells": cells}
-        if self._episodes.exists():
+        if self._log.path.exists():
             then = (
                 json.loads(made_by.read_text()) if made_by.exists() else {"code": "", "commit": "unknown", "cells": {}}
             )
@@ -52,19 +53,26 @@ class Kept:
         folder.mkdir(parents=True, exist_ok=True)
         made_by.write_text(json.dumps(now, indent=2) + "\n")
 
+        self._keys = {name: f"{now['code']}-{digest}" for name, digest in now["cells"].items()}
+
     def load(self) -> dict[str, list[dict[str, Any]]]:
-        """Return the episodes of each cell."""
+        """Return the episodes of each cell.
+
+        Raises:
+            SystemExit: When an episode is of other code, or of another configuration of its cell.
+        """
         found: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        if self._episodes.exists():
-            for line in self._episodes.read_text().splitlines():
-                episode = json.loads(line)
-                found[episode["cell"]].append(episode)
+        for entry in self._log.read():
+            cell = entry.data["cell"]
+            if entry.key not in ("", self._keys.get(cell)):
+                raise SystemExit(f"{self._log.path} line {entry.line} is of other code, or another configuration")
+            found[cell].append(entry.data)
         return found
 
     def add(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Append episodes."""
-        with self._episodes.open("a") as stream:
-            stream.writelines(json.dumps(dict(episode)) + "\n" for episode in episodes)
+        for episode in episodes:
+            self._log.append(self._keys[episode["cell"]], episode)
 
 
 def code_digest() -> str:

@@ -10,13 +10,10 @@ as code and configuration are those that began.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +21,9 @@ import numpy as np
 from tqdm import tqdm
 
 from _cells import Cell, cells
-from _expert_run import run_chunk
 from _harness import Bench
 from _kept import Kept
-from roboxim_bringup.process import die_with_parent
+from roboxim_bringup.executors import Job, LocalExecutor, Lost, Note, Work
 from roboxim_eval.statistics import success_rate
 from roboxim_tasks.task_config import VisibleConfig
 
@@ -117,20 +113,25 @@ def missing(
 def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -> Iterator[list[dict[str, Any]]]:
     """Run chunks in worker processes; yield each when it ends."""
     every = round(1 / options.replays) if options.replays > 0 else 0
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.workers, spawn, die_with_parent, (os.getpid(),)) as pool:
-        jobs = []
-        for cell, indices in chunks:
-            replayed = [index for index in indices if every and index % every == 0]
-            jobs.append(pool.submit(run_chunk, cell, indices, replayed))
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
-            if isinstance(error, KeyboardInterrupt):
-                raise SystemExit("stopped; the same command with --out goes on") from None
-            raise
+    jobs = []
+    for cell, indices in chunks:
+        replayed = [index for index in indices if every and index % every == 0]
+        data = {"cell": cell.name, "config": cell.config(), "indices": indices, "replayed": replayed}
+        jobs.append(Job(key=f"{cell.name} {indices[0]}", data=data))
+    executor = LocalExecutor(options.workers, log_dir=options.out / "logs" if options.out else None)
+    work = Work(worker="_expert_run:ChunkWorker", python_path=(str(Path(__file__).parent),))
+    try:
+        for outcome in executor.run(work, jobs, on_note=_tell):
+            if isinstance(outcome, Lost):
+                raise SystemExit(f"{outcome.key}: {outcome.message}")
+            yield outcome.value
+    except KeyboardInterrupt:
+        raise SystemExit("stopped; the same command with --out goes on") from None
+
+
+def _tell(note: Note) -> None:
+    if note.text:
+        sys.stderr.write(f"{note.text}\n")
 
 
 def row(cell: Cell, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:

@@ -7,8 +7,8 @@ import tempfile
 import time
 
 from _harness import Bench
-from roboxim_bringup.jobs import Job, registered_run, run_job, task_text
-from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_bringup.runs.events import EpisodeFinished, Event
+from roboxim_bringup.runs.generation import GenerationConfig, generate
 
 WORKERS = 2
 
@@ -18,17 +18,15 @@ def main() -> None:
     bench = Bench("generate", __doc__)
     episodes = 10 if bench.quick else 60
     finished: list[float] = []
-    with tempfile.TemporaryDirectory() as folder, registered_run("benchmark"):
-        config = RunConfig(
-            purpose="demo", keep="successful", max_attempts=5, task_config=task_text("pick_cube"), output_dir=folder,
-            image_width=256, image_height=256, noise_translation_m=0.003, noise_rotation_rad=0.01,
-        )  # fmt: skip
 
-        def note(_: EpisodeResult, __: object) -> None:
+    def note(event: Event) -> None:
+        if isinstance(event, EpisodeFinished):
             finished.append(time.perf_counter())
 
+    with tempfile.TemporaryDirectory() as folder:
+        config = GenerationConfig(task="pick_cube", out=folder, episodes=episodes, workers=WORKERS, size=256)
         started = time.perf_counter()
-        results = run_job(Job(config=config, episodes=episodes, workers=WORKERS), "demonstrations", on_result=note)
+        results = generate(config, on_event=note).results
     steady = finished[-1] - finished[WORKERS - 1]
     kept = sum(result.outcome == "success" for result in results)
     bench.row(

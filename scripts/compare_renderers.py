@@ -12,7 +12,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from render_scene import example_poses, example_scene
-from roboxim_bringup.rerendering import Lighting
+from roboxim_bringup.runs.rerendering import Lighting
 from roboxim_core.cameras import load_camera
 from roboxim_core.config import load_config, named_config
 from roboxim_core.models.library import ModelLibrary

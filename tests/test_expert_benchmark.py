@@ -51,10 +51,11 @@ def test_the_codes_digest_is_that_of_the_files(tmp_path, monkeypatch):
 
 def test_an_episodes_figures_are_those_of_its_settled_scene():
     from _cells import cells
-    from _expert_run import run_chunk
+    from _expert_run import ChunkWorker
 
     cell = next(cell for cell in cells(3) if cell.name == "pick_up/apple/3")
-    (near,) = run_chunk(cell, [2], [2])
+    job = {"cell": cell.name, "config": cell.config(), "indices": [2], "replayed": [2]}
+    (near,) = ChunkWorker(None, 0).run(job, lambda _: None)
     assert near["first_try"]
     assert near["replayed"]
     assert near["disturbed"] == 0

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roboxim_bringup.run_folder import RunFolder
+from roboxim_bringup.runs.folder import RunFolder
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.testing import PATIENCE_S
@@ -36,7 +36,7 @@ def generate(out, workers):
 def worker_pids(parent):
     children = Path(f"/proc/{parent}/task").glob("*/children")
     pids = [int(pid) for path in children for pid in path.read_text().split()]
-    return [pid for pid in pids if b"roboxim_bringup.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    return [pid for pid in pids if b"roboxim_bringup.executors.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 def wait_for_results(out, count, process):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,10 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         ),
         click.option("--depth", is_flag=True, help="Also record depth."),
         click.option("--segmentation", is_flag=True, help="Also record segmentation."),
+        click.option(
+            "--repair", is_flag=True,
+            help="Run episodes again whose bag or result is lost or damaged, instead of refusing to go on.",
+        ),
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:
@@ -52,3 +57,19 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         return command
 
     return decorate
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Parse an image size: ``128`` or ``128x96`` (width x height), or ``as-configured`` (0, 0).
+
+    Raises:
+        ConfigError: When it is neither.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if text == "as-configured":
+        return 0, 0
+    found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+    if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
+        raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
+    return int(found[1]), int(found[2] or found[1])

@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1
@@ -27,7 +27,13 @@ def die_with_parent(parent: int) -> None:
 
 
 def spawn(
-    module: str, arguments: Sequence[str], *, output: IO[Any] | None = None, ready: int | None = None
+    module: str,
+    arguments: Sequence[str],
+    *,
+    output: IO[Any] | None = None,
+    environment: Mapping[str, str] | None = None,
+    ready: int | None = None,
+    pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[bytes]:
     """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
 
@@ -38,6 +44,8 @@ def spawn(
         arguments: Its arguments.
         output: Where its stdout and stderr go; none: where this process's go.
         ready: Write end of a pipe, which the child gets as ``$ROBOXIM_READY``; see `tell_ready`.
+        environment: Environment variables beside those of this process.
+        pass_fds: File descriptors that it inherits.
     """
     # One thread per library: the parallelism is in the processes.
     defaults = {name: "1" for name in _THREAD_COUNTS if name not in os.environ}
@@ -45,12 +53,18 @@ def spawn(
         defaults["ROBOXIM_READY"] = str(ready)
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
-        env={**os.environ, **defaults, "ROBOXIM_PARENT": str(os.getpid()), "PYTHONUNBUFFERED": "1"},
-        pass_fds=() if ready is None else (ready,),
+        env={
+            **os.environ,
+            **defaults,
+            **(environment or {}),
+            "ROBOXIM_PARENT": str(os.getpid()),
+            "PYTHONUNBUFFERED": "1",
+        },
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=output,
         process_group=0,
+        pass_fds=(*pass_fds, *(() if ready is None else (ready,))),
     )
 
 

@@ -6,8 +6,8 @@ import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.cli import group
-from roboxim_bringup.commands.export import _unfinished
-from roboxim_bringup.run_folder import RunFolder
+from roboxim_bringup.runs.export import unfinished
+from roboxim_bringup.runs.folder import RunFolder
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
 
@@ -56,14 +56,14 @@ def test_a_path_of_the_wrong_kind_is_told_from_a_damaged_bag(run, tmp_path):
 
 def test_an_export_says_that_its_run_is_not_finished(tmp_path):
     run = tmp_path / "run"
-    assert _unfinished(run) == ""
+    assert unfinished(run) == ""
     with RunFolder(run).opened({"purpose": "demo", "episodes": 2}) as folder:
         folder.append(EpisodeResult(episode_id="e0", index=0, outcome="success"))
-        assert _unfinished(run) == "1 of 2 episodes are done; 'roboxim generate' is still running there"
-    assert _unfinished(run / "episodes") == "1 of 2 episodes are done; 'roboxim generate' was stopped there"
+        assert unfinished(run) == "1 of 2 episodes are done; 'roboxim generate' is still running there"
+    assert unfinished(run / "episodes") == "1 of 2 episodes are done; 'roboxim generate' was stopped there"
     with RunFolder(run).opened({"purpose": "demo", "episodes": 1}):
         pass
-    assert _unfinished(run) == ""
+    assert unfinished(run) == ""
 
 
 def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):

@@ -43,10 +43,11 @@ def rlds(
 
     Writes TARGET/NAME/VERSION. An interrupted export goes on where it stopped.
     """
-    from roboxim_bringup.jobs import parse_size
-    from roboxim_bringup.progress import ProgressLine
+    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.export import export_rlds
     from roboxim_core.errors import ConfigError
-    from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+    from roboxim_recorder.export.rlds import ExportConfig
 
     for word in cameras:
         if "=" not in word:
@@ -57,18 +58,8 @@ def rlds(
         image_width=width, image_height=height, val_fraction=val_fraction, only_successful=not everything,
         keep_recovered=keep_recovered or everything,
     )  # fmt: skip
-    unfinished = _unfinished(source)
-    if unfinished:
-        click.echo(f"note: {unfinished}; what comes later needs another export, with --overwrite", err=True)
-    try:
-        with ProgressLine("exporting", 1, unit="episodes") as bar:
-            report = export_rlds(
-                source, target, config, if_exists="overwrite" if overwrite else "keep",
-                progress=lambda done, total: bar.update(done, total=total),
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        click.echo("the same command goes on where it stopped", err=True)
-        raise
+    with EventPrinter() as printer:
+        report = export_rlds(source, target, config, overwrite=overwrite, on_event=printer)
     splits = ", ".join(
         f"{count} {'episode' if count == 1 else 'episodes'} in {s}" for s, count in report.splits.items()
     )
@@ -78,20 +69,3 @@ def rlds(
     if report.dead_dimensions:
         click.echo(f"  (nearly) constant components of the action, not learnable: {', '.join(report.dead_dimensions)}")
     click.echo(f"next: roboxim train bc {target}")
-
-
-def _unfinished(source: Path) -> str:
-    """Say how far the run is that is exported; empty when it is finished, or nothing is known of a run."""
-    from roboxim_bringup.run_folder import RUN_FILE, RunFolder, command_of
-
-    folder = RunFolder(source.parent if source.name == "episodes" else source)
-    if not (folder.path / RUN_FILE).exists():
-        return ""
-    config, done = folder.config(), len(folder.results())
-    wanted = int(config.get("episodes", done))
-    running = folder.in_use
-    if not running and done >= wanted:
-        return ""
-    far = f"{done} of {wanted} episodes are done" if "episodes" in config else f"{done} episodes are done"
-    command = f"'roboxim {command_of(config)}'"
-    return f"{far}; " + (f"{command} is still running there" if running else f"{command} was stopped there")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from roboxim_bringup.rerendering import Lighting
+    from roboxim_bringup.runs.rerendering import Lighting
 
 
 @click.command()
@@ -61,17 +61,15 @@ def command(
     SOURCES are bags, folders of bags or runs. Nothing needs to be running. Unchanged settings give the recorded images,
     bit for bit on one type of machine. Ctrl-C stops; the same command goes on with the bags that are missing.
     """
-    from PIL import Image
-
-    from roboxim_bringup.jobs import contact_sheet, film, parse_size
-    from roboxim_bringup.progress import ProgressLine
-    from roboxim_bringup.rerendering import RerenderConfig, rerender
+    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.pictures import write_contact_sheet
+    from roboxim_bringup.runs.rerendering import RerenderConfig, find_bags, rerender
     from roboxim_core.config import load_config, named_config
     from roboxim_core.errors import ConfigError
     from roboxim_core.specs import SceneSpec
-    from roboxim_recorder.run_bags import list_bags
 
-    bags = [bag for source in sources for bag in ([source] if source.is_file() else list_bags(source))]
+    bags = find_bags(sources)
     for word in textures:
         if "=" not in word:
             raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
@@ -88,11 +86,8 @@ def command(
         },
         background=background or "",
     )  # fmt: skip
-    with ProgressLine("rendering", 1, unit="ticks") as bar:
-        report = rerender(
-            bags, out.resolve(), config, workers=workers,
-            progress=lambda done, total: bar.update(done, total=total),
-        )  # fmt: skip
+    with EventPrinter() as printer:
+        report = rerender(bags, out, config, workers=workers, on_event=printer)
     there = f" ({report.there} were there)" if report.there else ""
     made = f"{report.made} episode{'s' if report.made != 1 else ''}"
     click.echo(
@@ -105,13 +100,13 @@ def command(
     first = next(iter(sorted((out / "episodes").iterdir())), None)
     if first is not None:
         picture = out / "first_episode.png"
-        Image.fromarray(contact_sheet([film(first)])).save(picture)
+        write_contact_sheet([first], picture)
         click.echo(f"a picture: {picture}")
 
 
 def _lighting(words: tuple[str, ...]) -> Lighting | None:
     """Return the lights that the options ask for; none: the recorded ones."""
-    from roboxim_bringup.rerendering import Lighting
+    from roboxim_bringup.runs.rerendering import Lighting
     from roboxim_core.config import from_plain, load_config, named_config, parse_yaml
     from roboxim_core.specs import LightSpec
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 if TYPE_CHECKING:
-    from roboxim_policies.bc.config import BCConfig
+    pass
 
 
 @click.group()
@@ -37,62 +36,18 @@ def behaviour_cloning(
 
     Ctrl-C saves a checkpoint; the same command goes on and ends in the same weights.
     """
-    from roboxim_bringup.progress import ProgressLine
-    from roboxim_bringup.run_folder import make_folder
-    from roboxim_policies.bc.data import load_rlds
-    from roboxim_policies.bc.train import Trainer, TrainProgress
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.training import read_bc_config, train_bc
 
-    settings = _settings(config)
-    given: dict[str, Any] = {key: value for key, value in {"steps": steps, "seed": seed}.items() if value is not None}
-    settings = replace(settings, **given)
-    if out.is_file():
-        make_folder(out)  # says so
-    started = time.monotonic()
-    with ProgressLine("reading demonstrations", 1) as bar:
-        data = load_rlds(
-            dataset, image_sizes=settings.image_sizes, limit=limit, progress=lambda n, total: bar.update(n, total=total)
-        )
-    make_folder(out)
-    trainer = Trainer(data, settings, out)
-    if trainer.step >= settings.steps:
-        click.echo(f"{trainer.path} has all {trainer.step} steps already; nothing to do")
-        click.echo(f"next: {_evaluate(out)}")
-        return
-    if trainer.step:
-        click.echo(f"going on from step {trainer.step}")
-    try:
-        with ProgressLine("training", settings.steps, trainer.step, unit="steps") as bar:
-
-            def show(progress: TrainProgress) -> None:
-                bar.update(progress.step, f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
-
-            path = trainer.run(show)
-    except KeyboardInterrupt:
-        click.echo(
-            f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same command goes on",
-            err=True,
-        )
-        raise
-    click.echo(f"checkpoint after {trainer.step} steps, {time.monotonic() - started:.0f} s: {path}")
-    click.echo(f"next: {_evaluate(out)}")
-
-
-def _evaluate(out: Path) -> str:
-    return f"roboxim evaluate --policy bc --checkpoint {out} --policy random"
-
-
-def _settings(file: Path | None) -> BCConfig:
-    """Read a training's configuration; none: the defaults.
-
-    Raises:
-        ConfigError: When the file is missing, empty or wrong.
-    """
-    from roboxim_core.config import load_config, load_yaml
-    from roboxim_core.errors import ConfigError
-    from roboxim_policies.bc.config import BCConfig
-
-    if file is None:
-        return BCConfig()
-    if load_yaml(file) is None:
-        raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or leave --config out")
-    return load_config(file, BCConfig)
+    settings = read_bc_config(config)
+    if steps is not None:
+        settings = replace(settings, steps=steps)
+    if seed is not None:
+        settings = replace(settings, seed=seed)
+    with EventPrinter() as printer:
+        result = train_bc(dataset, out, settings, limit=limit, on_event=printer)
+    if result.steps_now:
+        click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
+    else:
+        click.echo(f"{result.checkpoint} has all {result.steps} steps already; nothing to do")
+    click.echo(f"next: roboxim evaluate --policy bc --checkpoint {out} --policy random")

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 from roboxim_bringup.commands.rerender import command
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.rerendering import RerenderConfig, rerender
+from roboxim_bringup.runs.events import Event, StageFinished, StageProgress, StageStarted
+from roboxim_bringup.runs.rerendering import RerenderConfig, rerender
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, RecorderError, SimError
 from roboxim_policies.builtin import RandomPolicy
@@ -55,13 +56,12 @@ def messages(bag: Path) -> list[tuple[str, int, str]]:
 
 
 def test_unchanged_settings_give_the_same_bags(recorded: Path, tmp_path: Path) -> None:
-    ticks: list[tuple[int, int]] = []
-    report = rerender(
-        list_bags(recorded), tmp_path / "out", RerenderConfig(), workers=2, progress=lambda *t: ticks.append(t)
-    )
+    events: list[Event] = []
+    report = rerender(list_bags(recorded), tmp_path / "out", RerenderConfig(), workers=2, on_event=events.append)
     assert (report.made, report.there) == (2, 0)
-    assert ticks[0] == (0, 12)
-    assert ticks[-1] == (12, 12)
+    assert events[0] == StageStarted(title="rendering", total=12, unit="ticks")
+    assert [event.done for event in events if isinstance(event, StageProgress)] == list(range(13))
+    assert events[-1] == StageFinished()
     for bag in list_bags(recorded):
         again = tmp_path / "out" / "episodes" / bag.name
         assert check_bag(again).ok

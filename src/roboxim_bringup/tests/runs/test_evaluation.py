@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from roboxim_bringup import jobs
 from roboxim_bringup.cli import group
-from roboxim_bringup.policy_choice import choose_policies
+from roboxim_bringup.executors import Done
+from roboxim_bringup.runs import episodes, evaluation
+from roboxim_bringup.runs.policies import choose_policies
+from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError
+from roboxim_policies.bc.checkpoint_file import FORMAT, STATE_NAMES
 
 MINE = """
 from roboxim_policies import BasePolicy
@@ -36,34 +39,42 @@ class Pool:
     asked: list[tuple[str, list[int]]]
     during = staticmethod(lambda: None)
 
-    def __init__(self, *_, policies=(), **__):
-        self.spec = policies[0].spec if policies else "expert"
+    def __init__(self, *_, **__):
+        pass
 
-    __enter__ = lambda self: self  # noqa: E731
-    __exit__ = lambda self, *_: None  # noqa: E731
-
-    def run(self, config, indices, **_):
-        Pool.asked.append((self.spec, list(indices)))
-        for index in indices:
-            yield EpisodeResult(episode_id=f"e{index}", index=index, outcome=Pool.outcome, reason=Pool.reason)
+    def run(self, work, jobs, **_):
+        json.dumps(work.settings)  # plain data, whatever runs it
+        policies = work.settings["graph"]["policies"]
+        indices = [job.data for job in jobs]
+        Pool.asked.append((policies[0]["spec"] if policies else "expert", indices))
+        for job in jobs:
+            index = job.data
+            result = EpisodeResult(episode_id=f"e{index}", index=index, outcome=Pool.outcome, reason=Pool.reason)
+            yield Done(key=job.key, value=to_plain(result))
         Pool.during()
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(jobs, "WorkerPool", Pool)
-    monkeypatch.setattr(jobs, "registered_run", lambda kind: contextlib.nullcontext())
+    monkeypatch.setattr(episodes, "LocalExecutor", Pool)
+    monkeypatch.setattr(evaluation, "run_environment", lambda kind: contextlib.nullcontext({}))
     for name, value in (("asked", []), ("outcome", "success"), ("reason", ""), ("during", staticmethod(lambda: None))):
         monkeypatch.setattr(Pool, name, value, raising=False)
     (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "looks.py").write_text(
+        MINE.replace("Mine", "Looks").replace("):\n    def", "):\n    cameras = 'front'\n    def", 1)
+    )
     write_checkpoint(tmp_path / "bc", robot="panda")
+    write_checkpoint(tmp_path / "odd", robot="panda", camera_sizes={"fisheye": [96, 96]})
     return tmp_path
 
 
 def write_checkpoint(path, **said):
     path.mkdir(exist_ok=True)
-    np.savez(path / "checkpoint.npz", said=np.array(json.dumps({"format": 1, **said})))
+    np.savez(
+        path / "checkpoint.npz", said=np.array(json.dumps({"format": FORMAT, "state_layout": STATE_NAMES, **said}))
+    )
 
 
 def evaluate(*words, episodes=2):
@@ -164,6 +175,15 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
         (["--policy", "bc", "--policy", "mine.py:Mine", "--checkpoint", "bc"], "bc and Mine take one; .*bc=bc"),
         (["--policy", "bc", "--checkpoint", "b=bc"], "no policy 'b'; .*did you mean 'bc'"),
         (["--policy", "bc", "--checkpoint", "bc", "--checkpoint", "mine.py"], "say which policy each is for"),
+        (
+            ["--policy", "looks.py:Looks"],
+            "policy 'Looks' looks through camera 'front'.*expected one of: workspace, wrist",
+        ),
+        (["--policy", "bc", "--checkpoint", "odd"], "camera 'fisheye'"),
+        (["--policy", "p" * 300 + "=zero"], "has 300 characters, at most 100"),
+        (["--policy", "f" * 300 + ".py:Mine"], "'ffff.*' is no path"),
+        (["--policy", "bc", "--checkpoint", "c" * 300], "the checkpoint 'cccc.*' is no path"),
+        (["--policy", "zero", "--out", "o" * 300], "'oooo.*is no name for a folder"),
         (["--policy", "zero", "--renderer", "foo"], "unknown renderer 'foo'; expected one of: photo, raster, tiny"),
         (
             ["--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube_ur5"],

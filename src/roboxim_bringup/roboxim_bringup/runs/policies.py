@@ -1,4 +1,4 @@
-"""What the command line of ``evaluate`` says of policies: their names, and what each is given."""
+"""Which policies are evaluated: their names, and what each is given."""
 
 from __future__ import annotations
 
@@ -25,16 +25,27 @@ CHECKPOINT = "checkpoint"
 NAME = r"\w[\w-]*"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChosenPolicy:
-    """A policy that is to be evaluated."""
+LONGEST_NAME = 100
+"""Characters of a policy's name, which is a folder's too."""
+LONGEST_FILE_NAME = 255
 
-    name: str
-    """Its name in the report; of its folder too."""
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySpec:
+    """A policy by name, as plain data."""
+
     spec: str
     """Registered name, ``module:Class``, ``path/to/file.py:Class`` or ``expert``."""
+    name: str = ""
+    """Its name in the report, and of its folder; empty: the registered or the class's name."""
     options: dict[str, Any] = field(default_factory=dict)
-    """Keyword arguments of its class."""
+    """Keyword arguments of its class, e.g. ``{"checkpoint": "runs/bc"}``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenPolicy(PolicySpec):
+    """A policy that was found."""
+
     make: Callable[..., Policy] | None = None
     """Its class or factory; none for the expert."""
 
@@ -47,6 +58,17 @@ class ChosenPolicy:
     def takes_checkpoint(self) -> bool:
         """Whether its class has an argument ``checkpoint``."""
         return self.make is not None and CHECKPOINT in inspect.signature(self.make).parameters
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras that it asks for, as far as that is known without making it."""
+        if self.spec == "bc":
+            return tuple(read_description(Path(self.options[CHECKPOINT])).get("camera_sizes", ()))
+        cameras = getattr(self.make, "cameras", ())
+        cameras = (cameras,) if isinstance(cameras, str) else cameras
+        if not isinstance(cameras, list | tuple):  # a property, or whatever a foreign class calls so
+            return ()
+        return tuple(name for camera in cameras if isinstance(name := getattr(camera, "name", camera), str))
 
     @property
     def robot(self) -> str:
@@ -72,15 +94,7 @@ def choose_policies(
         ConfigError: When names are equal, there is no such policy, or one is given what it does not take.
         PolicyError: When the module of one raises, saying where.
     """
-    chosen: dict[str, ChosenPolicy] = {}
-    for word in policies:
-        policy = _named(word)
-        if policy.name in chosen:
-            raise ConfigError(
-                f"two policies are called '{policy.name}'; give one another name, e.g. --policy {policy.name}-2="
-                f"{policy.spec}"
-            )
-        chosen[policy.name] = policy
+    chosen = _by_name([_named(word) for word in policies])
     for name, given in _options(list(chosen), options).items():
         chosen[name] = replace(chosen[name], options=given)
     for name, path in _checkpoints(chosen, checkpoints).items():
@@ -90,18 +104,75 @@ def choose_policies(
     return list(chosen.values())
 
 
+def find_policies(policies: Sequence[PolicySpec | str]) -> list[ChosenPolicy]:
+    """Find each policy without making it.
+
+    Args:
+        policies: Policies; a text is ``[NAME=]SPEC``.
+
+    Raises:
+        ConfigError: When names are equal, there is no such policy, or one is given what it does not take.
+        PolicyError: When the module of one raises, saying where.
+    """
+    found = _by_name([_found(policy) for policy in policies])
+    for policy in found.values():
+        _require_whole(policy)
+    return list(found.values())
+
+
+def _found(policy: PolicySpec | str) -> ChosenPolicy:
+    if isinstance(policy, ChosenPolicy):
+        return policy
+    if isinstance(policy, str):
+        return _named(policy)
+    if not isinstance(policy, PolicySpec):
+        raise ConfigError(
+            f"a policy is named by a text such as 'bc' or 'my_policy.py:MyPolicy', or by a PolicySpec; got {policy!r}"
+        )
+    chosen = _named(f"{policy.name}={policy.spec}" if policy.name else policy.spec)
+    return replace(chosen, options=dict(policy.options))
+
+
+def _by_name(policies: Sequence[ChosenPolicy]) -> dict[str, ChosenPolicy]:
+    chosen: dict[str, ChosenPolicy] = {}
+    for policy in policies:
+        if policy.name in chosen:
+            raise ConfigError(
+                f"two policies are called '{policy.name}'; give one another name, e.g. --policy {policy.name}-2="
+                f"{policy.spec}"
+            )
+        chosen[policy.name] = policy
+    if not chosen:
+        raise ConfigError("no policy is named; name one, e.g. 'random' or 'my_policy.py:MyPolicy'")
+    return chosen
+
+
 def _named(word: str) -> ChosenPolicy:
     """Find a policy by ``[NAME=]SPEC``."""
     found = re.fullmatch(rf"({NAME})=(.+)", word)
     spec = found[2] if found else word
-    make = _find(spec)
     name = found[1] if found else Path(spec).name.rpartition(":")[2] or spec
+    if len(name) > LONGEST_NAME:
+        raise ConfigError(
+            f"the policy's name '{name[:40]}...' has {len(name)} characters, at most {LONGEST_NAME} fit a folder; "
+            "give it a shorter one: NAME=SPEC"
+        )
+    _require_path(spec.rpartition(":")[0], "the policy")
+    make = _find(spec)
     if not re.fullmatch(NAME, name):
         raise ConfigError(
             f"--policy {word} gives no name for its folder; name it with letters, digits, - and _, e.g. "
             "--policy mine=file.py:MyPolicy"
         )
     return ChosenPolicy(name=name, spec=spec, make=make)
+
+
+def _require_path(text: str, what: str) -> None:
+    """Refuse what no file system takes for a path, before one is asked."""
+    if max(map(len, Path(text).parts), default=0) > LONGEST_FILE_NAME or "\0" in text:
+        raise ConfigError(
+            f"{what} '{text[:40]}...' is no path: a file's name has at most {LONGEST_FILE_NAME} characters"
+        )
 
 
 def _find(spec: str) -> Callable[..., Policy] | None:
@@ -130,6 +201,7 @@ def _checkpoints(chosen: dict[str, ChosenPolicy], words: Sequence[str]) -> dict[
     shared: list[str] = []
     for word in words:
         name, equals, path = word.partition("=")
+        _require_path(path or word, "the checkpoint")
         if not equals or Path(word).exists():
             shared.append(word)
         elif name not in chosen:

@@ -7,13 +7,9 @@ for bit on one type of machine. What is not of a camera is copied as it was reco
 
 from __future__ import annotations
 
-import contextlib
 import json
-import multiprocessing
 import os
-import queue
-import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +18,21 @@ from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 
-from roboxim_bringup.process import describe_exit, die_with_parent
-from roboxim_bringup.run_folder import RunFolder
+from roboxim_bringup.executors import Cancellation, Done, Executor, InlineExecutor, Job, LocalExecutor, Note, Work
+from roboxim_bringup.runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_bringup.runs.folder import RunFolder, checked_path
 from roboxim_core.cameras import load_camera, with_noise_seed
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_core.errors import ConfigError, RoboximError, UnavailableError, one_of, raise_for_code
+from roboxim_core.errors import ConfigError, UnavailableError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.recorded import recorded_parameters
@@ -37,6 +42,7 @@ from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, find_episode
 from roboxim_recorder.recording import EpisodeRecording
+from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.photo import THREADS_VARIABLE
@@ -217,6 +223,29 @@ def _cdr(message: Any) -> bytes:
 # ------------------------------------------------------------------ many bags, on several processes
 
 
+class RerenderWorker:
+    """Renders a bag for each job, whose data is the bag's path; see `roboxim_bringup.executors`."""
+
+    def __init__(self, settings: Mapping[str, Any], number: int) -> None:
+        """Make the renderer.
+
+        Args:
+            settings: ``config``, a `RerenderConfig` as plain data, and ``out``, the run's folder.
+            number: The worker's number.
+        """
+        self._out = Path(settings["out"])
+        self._renderer = Rerenderer(from_plain(settings["config"], RerenderConfig))
+
+    def run(self, job: str, note: Callable[[Any], None]) -> dict[str, Any]:
+        """Render a bag; notes every tick."""
+        result: dict[str, Any] = to_plain(self._renderer.bag(Path(job), self._out, lambda: note("tick")))
+        return result
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rerendered:
     """What came of a run."""
@@ -229,13 +258,25 @@ class Rerendered:
     """Models that have changed since an episode was recorded; they are drawn as they are now."""
 
 
+def find_bags(sources: Iterable[Path]) -> list[Path]:
+    """Return the bags of bags, folders of bags and runs.
+
+    Raises:
+        ConfigError: When there is no such folder.
+        RecorderError: When one holds no bag.
+    """
+    return [bag for source in sources for bag in ([source] if source.is_file() else list_bags(source))]
+
+
 def rerender(
     bags: Sequence[Path],
-    out: Path,
+    out: Path | str,
     config: RerenderConfig,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda *_: None,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
 ) -> Rerendered:
     """Render bags again into a new run's folder; bags that it has already are left alone.
 
@@ -243,17 +284,25 @@ def rerender(
         bags: The recorded bags.
         out: Folder of the new run.
         config: What changes.
-        workers: Processes, each with a renderer.
-        progress: Called with ticks done and ticks in all.
+        workers: Processes, each with a renderer; 1: this process.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Renders the bags; none: one of this machine.
 
     Raises:
+        CancelledError: When the run was cancelled.
         ConfigError: When the folder holds another run, a camera is unknown, or two bags are of one episode.
-        RoboximError: When a bag is damaged or cannot be drawn, or a worker dies; the same call goes on after it.
+        RoboximError: When a bag is damaged or cannot be drawn, or workers die; the same call goes on after it.
     """
+    checked_path(out)
     episodes = _episodes(bags)
     for reader in episodes.values():
         config.scene(reader.info)  # whatever is wrong with it is said before anything is rendered
-    with RunFolder(out).opened({"rerender": to_plain(config)}) as folder:
+    folder = RunFolder(out)
+    with (
+        telling_interruption(on_event, lambda: "the same command goes on with the bags that are missing"),
+        folder.opened({"rerender": to_plain(config)}),
+    ):
         recorded = {result.episode_id for result in folder.results()}
         done = {name for name in episodes if find_episode(folder.path, name)}
         for name in done - recorded:  # killed between the bag and its line
@@ -261,26 +310,59 @@ def rerender(
             folder.append(replace(BagReader(bag).result, bag=str(bag.relative_to(folder.path))))
         missing = {name: reader for name, reader in episodes.items() if name not in done}
         total = sum(map(len, episodes.values()))
-        ticks = total - sum(map(len, missing.values()))
-        progress(ticks, total)
-
-        def tell(result: EpisodeResult | None = None) -> None:
-            """Take in that a tick is done, or a bag."""
-            nonlocal ticks
-            if result is not None:
-                folder.append(result)
-            else:
-                ticks += 1
-                progress(ticks, total)
-
-        paths = [reader.path for reader in missing.values()]
-        if min(workers, len(paths)) > 1:
-            _render_on_processes(paths, folder.path, config, min(workers, len(paths)), tell)
-        elif paths:
-            _render(paths, folder.path, config, tell)
+        before = total - sum(map(len, missing.values()))
+        on_event(StageStarted(title="rendering", total=total, done=before, unit="ticks"))
+        on_event(StageProgress(done=before, total=total))
+        if missing:
+            _render(missing, folder, config, workers, executor, cancellation, _Ticks(before, total, on_event).hear)
+        on_event(StageFinished())
     library = ModelLibrary()
     changed = {model for reader in episodes.values() for model in library.changed(reader.info.models)}
     return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
+
+
+class _Ticks:
+    """Counts rendered ticks; those of a bag whose worker died count again from its start."""
+
+    def __init__(self, before: int, total: int, on_event: OnEvent) -> None:
+        self._before, self._total, self._on_event = before, total, on_event
+        self._of_bag: dict[str, int] = {}
+
+    def hear(self, note: Note) -> None:
+        if note.text:
+            self._of_bag[note.key] = 0
+            self._on_event(Notice(text=note.text))
+        elif note.data is not None:
+            self._of_bag[note.key] = self._of_bag.get(note.key, 0) + 1
+            self._on_event(StageProgress(done=self._before + sum(self._of_bag.values()), total=self._total))
+
+
+def _render(
+    missing: Mapping[str, BagReader],
+    folder: RunFolder,
+    config: RerenderConfig,
+    workers: int,
+    executor: Executor | None,
+    cancellation: Cancellation | None,
+    hear: Callable[[Note], None],
+) -> None:
+    """Render bags by an executor, and keep each result when it is there."""
+    workers = min(workers, len(missing))
+    threads = os.environ.get(THREADS_VARIABLE) or str(max(1, len(os.sched_getaffinity(0)) // workers))
+    work = Work(
+        worker="roboxim_bringup.runs.rerendering:RerenderWorker",
+        settings={"config": to_plain(config), "out": str(folder.path)},
+        environment={THREADS_VARIABLE: threads},
+    )
+    if executor is None:
+        executor = LocalExecutor(workers, log_dir=folder.path / "logs") if workers > 1 else InlineExecutor()
+    jobs = [Job(key=name, data=str(reader.path.resolve())) for name, reader in missing.items()]
+    for outcome in executor.run(
+        work, jobs, on_note=hear, before_retry=folder.discard_episode, cancellation=cancellation
+    ):
+        if not isinstance(outcome, Done):
+            raise UnavailableError(f"bag {outcome.key} was not rendered: {outcome.message}")
+        folder.append(from_plain(outcome.value, EpisodeResult))
 
 
 def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:
@@ -295,66 +377,3 @@ def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:
             )
         episodes[name] = reader
     return episodes
-
-
-def _render(
-    paths: Iterable[Path], out: Path, config: RerenderConfig, tell: Callable[[EpisodeResult | None], None]
-) -> None:
-    """Render bags in this process."""
-    renderer = Rerenderer(config)
-    try:
-        for path in paths:
-            tell(renderer.bag(path, out, lambda: tell(None)))
-    finally:
-        renderer.close()
-
-
-def _render_on_processes(
-    paths: Sequence[Path],
-    out: Path,
-    config: RerenderConfig,
-    workers: int,
-    tell: Callable[[EpisodeResult | None], None],
-) -> None:
-    """Start workers, give each the next bag when it has finished one, and pass on what they tell."""
-    context = multiprocessing.get_context("spawn")  # a forked renderer hangs
-    bags, events = context.Queue(), context.Queue()
-    for path in [*map(str, paths), *[""] * workers]:
-        bags.put(path)
-    threads = max(1, len(os.sched_getaffinity(0)) // workers)
-    arguments = (bags, events, str(out), to_plain(config), threads, os.getpid())
-    processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
-    try:
-        for process in processes:
-            process.start()
-        while any(process.is_alive() for process in processes) or not events.empty():
-            with contextlib.suppress(queue.Empty):
-                event = events.get(timeout=0.2)
-                if isinstance(event, tuple):
-                    raise_for_code(*event)
-                tell(event)
-        for process in processes:
-            if process.exitcode:
-                raise UnavailableError(
-                    f"a rendering process ended unexpectedly ({describe_exit(process.exitcode)}); "
-                    "the same command goes on with what is missing"
-                )
-    finally:
-        for process in processes:
-            process.terminate()
-            process.join()
-
-
-def _work(bags: Any, events: Any, out: str, config: dict[str, Any], threads: int, parent: int) -> None:
-    """Render bags until an empty path comes; an error is told as its code and text.
-
-    The parent handles Ctrl-C and ends this process.
-    """
-    die_with_parent(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault(THREADS_VARIABLE, str(threads))
-    try:
-        paths = (Path(path) for path in iter(bags.get, ""))
-        _render(paths, Path(out), from_plain(config, RerenderConfig), events.put)
-    except RoboximError as error:
-        events.put((int(error.code), str(error)))

@@ -1,0 +1,216 @@
+"""The runs, with their configurations' fields as keyword arguments."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.runs import evaluation, export, generation, rerendering, training
+from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult
+from roboxim_bringup.runs.events import OnEvent, ignore
+from roboxim_bringup.runs.export import ExportConfig, ExportReport
+from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
+from roboxim_bringup.runs.rerendering import RerenderConfig, Rerendered, find_bags
+from roboxim_bringup.runs.training import BCConfig, TrainingResult
+from roboxim_core.errors import ConfigError, one_of
+
+C = TypeVar("C")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
+    """Return a configuration of keyword arguments, or a given one with some of its fields replaced.
+
+    Raises:
+        ConfigError: On a field that the class does not have.
+    """
+    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    for name in fields:
+        if name not in names:
+            raise ConfigError(f"{cls.__name__} has no field '{name}'; {one_of(names, name)}")
+    if config is not None:
+        return dataclasses.replace(config, **fields)  # type: ignore[type-var]
+    required = [
+        field.name
+        for field in dataclasses.fields(cls)  # type: ignore[arg-type]
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+    missing = [name for name in required if name not in fields]
+    if missing:
+        raise ConfigError(f"{cls.__name__} needs {' and '.join(missing)}")
+    return cls(**fields)
+
+
+def _with_fields_of(cls: type[Any]) -> Callable[[F], F]:
+    """Return a decorator that shows a configuration's fields in a function's signature, for help and completion."""
+
+    def decorate(function: F) -> F:
+        signature = inspect.signature(function)
+        own = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        fields = [
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            for parameter in inspect.signature(cls).parameters.values()
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *fields])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+@_with_fields_of(GenerationConfig)
+def generate(
+    config: GenerationConfig | None = None,
+    /,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+    **fields: Any,
+) -> GenerationResult:
+    """Generate demonstrations of a task with the expert; see `roboxim_bringup.runs.generation.generate`.
+
+    The same call goes on where it was stopped.
+
+    Args:
+        config: The configuration; none: of the keyword arguments alone.
+        on_event: Told what happens, e.g. ``roboxim.EventPrinter()``.
+        cancellation: Ends the run when it is set, e.g. a `threading.Event`.
+        executor: Runs the episodes; none: processes of this machine.
+        **fields: Fields of `GenerationConfig`.
+
+    Raises:
+        RoboximError: See there.
+    """
+    return generation.generate(
+        _configured(GenerationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
+    )
+
+
+@_with_fields_of(ExportConfig)
+def export_rlds(
+    source: Path | str,
+    target: Path | str,
+    config: ExportConfig | None = None,
+    /,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    **fields: Any,
+) -> ExportReport:
+    """Export the bags of a run as RLDS; see `roboxim_bringup.runs.export.export_rlds`.
+
+    Args:
+        source: A run's folder, a folder of bags, or one bag.
+        target: Data directory to write ``<name>/<version>`` into.
+        config: The configuration; none: of the keyword arguments alone.
+        overwrite: Replace a dataset that is there.
+        on_event: Told what happens.
+        cancellation: Ends the export when it is set.
+        **fields: Fields of `ExportConfig`.
+
+    Raises:
+        RoboximError: See there.
+    """
+    return export.export_rlds(
+        source, target, _configured(ExportConfig, config, fields), overwrite=overwrite, on_event=on_event,
+        cancellation=cancellation,
+    )  # fmt: skip
+
+
+@_with_fields_of(BCConfig)
+def train_bc(
+    dataset: Path | str,
+    /,
+    out: Path | str = "runs/bc",
+    config: BCConfig | None = None,
+    *,
+    limit: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    **fields: Any,
+) -> TrainingResult:
+    """Train a small behaviour-cloning policy; see `roboxim_bringup.runs.training.train_bc`.
+
+    Args:
+        dataset: An RLDS export's folder.
+        out: Folder of the checkpoint.
+        config: The configuration; none: of the keyword arguments alone.
+        limit: Use at most so many episodes; 0: all.
+        on_event: Told what happens.
+        cancellation: Ends the training when it is set; a checkpoint is saved.
+        **fields: Fields of `BCConfig`, e.g. ``steps``.
+
+    Raises:
+        RoboximError: See there.
+    """
+    return training.train_bc(
+        dataset, out, _configured(BCConfig, config, fields), limit=limit, on_event=on_event, cancellation=cancellation
+    )
+
+
+@_with_fields_of(EvaluationConfig)
+def evaluate(
+    config: EvaluationConfig | None = None,
+    /,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+    **fields: Any,
+) -> EvaluationResult:
+    """Run policies in fresh scenes and write a report; see `roboxim_bringup.runs.evaluation.evaluate`.
+
+    Args:
+        config: The configuration; none: of the keyword arguments alone.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Runs the episodes; none: processes of this machine.
+        **fields: Fields of `EvaluationConfig`, above all ``policies``.
+
+    Raises:
+        RoboximError: See there.
+    """
+    return evaluation.evaluate(
+        _configured(EvaluationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
+    )
+
+
+@_with_fields_of(RerenderConfig)
+def rerender(
+    sources: Path | str | Sequence[Path | str],
+    out: Path | str,
+    config: RerenderConfig | None = None,
+    /,
+    *,
+    workers: int = 1,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+    **fields: Any,
+) -> Rerendered:
+    """Render recorded episodes again; see `roboxim_bringup.runs.rerendering.rerender`.
+
+    Args:
+        sources: Bags, folders of bags or runs.
+        out: Folder of the new run.
+        config: The configuration; none: of the keyword arguments alone.
+        workers: Processes, each with a renderer; 1: this process.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Renders the bags; none: one of this machine.
+        **fields: Fields of `RerenderConfig`.
+
+    Raises:
+        RoboximError: See there.
+    """
+    named = [sources] if isinstance(sources, Path | str) else sources
+    bags = find_bags(map(Path, named))
+    return rerendering.rerender(
+        bags, out, _configured(RerenderConfig, config, fields), workers=workers, on_event=on_event,
+        cancellation=cancellation, executor=executor,
+    )  # fmt: skip

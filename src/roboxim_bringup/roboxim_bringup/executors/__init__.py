@@ -1,0 +1,35 @@
+"""Executors: run jobs that are plain data, in whatever place, with the same results.
+
+`protocol` says what a job, a worker and an executor are; `local` runs jobs on processes of this machine, `inline` in
+the calling process. A run of any kind (episodes, rendering, a benchmark) hands its jobs to one of them.
+"""
+
+from roboxim_bringup.executors.inline import InlineExecutor
+from roboxim_bringup.executors.local import LocalExecutor
+from roboxim_bringup.executors.protocol import (
+    Cancellation,
+    CancelledError,
+    Done,
+    Executor,
+    Job,
+    Lost,
+    Note,
+    Work,
+    Worker,
+    WorkerBrokenError,
+)
+
+__all__ = [
+    "Cancellation",
+    "CancelledError",
+    "Done",
+    "Executor",
+    "InlineExecutor",
+    "Job",
+    "LocalExecutor",
+    "Lost",
+    "Note",
+    "Work",
+    "Worker",
+    "WorkerBrokenError",
+]

@@ -1,0 +1,64 @@
+"""Runs jobs one after the other in the calling process: for one worker that is quick to make, and for tests."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+
+from roboxim_bringup.executors.protocol import (
+    Cancellation,
+    CancelledError,
+    Done,
+    Job,
+    Lost,
+    Note,
+    Work,
+    WorkerBrokenError,
+    as_json,
+)
+
+MAX_TRIES = 3
+"""Workers that a job may cost."""
+
+
+class InlineExecutor:
+    """Runs jobs in the thread that iterates. A worker that kills its process kills the caller too."""
+
+    def __init__(self) -> None:
+        """Make the executor."""
+        self._numbers = itertools.count()
+
+    def run(
+        self,
+        work: Work,
+        jobs: Sequence[Job],
+        *,
+        on_note: Callable[[Note], None] = lambda _: None,
+        before_retry: Callable[[str], None] = lambda _: None,
+        cancellation: Cancellation | None = None,
+    ) -> Iterator[Done | Lost]:
+        """Run jobs; see `Executor.run`."""
+        worker = work.make_worker(next(self._numbers))
+        try:
+            for job in jobs:
+                for attempt in range(1, MAX_TRIES + 1):
+
+                    def note(data: object, key: str = job.key) -> None:
+                        if cancellation is not None and cancellation.is_set():
+                            raise CancelledError("the run was cancelled")
+                        on_note(Note(worker=0, key=key, data=as_json(data)))
+
+                    try:
+                        note(None)
+                        outcome: Done | Lost = Done(key=job.key, value=as_json(worker.run(as_json(job.data), note)))
+                        break
+                    except WorkerBrokenError as broken:
+                        outcome = Lost(key=job.key, message=str(broken))
+                        on_note(Note(worker=0, key=job.key, text=f"the worker broke at {job.key} ({broken})"))
+                        worker.close()
+                        before_retry(job.key)
+                        if attempt < MAX_TRIES or job is not jobs[-1]:
+                            worker = work.make_worker(next(self._numbers))
+                yield outcome
+        finally:
+            worker.close()

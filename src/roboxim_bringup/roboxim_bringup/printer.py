@@ -1,0 +1,78 @@
+"""Prints the events of a run: bars on a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from types import TracebackType
+
+import click
+
+from roboxim_bringup.progress import ProgressLine
+from roboxim_bringup.runs.episodes import failures
+from roboxim_bringup.runs.evaluation import rate_line
+from roboxim_bringup.runs.events import (
+    Event,
+    Interrupted,
+    Notice,
+    PictureWritten,
+    PolicyMeasured,
+    PolicyResumed,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+)
+
+
+class EventPrinter:
+    """Prints what it is called with. A context manager, so that a bar ends with the run."""
+
+    def __init__(self) -> None:
+        """Make the printer."""
+        self._stack = ExitStack()
+        self._bar: ProgressLine | None = None
+
+    def __call__(self, event: Event) -> None:
+        """Print an event."""
+        match event:
+            case StageStarted():
+                bar = ProgressLine(event.title, event.total, event.done, unit=event.unit)
+                self._bar = self._stack.enter_context(bar)
+            case StageProgress():
+                if self._bar is not None:
+                    self._bar.update(event.done, event.note, total=event.total)
+            case StageFinished():
+                self._stack.close()
+                self._bar = None
+            case Notice():
+                self._say(event.text)
+            case PictureWritten():
+                self._say(f"a picture: {event.path}")
+            case PolicyResumed():
+                rest = "nothing is run" if event.there == event.episodes else "the others are run now"
+                self._say(
+                    f"{event.policy}: {event.there} of {event.episodes} episodes were there already, from "
+                    f"{event.since}; {rest}"
+                )
+            case PolicyMeasured():
+                self._say(f"{event.policy}: {rate_line(event.results)}")
+                for line in failures(event.results):
+                    self._say(f"  {line}")
+            case Interrupted():
+                click.echo(event.text, err=True)
+
+    def _say(self, text: str) -> None:
+        """Print a line above the bar, if there is one."""
+        if self._bar is not None:
+            self._bar.say(text)
+        else:
+            click.echo(text)
+
+    def __enter__(self) -> EventPrinter:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the bar's last state on the screen."""
+        self._stack.__exit__(kind, error, trace)

@@ -1,0 +1,371 @@
+"""What generation and evaluation share: episodes of a run on workers, resumable."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from roboxim_bringup.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
+from roboxim_bringup.executors import Job as ExecutorJob
+from roboxim_bringup.graph import GraphConfig, PolicyLaunch
+from roboxim_bringup.runs.events import (
+    EpisodeFinished,
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
+from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.errors import ConfigError
+from roboxim_sim.rendering import RENDERERS
+
+WORKER_DIED = "worker_died"
+"""Reason of an episode that cost all its workers; going on with the run tries it again."""
+SIZE_PX = (16, 4096)
+"""Smallest and largest side of an image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodesConfig:
+    """What every run of episodes is asked for."""
+
+    out: Path | str
+    """The run's folder."""
+    episodes: int
+    """Number of episodes."""
+    task: str = ""
+    """Task of ``config/tasks``, or a YAML file; empty: that of the skill, or ``pick_cube``."""
+    skill: str = ""
+    """A skill instead of a task."""
+    objects: Sequence[str] = ()
+    """``[ROLE=]MODEL[,MODEL]``: object models of the target, or of another role."""
+    distractors: str = ""
+    """Number or range of distractors, e.g. ``1-3``; empty: as configured."""
+    colors: str = ""
+    """Comma-separated colours of the target; empty: as configured."""
+    seed: int = 0
+    """Seed of the run."""
+    workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
+    """Processes, each with a whole graph."""
+    size: int | tuple[int, int] = 0
+    """Image size [px]: the side of a square, or width and height; 0: as configured."""
+    renderer: str = "raster"
+    """``raster`` (needs EGL), ``tiny`` (PyBullet's own), or ``photo`` (Blender; slow)."""
+    depth: bool = False
+    """Whether the cameras also give depth."""
+    segmentation: bool = False
+    """Whether the cameras also give segmentation."""
+    repair: bool = False
+    """Whether to run again the episodes whose bag or result is lost or damaged, instead of refusing to go on."""
+
+    def __post_init__(self) -> None:
+        """Check what needs no other file.
+
+        Raises:
+            ConfigError: On a number out of range, an unknown renderer, or a folder's name that is too long.
+        """
+        checked_path(self.out)
+        if isinstance(self.objects, str):
+            object.__setattr__(self, "objects", (self.objects,))
+        for name, least in (("episodes", 1), ("workers", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool):
+                raise ConfigError(f"{name} must be a whole number, got {value!r}")
+            if value < least:
+                raise ConfigError(f"{name} must be >= {least}, got {value}")
+        sides = self.image_size
+        if len(sides) != 2 or not all(isinstance(side, int) for side in sides):
+            raise ConfigError(f"size must be a whole number or two (width, height), got {self.size!r}")
+        for side in sides:
+            if side and not SIZE_PX[0] <= side <= SIZE_PX[1]:
+                raise ConfigError(f"size must be {SIZE_PX[0]} to {SIZE_PX[1]} px, or 0: as configured; got {side}")
+        RENDERERS[self.renderer]
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height [px]; 0: as configured."""
+        return (self.size, self.size) if isinstance(self.size, int) else self.size
+
+    @property
+    def task_name(self) -> str:
+        """The task's name, for reports."""
+        return Path(self.task).stem or self.skill or DEFAULT_TASK
+
+    def task_text(self) -> str:
+        """Return the task configuration as YAML text.
+
+        Raises:
+            ConfigError: When there is no such task or skill, or the result is not valid.
+        """
+        return task_text(
+            self.task, skill=self.skill, objects=self.objects, distractors=self.distractors, colors=self.colors
+        )
+
+    def run_config(self, task_config: str, **more: Any) -> RunConfig:
+        """Return how the episode loop is to run.
+
+        Args:
+            task_config: As `task_text` gives it.
+            **more: Further fields.
+        """
+        width, height = self.image_size
+        common = {
+            "run_seed": self.seed, "task_config": task_config, "image_width": width, "image_height": height,
+            "depth": self.depth, "segmentation": self.segmentation, "output_dir": str(checked_path(self.out)),
+        }  # fmt: skip
+        return RunConfig(**{**common, **more})
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodesJob:
+    """Episodes to run."""
+
+    config: RunConfig
+    """How; its ``output_dir`` is the run's folder."""
+    episodes: int
+    """How many."""
+    workers: int = 1
+    """Processes."""
+    renderer: str = "raster"
+    """Renderer of every worker's sim."""
+    policies: tuple[PolicyLaunch, ...] = field(default=())
+    """Policies that every worker serves."""
+    policy_files: Mapping[str, str] = field(default_factory=dict)
+    """What they are made of: file to its content's hash; see `roboxim_policies.identity`."""
+
+    def __post_init__(self) -> None:
+        """Check the renderer's name; whether it works here shows when a scene is loaded.
+
+        Raises:
+            ConfigError: When no renderer has the name.
+        """
+        RENDERERS[self.renderer]
+
+    @property
+    def looking_renderer(self) -> str:
+        """Renderer by which scenes are found to show their objects: ``raster`` for all but a machine without GL.
+
+        So a run has the same scenes whatever draws its images, unless that is ``tiny``.
+        """
+        return "tiny" if self.renderer == "tiny" else "raster"
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the results depend on, as plain data."""
+        config = to_plain(self.config)
+        del config["output_dir"]
+        return {
+            **config,
+            "episodes": self.episodes,
+            "workers": self.workers,
+            "renderer": self.renderer,
+            "policies": [to_plain(launch) for launch in self.policies],
+            **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
+        }
+
+    def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
+        """Return by index which of a folder's results are of this job and need no other try."""
+        return {
+            result.index: result for result in results if result.index < self.episodes and result.reason != WORKER_DIED
+        }
+
+    def work(self, environment: Mapping[str, str]) -> Work:
+        """Return what the workers do.
+
+        Args:
+            environment: Environment variables by which a process takes part in the run.
+        """
+        parameters = {
+            "sim": {"renderer": self.renderer, "scene": ""},
+            "tasks": {"visible_renderer": self.looking_renderer},
+            "recorder": {"output_root": str(Path(self.config.output_dir).absolute())},
+        }
+        return episodes_work(GraphConfig(parameters=parameters, policies=self.policies), self.config, environment)
+
+
+def episodes_work(graph: GraphConfig, config: RunConfig, environment: Mapping[str, str]) -> Work:
+    """Return the work of processes that run episodes, each with a whole graph; a job's data is an index.
+
+    Args:
+        graph: What each starts; its namespace is replaced by ``/w<number>``.
+        config: How episodes are run.
+        environment: Environment variables by which a process takes part in the run.
+    """
+    return Work(
+        worker="roboxim_bringup.runs.episode_worker:EpisodeWorker",
+        settings={"graph": to_plain(graph), "config": to_plain(config)},
+        environment=dict(environment),
+    )
+
+
+@contextlib.contextmanager
+def run_environment(kind: str) -> Iterator[dict[str, str]]:
+    """Take a ROS domain for a run and make the run known to other terminals.
+
+    This process does not take part, so its environment is as before.
+
+    Args:
+        kind: What the run does, e.g. ``generate``.
+
+    Yields:
+        Environment variables by which a worker takes part.
+
+    Raises:
+        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``loopback`` nor ``network``.
+        UnavailableError: When no domain is free.
+    """
+    from roboxim_ros.runs import activate_transport, free_domain, register_run
+
+    before = dict(os.environ)
+    try:
+        activate_transport()
+        with free_domain() as domain, register_run(kind, domain=domain) as run:
+            _set_environment(before)
+            yield run.environment
+    finally:
+        _set_environment(before)
+
+
+def _set_environment(wanted: Mapping[str, str]) -> None:
+    for name in set(os.environ) - set(wanted):
+        del os.environ[name]
+    os.environ.update(wanted)
+
+
+def run_episodes(
+    job: EpisodesJob,
+    title: str,
+    environment: Mapping[str, str],
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+    repair: bool = False,
+) -> list[EpisodeResult]:
+    """Run the episodes of a job that its folder does not have yet.
+
+    Args:
+        job: What to run.
+        title: Title of the stage.
+        environment: See `run_environment`.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Runs the episodes; none: processes of this machine.
+        repair: Run again what is lost or damaged.
+
+    Returns:
+        All results, in the order of their indices.
+
+    Raises:
+        CancelledError: When the run was cancelled.
+        ConfigError: When the folder holds another run.
+        RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
+        RoboximError: When a graph has a fault that a fresh worker does not cure.
+    """
+    folder = RunFolder(job.config.output_dir)
+    with telling_interruption(on_event, lambda: _state(folder)), folder.opened(job.identity, repair=repair):
+        done = _whole(job, folder, repair)
+        missing = [index for index in range(job.episodes) if index not in done]
+        for index in missing:
+            folder.discard(index)
+        if missing:
+            executor = executor or LocalExecutor(job.workers, log_dir=folder.path / "logs")
+            on_event(StageStarted(title=title, total=job.episodes, done=len(done)))
+            on_event(StageProgress(done=len(done), total=job.episodes, note="starting"))
+            for result in _results(executor, job, missing, environment, folder, on_event, cancellation):
+                folder.append(result)
+                done[result.index] = result
+                on_event(StageProgress(done=len(done), total=job.episodes, note=_tally(done.values())))
+                on_event(EpisodeFinished(folder=folder.path, result=result))
+            on_event(StageFinished())
+        return [done[index] for index in sorted(done)]
+
+
+def _whole(job: EpisodesJob, folder: RunFolder, repair: bool) -> dict[int, EpisodeResult]:
+    """Return the results that need no other try; with vanished bags they are not whole."""
+    done = job.done(folder.results())
+    if not repair:
+        require_bags(folder, done.values())
+        return done
+    lost = {result.index for result in folder.without_bag(done.values())}
+    return {index: result for index, result in done.items() if index not in lost}
+
+
+def _results(
+    executor: Executor,
+    job: EpisodesJob,
+    indices: Sequence[int],
+    environment: Mapping[str, str],
+    folder: RunFolder,
+    on_event: OnEvent,
+    cancellation: Cancellation | None,
+) -> Iterator[EpisodeResult]:
+    def hear(note: Note) -> None:
+        if note.text:
+            on_event(Notice(text=note.text))
+
+    outcomes = executor.run(
+        job.work(environment), episode_jobs(indices), on_note=hear,
+        before_retry=lambda key: folder.discard(index_of(key)), cancellation=cancellation,
+    )  # fmt: skip
+    for outcome in outcomes:
+        yield episode_result(outcome, job.config)
+
+
+def episode_jobs(indices: Iterable[int]) -> list[ExecutorJob]:
+    """Return the jobs of some indices."""
+    return [ExecutorJob(key=f"index {index}", data=index) for index in indices]
+
+
+def index_of(key: str) -> int:
+    """Return the index of an episode's job."""
+    return int(key.removeprefix("index "))
+
+
+def episode_result(outcome: Done | Lost, config: RunConfig) -> EpisodeResult:
+    """Return the result of an episode's job; one that cost all its workers is an error by name."""
+    if isinstance(outcome, Done):
+        return from_plain(outcome.value, EpisodeResult, source="a worker's result")
+    index = index_of(outcome.key)
+    return EpisodeResult(
+        episode_id=f"{config.purpose}-{config.run_seed}-{index:05d}",
+        index=index,
+        outcome="error",
+        reason=WORKER_DIED,
+        message=outcome.message,
+    )
+
+
+def _state(folder: RunFolder) -> str:
+    done = len(folder.log.read())
+    return (
+        f"{done} episode{'s are' if done != 1 else ' is'} done in {folder.path}; "
+        "the same command goes on with what is missing"
+    )
+
+
+def _tally(results: Iterable[EpisodeResult]) -> str:
+    outcomes = [result.outcome for result in results]
+    return f"{outcomes.count('success')} of {len(outcomes)} succeeded"
+
+
+def failures(results: Iterable[EpisodeResult], most: int = 10) -> list[str]:
+    """Say in a line each which episodes did not succeed, and why.
+
+    Args:
+        results: The results.
+        most: Number of lines at most.
+    """
+    failed = itertools.islice((result for result in results if result.outcome != "success"), most)
+    return [f"{result.episode_id}: {result.reason}" + f": {result.message}" * bool(result.message) for result in failed]

@@ -1,0 +1,386 @@
+"""Evaluates policies in fresh scenes, counts successes, and writes a report."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
+from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
+from roboxim_bringup.runs.folder import RunFolder, require_bags
+from roboxim_bringup.runs.pictures import drawn_by_name, film
+from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
+from roboxim_core.config import load_config, named_config
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_core.specs import SceneSpec
+from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
+from roboxim_eval.statistics import SuccessRate, error_line, is_measured, rate_of
+from roboxim_recorder.bag import BagReader
+from roboxim_tasks.config import TaskMix, parse_task_config
+from roboxim_tasks.task_config import TaskConfig
+
+SHOWN = 12
+"""Films per policy in the report, failures first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig(EpisodesConfig):
+    """What is to be evaluated."""
+
+    policies: str | PolicySpec | Sequence[str | PolicySpec]
+    """The policies; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``."""
+    out: Path | str = "runs/evaluation"
+    """Folder of the report and of a folder for each policy."""
+    episodes: int = 20
+    """Episodes per policy; every policy meets the same scenes."""
+    max_steps: int = 0
+    """Actions per episode; 0: as the task says."""
+    execute: int = 0
+    """Actions executed per request; 0: the policy's horizon."""
+    policy_timeout_s: float = 30.0
+    """Longest wait for an answer [s]."""
+    other_robot: bool = False
+    """Whether to run a policy also with another robot than it was trained with."""
+    command: str = ""
+    """How to reproduce the report, for people; empty: a call of `evaluate`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyResult:
+    """How one policy did."""
+
+    name: str
+    """Its name."""
+    results: tuple[EpisodeResult, ...]
+    """Results by episode, in the order of their indices."""
+    folder: Path
+    """Folder of its run, with the bags."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the results measure the policy: not where most episodes ended in errors."""
+        return is_measured(self.results)
+
+    @property
+    def rate(self) -> SuccessRate:
+        """Success rate with its interval; an error counts as no success."""
+        return rate_of(self.results)
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of successes, 0..1; none where that measures nothing."""
+        return self.rate.rate if self.measured else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of the success rate; none where that measures nothing."""
+        return (self.rate.low, self.rate.high) if self.measured else None
+
+    @property
+    def summary(self) -> str:
+        """Rate, interval and errors in one line."""
+        return rate_line(self.results)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationResult:
+    """What came of an evaluation; ``evaluation["bc"]`` is one policy's result."""
+
+    policies: Mapping[str, PolicyResult]
+    """Name to result, the policy under test first."""
+    report: Path
+    """The report, ``<out>/report.html``."""
+    comparison: str
+    """How the first policy compares with the others; empty for one policy."""
+    privileged: tuple[str, ...]
+    """Policies that were told task, scene and state, which no policy under test may see."""
+
+    def __getitem__(self, name: str) -> PolicyResult:
+        """Return a policy's result.
+
+        Raises:
+            ConfigError: When no policy has the name.
+        """
+        if name not in self.policies:
+            raise ConfigError(f"no policy '{name}' in this evaluation; {one_of(self.policies, name)}")
+        return self.policies[name]
+
+    @property
+    def first(self) -> PolicyResult:
+        """The result of the policy under test."""
+        return next(iter(self.policies.values()))
+
+    @property
+    def success_rate(self) -> float | None:
+        """Success rate of the policy under test, 0..1; none where that measures nothing."""
+        return self.first.success_rate
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of that rate; none where that measures nothing."""
+        return self.first.interval
+
+    @property
+    def results(self) -> tuple[EpisodeResult, ...]:
+        """Results by episode of the policy under test."""
+        return self.first.results
+
+    def require_measured(self) -> None:
+        """Refuse a result in which most episodes of a policy ended in errors.
+
+        Raises:
+            EvaluationError: Naming the policies.
+        """
+        broken = [policy for policy in self.policies.values() if not policy.measured]
+        if broken:
+            names = " and ".join(policy.name for policy in broken)
+            raise EvaluationError(
+                f"{names} could not be measured: most episodes ended in errors, and their reasons say what to "
+                "change; then choose another --out or remove "
+                f"{', '.join(str(policy.folder) for policy in broken)}"
+            )
+
+
+def evaluate(
+    config: EvaluationConfig,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+) -> EvaluationResult:
+    """Run policies in fresh scenes and write a report; go on with the episodes that are missing.
+
+    Evaluation scenes are never those of demonstrations, whatever the seed. A policy whose file or checkpoint has
+    changed since needs another folder.
+
+    Args:
+        config: What to evaluate.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Runs the episodes; none: processes of this machine.
+
+    Raises:
+        CancelledError: When the run was cancelled.
+        ConfigError: When something is wrong that can be known before a worker starts, e.g. an unknown camera.
+        EvaluationError: When a policy's files changed meanwhile.
+        PolicyError: When the module of a policy raises.
+        RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
+        RoboximError: When a graph has a fault that a fresh worker does not cure.
+    """
+    named = config.policies
+    chosen = find_policies([named] if isinstance(named, str | PolicySpec) else named)
+    text, out = config.task_text(), Path(config.out)
+    cells = _cells(text)
+    _require_cameras(chosen, cells)
+    if not config.other_robot:
+        _require_robots(chosen, cells)
+    jobs = {policy.name: _job(config, policy, text) for policy in chosen}
+    for policy in chosen:
+        _require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
+    found = {}
+    with run_environment("evaluate") as environment:
+        for policy in chosen:
+            job = jobs[policy.name]
+            there = _tell_resumed(policy.name, job, on_event, repair=config.repair)
+            results = run_episodes(
+                job, f"rollouts of {policy.name}", environment, on_event=on_event, cancellation=cancellation,
+                executor=executor, repair=config.repair,
+            )  # fmt: skip
+            if there < job.episodes and policy.files(out) != job.policy_files:
+                raise EvaluationError(
+                    f"the files of policy '{policy.name}' changed while it was evaluated, so its episodes may be of "
+                    f"two policies; remove {out / policy.name} and run the same command again"
+                )
+            found[policy.name] = PolicyResult(name=policy.name, results=tuple(results), folder=out / policy.name)
+            on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
+    return _report(config, found, _policy_facts(chosen, jobs))
+
+
+def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str) -> EpisodesJob:
+    launch, out = policy.launch, Path(config.out)
+    run = config.run_config(
+        task_config, purpose="eval", actor="expert" if launch is None else launch.namespace, keep="all",
+        max_steps=config.max_steps, execute=config.execute, policy_timeout_s=config.policy_timeout_s,
+        output_dir=str((out / policy.name).resolve()),
+    )  # fmt: skip
+    return EpisodesJob(
+        config=run, episodes=config.episodes, workers=config.workers, renderer=config.renderer,
+        policies=() if launch is None else (launch,), policy_files=policy.files(out),
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------ what is refused before a worker starts
+
+
+def _cells(task_config: str) -> Sequence[TaskConfig]:
+    config = parse_task_config(task_config)
+    return config.cells if isinstance(config, TaskMix) else (config,)
+
+
+def _scene(cell: TaskConfig) -> SceneSpec:
+    return load_config(named_config("scenes", cell.scene), SceneSpec)
+
+
+def _require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
+    """Refuse a policy that asks for a camera that a scene of the task lacks, as far as that is known by now."""
+    for cell in cells:
+        reset = cell.reset.get("cameras")
+        have = list(reset.names) if reset else [camera.name for camera in _scene(cell).cameras]
+        for policy in chosen:
+            for camera in policy.cameras:
+                if camera not in have:
+                    raise ConfigError(
+                        f"policy '{policy.name}' looks through camera '{camera}', which the task's scenes lack; "
+                        f"{one_of(have, camera)}"
+                    )
+
+
+def _require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
+    """Refuse a policy that was trained with another robot than the task has."""
+    trained = {policy.name: policy.robot for policy in chosen if policy.robot}
+    if not trained:
+        return
+    robots = {_scene(cell).robot.model for cell in cells}
+    for name, robot in trained.items():
+        if robots != {robot}:
+            raise ConfigError(
+                f"policy '{name}' was trained with the robot '{robot}', the task has {' and '.join(sorted(robots))}; "
+                "choose a task with its robot, or ask for this with --other-robot"
+            )
+
+
+def _require_same_policy(name: str, job: EpisodesJob, folder: Path, *, repair: bool) -> None:
+    """Refuse a folder whose results are not of the policy as it is now, or not of this run, before anything starts."""
+    run = RunFolder(folder)
+    if not run.path.exists():
+        return
+    if not repair:
+        results = run.results()
+        if results and job.policy_files:
+            _require_same_files(name, job, run, len(results))
+    with run.opened(job.identity, repair=repair):
+        if not repair:
+            require_bags(run, job.done(run.results()).values())
+
+
+def _require_same_files(name: str, job: EpisodesJob, run: RunFolder, episodes: int) -> None:
+    stored = run.config()
+    files = stored.get("policy_files")
+    holds = f"{run.path} holds {episodes} episode{'s' * (episodes != 1)}"
+    todo = f"choose another --out, or remove {run.path} to run it again"
+    if files is None:
+        raise ConfigError(
+            f"{holds} from an older version, which did not record what a policy is made of: they may be of another "
+            f"state of {', '.join(job.policy_files)}; {todo}"
+        )
+    if files != job.policy_files and stored.get("policies") == job.identity["policies"]:
+        now = job.policy_files
+        changes = [f"{file} has changed" for file in files if file in now and now[file] != files[file]]
+        changes += [f"{file} is a part of it now" for file in now if file not in files]
+        changes += [f"{file} was a part of it then" for file in files if file not in now]
+        raise ConfigError(f"{holds} of an earlier state of policy '{name}': {', '.join(changes)}; {todo}")
+
+
+def _tell_resumed(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: bool) -> int:
+    """Tell how many of a job's episodes an earlier run has, and when it had them; return the number."""
+    run = RunFolder(job.config.output_dir)
+    done = job.done(run.results()).values()
+    there = len(done) - (len(run.without_bag(done)) if repair else 0)
+    if there:
+        since = datetime.fromtimestamp(run.log.path.stat().st_mtime).strftime("%Y-%m-%d %H:%M")
+        on_event(PolicyResumed(policy=name, there=there, episodes=job.episodes, since=since))
+    return there
+
+
+# ------------------------------------------------------------------ what is reported
+
+
+def rate_line(results: Sequence[EpisodeResult]) -> str:
+    """Say how a policy did: its rate with the interval, and errors; the errors alone where most episodes ended so."""
+    errors = error_line(results)
+    if not is_measured(results):
+        return errors
+    return f"{rate_of(results)}" + (f"; {errors}" if errors else "")
+
+
+def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob]) -> dict[str, str]:
+    """Return what each policy is made of, for the report."""
+    facts = {}
+    for policy in chosen:
+        files = (f"{file} {digest[:16]}" for file, digest in jobs[policy.name].policy_files.items())
+        facts[f"policy {policy.name}"] = ", ".join([policy.spec, *files])
+    return facts
+
+
+def _policy_run(result: PolicyResult) -> PolicyRun:
+    recorded = [episode for episode in result.results if episode.bag]
+    failed = [episode for episode in recorded if episode.outcome != "success"][: SHOWN // 2]
+    solved = [episode for episode in recorded if episode.outcome == "success"][: SHOWN - len(failed)]
+    films = {episode.episode_id: film(result.folder / episode.bag) for episode in failed + solved}
+    drawn = {episode.episode_id: drawn_by_name(result.folder / episode.bag) for episode in recorded}
+    return PolicyRun(policy=result.name, results=result.results, films=films, drawn=drawn)
+
+
+def _report(
+    config: EvaluationConfig, found: Mapping[str, PolicyResult], policy_facts: Mapping[str, str]
+) -> EvaluationResult:
+    """Write the report."""
+    facts = {"task": config.task_name, "run seed": str(config.seed), "purpose": "eval"}
+    facts |= {"episodes": str(len(next(iter(found.values())).results)), **policy_facts}
+    versions: dict[str, str] = {}
+    privileged = []
+    for result in found.values():
+        info = _first_info(result)
+        if info is None:
+            continue
+        facts |= {
+            "robot": info.scene.robot.model, "renderer": info.renderer,
+            "control rate": f"{info.semantics.rate_hz:g} Hz",
+        }  # fmt: skip
+        facts |= {f"camera {camera.name}": f"{camera.width} x {camera.height}" for camera in info.scene.cameras}
+        versions |= info.versions | {f"model {name}": digest for name, digest in info.models.items()}
+        if info.actor_version:
+            versions[f"policy {result.name}"] = info.actor_version
+        if info.actor_privileged:
+            facts[f"policy {result.name} is privileged"] = "it sees task, scene and state"
+            privileged.append(result.name)
+    runs = [_policy_run(result) for result in found.values()]
+    report = Report(
+        title=f"Evaluation of {' and '.join(found)} on {config.task_name}",
+        runs=runs, facts=facts, versions=versions, command=config.command or _call(config),
+    )  # fmt: skip
+    page = write_report(report, Path(config.out))
+    return EvaluationResult(
+        policies=dict(found), report=page, comparison=verdict_line(runs), privileged=tuple(privileged)
+    )
+
+
+def _first_info(result: PolicyResult) -> EpisodeInfo | None:
+    """Return what a policy's first bag says of itself; none without a bag."""
+    first = next((episode for episode in result.results if episode.bag), None)
+    return None if first is None else BagReader(result.folder / first.bag).info
+
+
+def _call(config: EvaluationConfig) -> str:
+    """Return the call that reproduces a report, as Python."""
+    default = {name: field.default for name, field in EvaluationConfig.__dataclass_fields__.items()}
+    given = {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in vars(config).items()
+        if value != default[name] and name != "workers"
+    }
+    return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
+
+
+def command_line(words: Sequence[str]) -> str:
+    """Return how to reproduce a report by the command line.
+
+    Args:
+        words: The command's arguments.
+    """
+    return shlex.join(["roboxim", *words])

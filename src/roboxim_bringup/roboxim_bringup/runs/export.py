@@ -1,0 +1,83 @@
+"""Exports recorded episodes as a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from roboxim_bringup.executors import Cancellation, CancelledError
+from roboxim_bringup.runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_bringup.runs.folder import RUN_FILE, RunFolder, checked_path, command_of
+from roboxim_recorder.export import rlds
+from roboxim_recorder.export.rlds import ExportConfig, ExportReport
+
+__all__ = ["ExportConfig", "ExportReport", "export_rlds", "unfinished"]
+
+
+def export_rlds(
+    source: Path | str,
+    target: Path | str,
+    config: ExportConfig | None = None,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> ExportReport:
+    """Export the bags of a run as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; needs no TensorFlow.
+
+    An interrupted export goes on where it stopped; a dataset that is there of the same bags and configuration is left
+    as it is.
+
+    Args:
+        source: A run's folder, a folder of bags, or one bag.
+        target: Data directory to write ``<name>/<version>`` into.
+        config: What to export; none: the defaults.
+        overwrite: Replace a dataset that is there.
+        on_event: Told what happens.
+        cancellation: Ends the export when it is set.
+
+    Raises:
+        CancelledError: When the export was cancelled.
+        InvalidRequestError: On a name, camera or size that does not fit.
+        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags do not fit together or when the
+            dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
+    """
+    checked_path(target)
+    note = unfinished(Path(source))
+    if note:
+        on_event(Notice(text=f"{note}; what comes later needs another export, with --overwrite"))
+
+    def progress(done: int, total: int) -> None:
+        if cancellation is not None and cancellation.is_set():
+            raise CancelledError("the export was cancelled")
+        on_event(StageProgress(done=done, total=total))
+
+    with telling_interruption(on_event, lambda: "the same command goes on where it stopped"):
+        on_event(StageStarted(title="exporting", total=1, unit="episodes"))
+        report = rlds.export_rlds(
+            source, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
+        )
+        on_event(StageFinished())
+    return report
+
+
+def unfinished(source: Path) -> str:
+    """Say how far the run is that is exported; empty when it is finished, or nothing is known of a run."""
+    folder = RunFolder(source.parent if source.name == "episodes" else source)
+    if not (folder.path / RUN_FILE).exists():
+        return ""
+    config, done = folder.config(), len(folder.results())
+    wanted = int(config.get("episodes", done))
+    running = folder.in_use
+    if not running and done >= wanted:
+        return ""
+    far = f"{done} of {wanted} episodes are done" if "episodes" in config else f"{done} episodes are done"
+    command = f"'roboxim {command_of(config)}'"
+    return f"{far}; " + (f"{command} is still running there" if running else f"{command} was stopped there")

@@ -1,0 +1,152 @@
+"""Generates demonstrations of a task with the expert; each becomes a bag in ``<out>/episodes``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
+from roboxim_bringup.runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
+from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.pictures import write_contact_sheet
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ErrorCode, RoboximError
+
+PICTURE = "first_demonstrations.png"
+PICTURED = 4
+"""Demonstrations in the picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerationConfig(EpisodesConfig):
+    """What is to be generated."""
+
+    out: Path | str = "runs/demos"
+    """The run's folder."""
+    episodes: int = 50
+    """Number of demonstrations."""
+    max_attempts: int = 5
+    """Attempts per index until one succeeds."""
+    noise_mm: float = 3.0
+    """Noise in free motions, deviation per axis and tick [mm]."""
+    noise_mrad: float = 10.0
+    """The same for rotations [mrad]."""
+
+    def job(self) -> EpisodesJob:
+        """Return the episodes to run.
+
+        Raises:
+            ConfigError: When the task or a number is wrong.
+        """
+        config = self.run_config(
+            self.task_text(), purpose="demo", actor="expert", keep="successful", max_attempts=self.max_attempts,
+            noise_translation_m=self.noise_mm / 1000, noise_rotation_rad=self.noise_mrad / 1000,
+        )  # fmt: skip
+        return EpisodesJob(config=config, episodes=self.episodes, workers=self.workers, renderer=self.renderer)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerationResult:
+    """What there is after a generation."""
+
+    out: Path
+    """The run's folder, as it was named."""
+    results: tuple[EpisodeResult, ...]
+    """Results of all episodes that were asked for, in the order of their indices."""
+    before: tuple[EpisodeResult, ...]
+    """Results that the folder had before."""
+    picture: Path | None
+    """Picture of the first demonstrations; none without any."""
+
+    @cached_property
+    def kept(self) -> tuple[EpisodeResult, ...]:
+        """The demonstrations."""
+        return tuple(result for result in self.results if result.outcome == "success")
+
+    @property
+    def recovered(self) -> int:
+        """Demonstrations that needed a second grasp."""
+        return sum(result.recovered for result in self.kept)
+
+    @property
+    def summary(self) -> str:
+        """What is there now, and what of it was there before, in one line."""
+        made = [result for result in self.results if result not in self.before]
+        more = sum(result.outcome == "success" for result in self.before if result.index >= len(self.results))
+        text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
+        notes = []
+        if made and len(made) < len(self.results):
+            notes.append(f"{len(self.results) - len(made)} of {len(self.results)} episodes were there before")
+        if more:
+            notes.append(f"{more} more there, of an earlier command that asked for more")
+        retried = sum(result.attempt > 0 for result in self.kept)
+        if retried:
+            notes.append(f"{retried} after a failed attempt")
+        if notes:
+            text += f" ({'; '.join(notes)})"
+        return text if made else f"{text}; they were there already, nothing was run"
+
+    def require_any(self) -> None:
+        """Refuse a result without any demonstration.
+
+        Raises:
+            RoboximError: ``TASK_FAULT``.
+        """
+        if not self.kept:
+            reasons = sorted({result.reason for result in self.results})
+            raise RoboximError(
+                f"no demonstration succeeded ({', '.join(reasons)}); change what the reasons name; then choose another "
+                f"--out or remove this one (rm -r {self.out})",
+                ErrorCode.TASK_FAULT,
+            )
+
+
+def generate(
+    config: GenerationConfig,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+) -> GenerationResult:
+    """Generate demonstrations; go on with those that the folder lacks.
+
+    An index whose episode fails is drawn again, so as many as asked are kept; failed attempts are set apart with their
+    reason in ``<out>/set_apart``.
+
+    Args:
+        config: What to generate.
+        on_event: Told what happens.
+        cancellation: Ends the run when it is set.
+        executor: Runs the episodes; none: processes of this machine.
+
+    Raises:
+        CancelledError: When the run was cancelled.
+        ConfigError: When the configuration is wrong, or the folder holds another run.
+        RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
+        RoboximError: When a graph has a fault that a fresh worker does not cure.
+    """
+    job = config.job()
+    out = Path(config.out)
+    folder = RunFolder(out)
+    before = () if config.repair else tuple(folder.results())
+    picture = folder.path / PICTURE
+
+    def show_first(event: Event) -> None:
+        on_event(event)
+        if not isinstance(event, EpisodeFinished) or picture.exists():
+            return
+        if event.result.outcome == "success" and event.result.bag:
+            write_contact_sheet([folder.path / event.result.bag], picture)
+            on_event(PictureWritten(path=out / PICTURE))
+
+    with run_environment("generate") as environment:
+        results = run_episodes(
+            job, "demonstrations", environment, on_event=show_first, cancellation=cancellation, executor=executor,
+            repair=config.repair,
+        )  # fmt: skip
+    bags = [folder.path / result.bag for result in results if result.outcome == "success" and result.bag]
+    if bags:
+        write_contact_sheet(bags[:PICTURED], picture)
+    return GenerationResult(out=out, results=tuple(results), before=before, picture=out / PICTURE if bags else None)

@@ -1,0 +1,57 @@
+"""Pictures of recorded episodes: films and contact sheets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from roboxim_recorder.bag import BagReader
+
+
+def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
+    """Read a bag's frames, cameras side by side.
+
+    Args:
+        bag: The bag.
+        every: Read every n-th tick, and the last.
+
+    Returns:
+        Frames of shape (height, sum of widths, 3).
+    """
+    reader = BagReader(bag)
+    last = len(reader) - 1
+    frames = []
+    for tick in reader.ticks():
+        if tick.seq % every == 0 or tick.seq == last:
+            images = [tick.images[name] for name in sorted(tick.images)]
+            height = min(image.shape[0] for image in images)
+            frames.append(np.concatenate([image[:height] for image in images], axis=1))
+    return frames
+
+
+def drawn_by_name(bag: Path) -> dict[str, str]:
+    """Return what the reset components of a bag's episode have drawn by name, e.g. the interaction area."""
+    return BagReader(bag).info.task.drawn
+
+
+def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:
+    """Put films under one another, each as a strip of frames from its start to its end.
+
+    Args:
+        films: Frames per film, all of one shape.
+        columns: Frames per strip.
+    """
+    rows = []
+    for frames in films:
+        picks = np.linspace(0, len(frames) - 1, columns).round().astype(int)
+        rows.append(np.concatenate([frames[i] for i in picks], axis=1))
+    return np.concatenate(rows, axis=0)
+
+
+def write_contact_sheet(bags: Sequence[Path], picture: Path) -> None:
+    """Write a picture with a strip of frames of each bag."""
+    Image.fromarray(contact_sheet([film(bag) for bag in bags])).save(picture)

@@ -1,0 +1,128 @@
+"""Trains a policy on an exported dataset."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from roboxim_bringup.executors import Cancellation, CancelledError
+from roboxim_bringup.runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_bringup.runs.folder import checked_path, make_folder
+from roboxim_bringup.runs.policies import CHECKPOINT, PolicySpec
+from roboxim_core.config import load_config, load_yaml
+from roboxim_core.errors import ConfigError
+from roboxim_policies.bc.config import BCConfig
+
+__all__ = ["BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingResult:
+    """What came of a training."""
+
+    checkpoint: Path
+    """The checkpoint."""
+    steps: int
+    """Steps that it has behind it."""
+    steps_now: int
+    """Those of this call; 0: it was trained already."""
+    wall_s: float
+    """Duration of this call [s]."""
+
+    @property
+    def policy(self) -> PolicySpec:
+        """The trained policy, to be evaluated."""
+        return PolicySpec(spec="bc", options={CHECKPOINT: str(self.checkpoint)})
+
+
+def train_bc(
+    dataset: Path | str,
+    out: Path | str = "runs/bc",
+    config: BCConfig | None = None,
+    *,
+    limit: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> TrainingResult:
+    """Train a small behaviour-cloning network on an RLDS export, on CPU.
+
+    Ctrl-C or a cancellation saves a checkpoint; the same call goes on and ends in the same weights.
+
+    Args:
+        dataset: The export's folder.
+        out: Folder of the checkpoint.
+        config: Network and training; none: the defaults.
+        limit: Use at most so many episodes; 0: all.
+        on_event: Told what happens.
+        cancellation: Ends the training when it is set.
+
+    Raises:
+        CancelledError: When the training was cancelled.
+        ConfigError: When the dataset is none, or the folder holds another training.
+    """
+    from roboxim_policies.bc.data import load_rlds  # JAX takes a second
+    from roboxim_policies.bc.train import Trainer, TrainProgress
+
+    settings = config or BCConfig()
+    folder = checked_path(out)
+    if folder.is_file():
+        make_folder(folder)  # says so
+    started = time.monotonic()
+
+    def reading(done: int, total: int) -> None:
+        _check(cancellation)
+        on_event(StageProgress(done=done, total=total))
+
+    def training(progress: TrainProgress) -> None:
+        note = f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s"
+        on_event(StageProgress(done=progress.step, total=settings.steps, note=note))
+        _check(cancellation)
+
+    on_event(StageStarted(title="reading demonstrations", total=1))
+    data = load_rlds(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+    on_event(StageFinished())
+    make_folder(folder)
+    trainer = Trainer(data, settings, Path(out))
+    before = trainer.step
+    if before < settings.steps:
+        if before:
+            on_event(Notice(text=f"going on from step {before}"))
+        on_event(StageStarted(title="training", total=settings.steps, done=before, unit="steps"))
+        with telling_interruption(
+            on_event,
+            lambda: (
+                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same command goes on"
+            ),
+        ):
+            trainer.run(training)
+        on_event(StageFinished())
+    return TrainingResult(
+        checkpoint=trainer.path, steps=trainer.step, steps_now=trainer.step - before, wall_s=time.monotonic() - started
+    )
+
+
+def _check(cancellation: Cancellation | None) -> None:
+    if cancellation is not None and cancellation.is_set():
+        raise CancelledError("the training was cancelled")
+
+
+def read_bc_config(file: Path | None) -> BCConfig:
+    """Read a training's configuration; none: the defaults.
+
+    Raises:
+        ConfigError: When the file is missing, empty or wrong.
+    """
+    if file is None:
+        return BCConfig()
+    if load_yaml(file) is None:
+        raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or leave --config out")
+    return load_config(file, BCConfig)

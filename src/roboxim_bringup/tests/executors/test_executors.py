@@ -1,0 +1,166 @@
+"""Executors give the same results, survive dead workers, and end when they are told to."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from roboxim_bringup.executors import CancelledError, Done, InlineExecutor, Job, LocalExecutor, Lost, Work
+from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
+
+WORKER = """
+import os
+import signal
+import threading
+from pathlib import Path
+
+from roboxim_bringup.executors import WorkerBrokenError
+from roboxim_core.errors import ConfigError
+
+
+class Worker:
+    def __init__(self, settings, number):
+        self.settings, self.number = settings, number
+        if settings.get("refuse"):
+            raise ConfigError("no such setting")
+        if settings.get("vanish"):
+            print("last words", flush=True)
+            os._exit(7)
+
+    def run(self, job, note):
+        note({"started": job})
+        if job == "wrong":
+            raise ConfigError("wrong job")
+        if job == "bug":
+            return 1 // 0
+        if job == "hang":
+            threading.Event().wait()
+        if job == "broken" or (job == "broken once" and self.first()):
+            raise WorkerBrokenError("out of order")
+        if job == "kill" or (job == "kill once" and self.first()):
+            print("last words", flush=True)
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"job": job, "pi": 3.141592653589793, "variable": os.environ.get("THING")}
+
+    def first(self):
+        mark = Path(self.settings["folder"]) / "mark"
+        there = mark.exists()
+        mark.touch()
+        return not there
+
+    def close(self):
+        Path(self.settings["folder"], f"closed-{self.number}").touch()
+"""
+
+
+@pytest.fixture
+def work(tmp_path):
+    (tmp_path / "my_worker.py").write_text(WORKER)
+
+    def make(**settings):
+        return Work(
+            worker="my_worker:Worker", settings={"folder": str(tmp_path), **settings}, environment={"THING": "x"},
+            python_path=(str(tmp_path),),
+        )  # fmt: skip
+
+    yield make
+    sys.modules.pop("my_worker", None)
+    if str(tmp_path) in sys.path:
+        sys.path.remove(str(tmp_path))
+
+
+def jobs(*data):
+    return [Job(key=f"job {number}", data=value) for number, value in enumerate(data)]
+
+
+def test_every_executor_gives_the_same_results(work, tmp_path):
+    wanted = jobs(1, "two", [3.5, None], {"four": True})
+    found = []
+    for executor in (InlineExecutor(), LocalExecutor(1), LocalExecutor(3)):
+        results = {outcome.key: outcome.value for outcome in executor.run(work(), wanted)}
+        assert [results[job.key]["job"] for job in wanted] == [job.data for job in wanted]
+        found.append([{**results[job.key], "variable": None} for job in wanted])
+        assert list(tmp_path.glob("closed-*")), "workers are closed"
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("fault", ["kill once", "broken once"])
+def test_a_job_whose_worker_died_is_repeated_by_a_fresh_one(work, tmp_path, fault):
+    notes, retried = [], []
+    executor = LocalExecutor(1, log_dir=tmp_path / "logs")
+    outcomes = list(
+        executor.run(work(), jobs(fault, "next"), on_note=lambda n: notes.append(n.text), before_retry=retried.append)
+    )
+    assert [outcome.value["job"] for outcome in outcomes] == [fault, "next"]
+    assert retried == ["job 0"]
+    [told] = [note for note in notes if note]
+    assert "worker 0 died at job 0" in told
+    assert ("SIGKILL" in told and "last words" in told) or "out of order" in told
+    assert len(list((tmp_path / "logs").iterdir())) == 2
+
+
+def test_a_job_that_costs_all_its_workers_is_lost_and_the_others_are_done(work):
+    outcomes = {outcome.key: outcome for outcome in LocalExecutor(2).run(work(), jobs("kill", 1, 2))}
+    assert isinstance(outcomes["job 0"], Lost)
+    assert "3 workers died at it" in outcomes["job 0"].message
+    assert {type(outcomes[f"job {i}"]) for i in (1, 2)} == {Done}
+
+
+@pytest.mark.parametrize("make", [InlineExecutor, LocalExecutor])
+def test_a_fault_that_no_fresh_worker_cures_ends_the_run(work, make):
+    with pytest.raises(ConfigError, match="wrong job"):
+        list(make().run(work(), jobs("wrong", 1)))
+    with pytest.raises(ConfigError, match="no such setting"):
+        list(make().run(work(refuse=True), jobs(1)))
+    with pytest.raises((RoboximError, ZeroDivisionError), match="division"):
+        list(make().run(work(), jobs("bug")))
+
+
+def test_a_worker_that_cannot_start_shows_its_log(work):
+    with pytest.raises(UnavailableError, match=r"(?s)could not start: exit code 7; .*last words"):
+        list(LocalExecutor(1).run(work(vanish=True), jobs(1)))
+
+
+def test_a_worker_that_hangs_counts_as_dead(work):
+    [outcome] = LocalExecutor(1, stall_s=0.5).run(work(), jobs("hang"))
+    assert "nothing heard of it for 0.5 s" in outcome.message
+
+
+def test_a_cancelled_run_ends_its_workers(work):
+    stop = threading.Event()
+    executor, pids = LocalExecutor(2), []
+
+    def note(_):
+        pids.extend(executor.pids())
+        stop.set()
+
+    with pytest.raises(CancelledError):
+        list(executor.run(work(), jobs("hang", "hang"), on_note=note, cancellation=stop))
+    assert pids
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    with pytest.raises(CancelledError):
+        list(InlineExecutor().run(work(), jobs(1), cancellation=stop))
+
+
+def test_what_is_no_plain_data_is_refused_by_every_executor(work):
+    for executor in (InlineExecutor(), LocalExecutor(1)):
+        with pytest.raises(TypeError, match="not JSON serializable"):
+            list(executor.run(work(), jobs(Path("x"))))
+
+
+def test_a_script_needs_no_guard_of_its_main_module(work, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from roboxim_bringup.executors import Job, LocalExecutor, Work\n"
+        f"work = Work(worker='my_worker:Worker', settings={{'folder': {str(tmp_path)!r}}}, "
+        f"python_path=({str(tmp_path)!r},))\n"
+        "for outcome in LocalExecutor(2).run(work, [Job(key=str(i), data=i) for i in range(2)]):\n"
+        "    print(outcome.value['job'])\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, env=os.environ, timeout=100)
+    assert sorted(done.stdout.split()) == ["0", "1"], done.stderr
