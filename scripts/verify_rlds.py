@@ -21,6 +21,8 @@ import numpy as np
 import tensorflow_datasets as tfds
 
 SEMANTICS_KEYS = {"control", "frame", "rotation", "gripper", "delta_base", "rate_hz"}
+LARGEST_TURN = 0.5
+"""What a component of the tool's axes may change by in a step: twice the limit of an action's rotation [rad]."""
 
 
 def find_dataset(path: Path) -> Path:
@@ -53,6 +55,9 @@ def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], image
     rewards = [float(step["reward"]) for step in steps]
     if rewards != [0.0] * last + [float(metadata["success"])]:
         yield f"its rewards do not say that success is {bool(metadata['success'])}: {rewards}"
+    axes = np.stack([step["observation"]["state"][3:9] for step in steps])
+    if len(axes) > 1 and np.abs(np.diff(axes, axis=0)).max() > LARGEST_TURN:
+        yield f"the rotation in its state jumps by {np.abs(np.diff(axes, axis=0)).max():.2f} from one step to the next"
     for index, step in enumerate(steps):
         yield from (f"step {index}: {problem}" for problem in step_problems(step, images))
 

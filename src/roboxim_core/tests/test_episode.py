@@ -302,6 +302,19 @@ def test_what_the_run_cannot_give_is_refused_before_the_first_step():
     assert caught.value.code == ErrorCode.SEMANTICS_MISMATCH
 
 
+@pytest.mark.parametrize(
+    "answer",
+    [
+        ActionChunk(actions=np.zeros((1, 7), np.float32), phases=("free", "free")),
+        ActionChunk(actions=np.zeros((1, 7), np.float32), done=None),
+        ActionChunk(actions=[True] * 7),
+    ],
+)
+def test_an_answer_that_no_guard_has_seen_is_checked_by_the_loop(answer):
+    result = run(World(), Actor(act=lambda window: answer)).run_index(0)
+    assert (result.outcome, result.reason, result.steps) == ("error", "invalid_action", 0)
+
+
 def test_a_missing_image_is_an_error_by_name():
     world = World()
     world.observe = lambda state, cameras: Observation(seq=state.seq, stamp_ns=0)

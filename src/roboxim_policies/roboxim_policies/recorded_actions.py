@@ -103,7 +103,12 @@ def _from_bag(source: Path) -> tuple[npt.ArrayLike, ActionSemantics]:
 def _semantics(reader: Any, connection: Any) -> ActionSemantics:
     for _, _, raw in reader.messages(connections=[connection]) if connection else ():
         said = reader.deserialize(raw, connection.msgtype).semantics
-        return from_msg(said, ActionSemantics)
+        try:
+            return from_msg(said, ActionSemantics)
+        except (AttributeError, InvalidRequestError) as error:
+            raise ConfigError(
+                f"the meaning of the bag's actions cannot be read ({error}); another version of RoboXim recorded it"
+            ) from None
     return ActionSemantics()
 
 

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from roboxim_core.images import encode_image
 from roboxim_core.policies import EpisodeStart, ObservationWindow
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures
 from roboxim_datasets.rlds.writer import RldsWriter
-from roboxim_policies import load_policy
+from roboxim_policies import load_policy, recorded_actions
 
 ACTIONS = np.random.default_rng(0).normal(scale=0.01, size=(5, 7)).astype(np.float32)
 
@@ -151,3 +152,13 @@ def test_only_bc_imports_jax():
     code = "import sys; from roboxim_policies import load_policy; import roboxim_policies.bc.data; "
     code += "load_policy('zero'); sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_bag_of_a_version_with_other_semantics_is_refused_by_name():
+    old = SimpleNamespace(control="end_effector_delta", frame="robot_base", rotation="euler_xyz_extrinsic")
+    reader = SimpleNamespace(
+        messages=lambda connections: [(None, 0, b"")],
+        deserialize=lambda raw, kind: SimpleNamespace(semantics=old),
+    )
+    with pytest.raises(ConfigError, match="another version of RoboXim recorded it"):
+        recorded_actions._semantics(reader, SimpleNamespace(msgtype="x"))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk, hold_action
+from roboxim_core.actions import ActionArray, ActionSemantics, hold_action
 from roboxim_core.config import to_json
 from roboxim_core.episode.ports import Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
@@ -16,6 +16,7 @@ from roboxim_core.episode.start import start_refusal
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policy_guard import checked_answer
 from roboxim_core.rates import ticks
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
@@ -293,9 +294,9 @@ class _Episode:
         chunk = self.ports.actor.act(self.window.request(self.info))
         self.last_inference_s = self.ports.clock() - before
         self.inference_s += self.last_inference_s
-        actions = check_chunk(chunk.actions)
+        chunk = checked_answer(chunk, self.description)
+        actions, phases = chunk.actions, chunk.phases or ("",) * len(chunk.actions)
         use = min(self.config.execute or len(actions), len(actions))
-        phases = chunk.phases if len(chunk.phases) == len(actions) else ("",) * len(actions)
         self.queue.extend((actions[i], phases[i]) for i in range(use))
         self.actor_done = chunk.done and use == len(actions)
 
