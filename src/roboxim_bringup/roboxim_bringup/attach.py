@@ -166,7 +166,7 @@ class Peer:
         name = absolute(name)
         types = self.look_for(
             lambda: listing(**({} if what == "action" else {"hidden": True})).get(name),
-            lambda: f"no {what} '{name}' in the graph; {one_of(filter(_is_own, listing()), name)}",
+            lambda: f"no {what} '{name}' in the graph; {one_of(filter(is_own_service, listing()), name)}",
         )
         if len(types) > 1:
             raise ConfigError(f"{what} '{name}' has several types ({', '.join(types)}); give one of them")
@@ -203,7 +203,7 @@ def absolute(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
-def _is_own(name: str) -> bool:
+def is_own_service(name: str) -> bool:
     """Tell a node's own services from those that every node has."""
     return not name.endswith(("_parameters", "_parameter_types", "_parameters_atomically", "/get_type_description"))
 

@@ -10,6 +10,10 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.named import Models, Named
+
+RENDERERS = ("photo", "raster", "tiny")
+"""Those that ship; `doctor` says which of them this machine has."""
 Decorator = Callable[[Any], Any]
 
 
@@ -21,10 +25,15 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         out: Default folder.
     """
     options = [
-        click.option("--task", default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file."),
-        click.option("--skill", default="", help="A skill instead of a task; roboxim tasks list shows them."),
         click.option(
-            "--object", "objects", multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+            "--task", type=Named("task"), default="", show_default="pick_cube",
+            help="Task of config/tasks, or a YAML file.",
+        ),
+        click.option(
+            "--skill", type=Named("skill"), default="", help="A skill instead of a task; roboxim tasks list shows them."
+        ),
+        click.option(
+            "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
             help="Object models of the target, or of another role; may be repeated.",
         ),
         click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
@@ -40,7 +49,7 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         ),
         click.option("--size", default="as-configured", show_default=True, help="Image size: SIZE or WIDTHxHEIGHT."),
         click.option(
-            "--renderer", default="raster", show_default=True,
+            "--renderer", type=Named("renderer", *RENDERERS), default="raster", show_default=True,
             help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
         ),
         click.option("--depth", is_flag=True, help="Also record depth."),

@@ -17,7 +17,7 @@ from roboxim_bringup.process import describe_exit, spawn, stop
 from roboxim_core.errors import RoboximError, UnavailableError
 
 READY_S = 300.0
-QUICK_DEATH_S = 10.0
+QUICK_DEATH_S = 60.0
 """A process that dies sooner than this after its start counts as unable to start [s]."""
 MAX_QUICK_DEATHS = 3
 

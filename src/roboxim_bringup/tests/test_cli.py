@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 
+import click
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -22,6 +23,7 @@ from std_srvs.srv import SetBool
 
 from roboxim_bringup.cli import group
 from roboxim_bringup.commands import topic
+from roboxim_bringup.graph_names import complete
 from roboxim_core.errors import ConfigError, RequestTimeoutError, RoboximError, SimError
 from roboxim_ros import qos
 from roboxim_ros.host import NodeHost
@@ -31,6 +33,7 @@ from roboxim_ros.testing import PATIENCE_S, eventually
 ISOLATED = """
 import sys
 from roboxim_bringup.cli import group
+from roboxim_bringup.graph_names import complete
 from roboxim_bringup.commands import topic
 try:
     group.main({arguments!r}, standalone_mode=False)
@@ -302,3 +305,14 @@ def test_doctor_looks_at_everything(runtime):
     found = {finding["name"]: finding for finding in json.loads(result.stdout)}
     assert {"Python", "renderers", "graph", "shared memory", "compiler", "cores", "disk"} <= set(found)
     assert found["graph"]["state"] == "ok"
+
+
+@pytest.mark.ros
+def test_completion_offers_what_the_graph_has(small):
+    def offered(kind, incomplete=""):
+        return complete(kind)(click.Context(click.Command("x")), None, incomplete)
+
+    assert {"/greeting", "/steady"} <= set(offered("topics"))
+    assert offered("services", "fl") == ["/flip"]
+    assert offered("actions") == ["/grip"]
+    assert offered("nodes", "/s") == ["/small"]

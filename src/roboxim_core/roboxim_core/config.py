@@ -10,7 +10,6 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -25,6 +24,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from scipy.spatial.transform import Rotation
 
+from roboxim_core.config_folders import config_dir, config_dirs, named_config
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.poses import Pose
 
@@ -374,57 +374,6 @@ def from_json(text: str, cls: type[T], *, source: str = "JSON") -> T:
 def digest(value: Any) -> str:
     """Return a stable hash of a spec, 16 hexadecimal digits."""
     return hashlib.blake2b(to_json(value).encode(), digest_size=8).hexdigest()
-
-
-def config_dir() -> Path:
-    """Return the directory of RoboXim's YAML files: ``$ROBOXIM_CONFIG_DIR``, or ``config/`` of the checkout.
-
-    Raises:
-        ConfigError: When there is no such directory.
-    """
-    given = os.environ.get("ROBOXIM_CONFIG_DIR")
-    candidates = [Path(given)] if given else [parent / "config" for parent in Path(__file__).resolve().parents]
-    for candidate in candidates:
-        if (candidate / "robots").is_dir():
-            return candidate
-    raise ConfigError("no config directory with robots/ found; run from a checkout or set ROBOXIM_CONFIG_DIR")
-
-
-def config_dirs() -> tuple[Path, ...]:
-    """Return where YAML files are looked for, in order: the folders of ``$ROBOXIM_CONFIG_PATH``, then `config_dir`.
-
-    ``ROBOXIM_CONFIG_PATH`` is a list as ``PATH`` is: a user's own folders with ``objects/``, ``cameras/`` and so on.
-
-    Raises:
-        ConfigError: When one of them is no folder.
-    """
-    own = tuple(Path(part).expanduser() for part in os.environ.get("ROBOXIM_CONFIG_PATH", "").split(os.pathsep) if part)
-    for folder in own:
-        if not folder.is_dir():
-            raise ConfigError(f"ROBOXIM_CONFIG_PATH names {folder}, which is no folder")
-    return (*own, config_dir())
-
-
-def named_config(kind: str, name: str) -> Path:
-    """Return the YAML file of a name: ``config/<kind>/<name>.yaml``, or a path if the name looks like one.
-
-    Args:
-        kind: Folder in ``config/``, e.g. ``cameras``.
-        name: Name without ending, or a path to a YAML file.
-
-    Raises:
-        ConfigError: When there is no such file; lists what there is.
-    """
-    if re.search(r"[/\\]|\.ya?ml$", name):
-        path = Path(name).expanduser()
-        if not path.is_file():
-            raise ConfigError(f"no such file: {path}")
-        return path
-    for folder in config_dirs():
-        if (path := folder / kind / f"{name}.yaml").is_file():
-            return path
-    names = {path.stem for folder in config_dirs() for path in (folder / kind).glob("*.yaml")}
-    raise ConfigError(f"no {kind} configuration '{name}'; {one_of(names, name)}")
 
 
 __all__ = [

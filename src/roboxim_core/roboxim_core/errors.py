@@ -199,17 +199,24 @@ def printable(value: object, limit: int = 2000, *, form: Callable[[object], str]
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+LISTED = 8
+"""Up to so many names are all listed in a message; of more, the ones nearest to what was given."""
+
+
 def one_of(choices: Iterable[str], given: str) -> str:
-    """Say which names are valid, with a suggestion, to end an error message with.
+    """Say which names are valid, to end an error message with.
 
     Args:
         choices: The valid names.
         given: The name that was not among them.
 
     Returns:
-        For example ``"expected one of: apple, cube (did you mean 'cube'?)"``.
+        For example ``"expected one of: apple, cube (did you mean 'cube'?)"``; of many names the nearest alone:
+        ``"did you mean 'cube'? (33 names are known)"``; all of them when none is near.
     """
     names = sorted(choices)
-    close = difflib.get_close_matches(given, names, n=1)
+    close = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
+    if close and len(names) > LISTED:
+        return f"did you mean '{close[0]}'? ({len(names)} names are known)"
     hint = f" (did you mean '{close[0]}'?)" if close else ""
     return f"expected one of: {', '.join(names) or '(none registered)'}{hint}"

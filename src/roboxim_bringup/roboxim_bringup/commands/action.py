@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_bringup.graph_names import complete
 
 
 @click.group()
@@ -27,7 +28,7 @@ def list_actions(show_types: bool, run_id: str | None, domain: int | None) -> No
 
 
 @command.command("type")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("actions"))
 @attach_options
 def print_type(name: str, run_id: str | None, domain: int | None) -> None:
     """Print the type of an action."""
@@ -36,7 +37,7 @@ def print_type(name: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("info")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("actions"))
 @attach_options
 def info(name: str, run_id: str | None, domain: int | None) -> None:
     """Print the type, servers and clients of an action."""
@@ -66,7 +67,7 @@ def info(name: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("send_goal")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("actions"))
 @click.argument("words", nargs=-1, metavar="[TYPE] [YAML]")
 @click.option("-f", "--feedback", is_flag=True, help="Print the feedback.")
 @click.option("--timeout", default=600.0, show_default=True, help="Longest wait for the result [s].")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from roboxim_bringup.named import Named
+
 
 @click.group()
 def command() -> None:
@@ -13,7 +15,7 @@ def command() -> None:
 
 
 @command.command("sheet")
-@click.argument("objects", nargs=-1)
+@click.argument("objects", type=Named("object"), nargs=-1)
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="sheet.png", show_default=True)
 @click.option("--renderer", "renderer_name", default="raster", show_default=True, help="What draws.")
 @click.option("--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Of each picture [px].")

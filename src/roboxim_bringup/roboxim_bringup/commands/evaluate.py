@@ -7,12 +7,13 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.named import Named
 from roboxim_bringup.options import episode_options
 
 
 @click.command()
 @click.option(
-    "--policy", "policies", multiple=True, required=True, metavar="[NAME=]SPEC",
+    "--policy", "policies", type=Named("policy", "expert"), multiple=True, required=True, metavar="[NAME=]SPEC",
     help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. The name is for "
     "the report; two of one class need names.",
 )  # fmt: skip

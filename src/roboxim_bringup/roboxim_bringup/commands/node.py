@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_bringup.graph_names import complete
 
 
 class _NodeGroup(click.Group):
@@ -196,7 +197,7 @@ def list_nodes(hidden: bool, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("info")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("nodes"))
 @attach_options
 def info(name: str, run_id: str | None, domain: int | None) -> None:
     """Print what a node publishes, subscribes to, serves and calls."""

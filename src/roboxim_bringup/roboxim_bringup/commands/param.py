@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, call_node, parameter_names
+from roboxim_bringup.graph_names import complete
 
 
 @click.group()
@@ -15,7 +16,7 @@ def command() -> None:
 
 
 @command.command("list")
-@click.argument("node", required=False)
+@click.argument("node", required=False, shell_complete=complete("nodes"))
 @attach_options
 def list_parameters(node: str | None, run_id: str | None, domain: int | None) -> None:
     """List the parameters of one node, or of all."""
@@ -31,7 +32,7 @@ def list_parameters(node: str | None, run_id: str | None, domain: int | None) ->
 
 
 @command.command("get")
-@click.argument("node")
+@click.argument("node", shell_complete=complete("nodes"))
 @click.argument("name")
 @attach_options
 def get(node: str, name: str, run_id: str | None, domain: int | None) -> None:
@@ -45,7 +46,7 @@ def get(node: str, name: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("dump")
-@click.argument("node")
+@click.argument("node", shell_complete=complete("nodes"))
 @attach_options
 def dump_parameters(node: str, run_id: str | None, domain: int | None) -> None:
     """Print all parameters of a node as a parameter file."""
@@ -58,7 +59,7 @@ def dump_parameters(node: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("set")
-@click.argument("node")
+@click.argument("node", shell_complete=complete("nodes"))
 @click.argument("name")
 @click.argument("value")
 @attach_options
@@ -85,7 +86,7 @@ def set_parameter(node: str, name: str, value: str, run_id: str | None, domain: 
 
 
 @command.command("describe")
-@click.argument("node")
+@click.argument("node", shell_complete=complete("nodes"))
 @click.argument("names", nargs=-1)
 @attach_options
 def describe(node: str, names: tuple[str, ...], run_id: str | None, domain: int | None) -> None:

@@ -6,6 +6,7 @@ import click
 
 from roboxim_bringup.attach import attach_options
 from roboxim_bringup.commands.node import membership_options, run_node
+from roboxim_bringup.named import Named
 
 
 @click.group()
@@ -14,7 +15,7 @@ def command() -> None:
 
 
 @command.command("serve")
-@click.argument("spec")
+@click.argument("spec", type=Named("policy"))
 @click.option("--namespace", default="policy", show_default=True, help="Namespace of its services.")
 @click.option(
     "-o", "--option", "options", multiple=True, metavar="KEY=VALUE", help="Argument of its class; may be repeated."
@@ -50,15 +51,9 @@ def serve(
 @command.command("list")
 def list_policies() -> None:
     """List the registered policies and their options."""
-    import importlib
-    import inspect
+    from roboxim_bringup.catalog import catalog
 
-    importlib.import_module("roboxim_policies.builtin")  # registers what ships
-    from roboxim_policies import POLICIES
-
-    for name in POLICIES:
-        make = POLICIES[name]
-        click.echo(f"{name}  {(inspect.getdoc(make) or '').splitlines()[0]}")
-        for option in inspect.signature(make).parameters.values():
-            default = "required" if option.default is option.empty else f"default {option.default!r}"
-            click.echo(f"    {option.name}: {default}")
+    for name, policy in catalog()["policies"].items():
+        click.echo(f"{name}  {policy['about']}")
+        for option, default in policy["options"].items():
+            click.echo(f"    {option}: {default}")

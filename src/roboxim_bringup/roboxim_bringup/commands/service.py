@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import attach_options, attached
+from roboxim_bringup.graph_names import complete
 
 
 @click.group()
@@ -28,7 +29,7 @@ def list_services(show_types: bool, hidden: bool, run_id: str | None, domain: in
 
 
 @command.command("type")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("services"))
 @attach_options
 def print_type(name: str, run_id: str | None, domain: int | None) -> None:
     """Print the type of a service."""
@@ -52,7 +53,7 @@ def find(type_name: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("call")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("services"))
 @click.argument("words", nargs=-1, metavar="[TYPE] [YAML]")
 @click.option("--timeout", default=120.0, show_default=True, help="Longest wait for the answer [s].")
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-if TYPE_CHECKING:
-    pass
+from roboxim_bringup.named import Models, Named
 
 
 @click.group()
@@ -25,34 +22,11 @@ def list_tasks(as_json: bool) -> None:
 
     A task whose file is wrong is an error at the end; the others are listed all the same.
     """
-    from roboxim_core.config import config_dirs, named_config
+    from roboxim_bringup.catalog import catalog
     from roboxim_core.errors import ConfigError
-    from roboxim_core.models.library import ModelLibrary
-    from roboxim_tasks.config import TaskMix, load_task_config
-    from roboxim_tasks.skills import SKILLS
 
-    library = ModelLibrary()
-    models = {name: library.object(name) for name in library.object_ids}
-    skills = {
-        name: {
-            "instruction": SKILLS[name].templates[0],
-            "roles": SKILLS[name].suited(models),
-        }
-        for name in SKILLS
-    }
-    tasks, broken = {}, {}
-    names = {path.stem for folder in config_dirs() for path in (folder / "tasks").glob("*.yaml")}
-    for name in sorted(names):
-        try:
-            config = load_task_config(name)
-        except ConfigError as error:
-            broken[name] = str(error)
-            continue
-        if isinstance(config, TaskMix):
-            about = {"skills": sorted({c.skill for c in config.cells}), "episodes": sum(config.counts)}
-        else:
-            about = {"skills": [config.skill], "episodes": None}
-        tasks[name] = {"about": _first_sentence(named_config("tasks", name).read_text()), **about}
+    known = catalog()
+    skills, tasks, broken = known["skills"], known["tasks"], known["broken"]
     if as_json:
         click.echo(json.dumps({"skills": skills, "tasks": tasks, "broken": broken}, indent=2))
     else:
@@ -75,9 +49,14 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
 
 
 @command.command("sample")
-@click.option("--task", default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file.")
-@click.option("--skill", default="", help="A skill instead of a task.")
-@click.option("--object", "objects", multiple=True, metavar="[ROLE=]MODEL[,MODEL]", help="Object models of a role.")
+@click.option(
+    "--task", type=Named("task"), default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file."
+)
+@click.option("--skill", type=Named("skill"), default="", help="A skill instead of a task.")
+@click.option(
+    "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+    help="Object models of a role.",
+)  # fmt: skip
 @click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
 @click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
@@ -118,11 +97,3 @@ def sample(
         click.echo(
             f"{index:>4}  {digest(drawn)}  {drawn.instruction}" + (f"   (also there: {others})" if others else "")
         )
-
-
-def _first_sentence(text: str) -> str:
-    """Return the sentence that a file begins with, a comment of one line or more."""
-    lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
-    comment = " ".join(line.lstrip("#").strip() for line in lines)
-    end = re.search(r"[.!?](?=\s+[A-Z`]|$)", comment)
-    return comment[: end.end()] if end else comment

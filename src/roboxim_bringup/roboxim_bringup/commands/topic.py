@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached
+from roboxim_bringup.graph_names import complete
 
 
 @click.group()
@@ -29,7 +30,7 @@ def list_topics(show_types: bool, run_id: str | None, domain: int | None) -> Non
 
 
 @command.command("type")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("topics"))
 @attach_options
 def print_type(name: str, run_id: str | None, domain: int | None) -> None:
     """Print the type of a topic."""
@@ -38,7 +39,7 @@ def print_type(name: str, run_id: str | None, domain: int | None) -> None:
 
 
 @command.command("info")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("topics"))
 @click.option("-v", "--verbose", is_flag=True, help="Also nodes and QoS.")
 @attach_options
 def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> None:
@@ -62,7 +63,7 @@ def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> No
 
 
 @command.command("echo")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("topics"))
 @click.argument("type_name", metavar="[TYPE]", required=False)
 @click.option("--once", is_flag=True, help="End after the first message.")
 @click.option("--field", help="Print this field only, e.g. robot.joint_positions.")
@@ -94,7 +95,7 @@ def echo(
 
 
 @command.command("hz")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("topics"))
 @click.option("--window", default=100, show_default=True, type=click.IntRange(2), help="Messages to average over.")
 @click.option("--duration", type=float, help="End after so long [s]; default: on Ctrl-C.")
 @attach_options
@@ -153,7 +154,7 @@ def _print_rate(stamps: list[float]) -> None:
 
 
 @command.command("pub")
-@click.argument("name")
+@click.argument("name", shell_complete=complete("topics"))
 @click.argument("type_name", metavar="TYPE")
 @click.argument("text", metavar="[YAML]", default="")
 @click.option("-1", "--once", is_flag=True, help="Publish once, when a subscriber is there.")

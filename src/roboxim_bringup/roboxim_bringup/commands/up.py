@@ -12,6 +12,7 @@ import click
 from roboxim_bringup.attach import absolute
 from roboxim_bringup.commands.node import membership_options, namespace_option
 from roboxim_bringup.graph import NODES
+from roboxim_bringup.named import Named
 
 
 @click.command()
@@ -20,7 +21,7 @@ from roboxim_bringup.graph import NODES
     "--only", "nodes", multiple=True, type=click.Choice(list(NODES)), help="Start only this node; may be repeated."
 )
 @click.option(
-    "--policy", "policy_specs", multiple=True, metavar="[NAMESPACE=]SPEC",
+    "--policy", "policy_specs", type=Named("policy"), multiple=True, metavar="[NAMESPACE=]SPEC",
     help="Also serve a policy, e.g. random or mine=my_module:MyPolicy; may be repeated.",
 )  # fmt: skip
 @click.option("--id", "run_id", metavar="ID", help="Name of the run; default: a new one.")

@@ -1,0 +1,123 @@
+"""What there is to name on the command line: skills, tasks, objects, policies. Imports nothing heavy.
+
+Listing skills with the objects that suit them, and checking every task, means importing numerics for seconds. The
+catalog is therefore kept in the user's cache folder with a fingerprint of all that it depends on: RoboXim's modules,
+the YAML files and the installed distributions. `roboxim tasks list`, tab completion and the first check of an option
+read it from there; whoever finds no fresh one makes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config_folders import config_dirs, config_names
+
+Catalog = dict[str, Any]
+"""Plain values: ``skills`` (name to instruction and roles), ``tasks`` (name to what it is about), ``broken`` (name of
+a task to what is wrong with its file), ``policies`` (name to its first sentence and options)."""
+
+_PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_bringup")
+
+
+def catalog() -> Catalog:
+    """Return the catalog, made when there is no fresh one.
+
+    Raises:
+        ConfigError: When a configuration folder is missing.
+    """
+    kept = fresh_catalog()
+    if kept is not None:
+        return kept
+    from roboxim_bringup.catalog_maker import make_catalog
+
+    made = make_catalog()
+    _write(_file(), {"fingerprint": _fingerprint(), "catalog": made})
+    return made
+
+
+def fresh_catalog() -> Catalog | None:
+    """Return the kept catalog if nothing that it depends on has changed since; else None."""
+    kept = _read(_file())
+    return kept["catalog"] if kept.get("fingerprint") == _fingerprint() else None
+
+
+def names_of(kind: str) -> list[str]:
+    """Return the names of a kind without waiting: what a user is typing is completed.
+
+    Skills and policies are those of the newest catalog; when it is not fresh, a process of its own makes it for the
+    next time.
+
+    Args:
+        kind: ``skill``, ``policy``, or a kind of configuration: ``task``, ``object``, ``camera``, ...
+    """
+    if kind == "renderer":
+        return []
+    if kind not in ("skill", "policy"):
+        return config_names(f"{kind}s")
+    kept = _read(_file())
+    if kept.get("fingerprint") != _fingerprint():
+        subprocess.Popen(
+            [sys.executable, "-m", "roboxim_bringup.catalog_maker"],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+    return sorted(kept.get("catalog", {}).get("skills" if kind == "skill" else "policies", {}))
+
+
+def _file() -> Path:
+    """Return where the catalog of this installation and these configuration folders is kept."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    which = "\n".join([sys.prefix, *map(str, _folders())])
+    return base / "roboxim" / f"catalog-{hashlib.blake2b(which.encode(), digest_size=6).hexdigest()}.json"
+
+
+def _folders() -> Iterable[Path]:
+    for package in _PACKAGES:
+        spec = importlib.util.find_spec(package)
+        yield from map(Path, (spec.submodule_search_locations or ()) if spec else ())
+    yield from config_dirs()
+
+
+def _fingerprint() -> str:
+    """Return a hash of the names, sizes and times of the files that the catalog depends on."""
+    digest = hashlib.blake2b(digest_size=16)
+    for folder in _folders():
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in (".py", ".yaml", ".yml"):
+                status = path.stat()
+                digest.update(f"{path}\n{status.st_mtime_ns} {status.st_size}\n".encode())
+    for place in sys.path:  # where distributions are installed: one may bring a plug-in
+        if "site-packages" in place:
+            with contextlib.suppress(OSError):
+                digest.update(f"{place} {os.stat(place).st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return data if isinstance(data, dict) and isinstance(data.get("catalog"), dict) else {}
+
+
+def _write(path: Path, data: dict[str, Any]) -> None:
+    """Write a file whole; where that cannot be done, the catalog is made again the next time."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent)
+        with os.fdopen(handle, "w") as file:
+            json.dump(data, file)
+        os.replace(name, path)
+
+
+__all__ = ["Catalog", "catalog", "fresh_catalog", "names_of"]

@@ -1,0 +1,77 @@
+"""Option types that know their names: for tab completion, and to refuse before anything is imported."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from roboxim_bringup.catalog import fresh_catalog, names_of
+from roboxim_core.config_folders import is_path
+from roboxim_core.errors import ConfigError, RoboximError, one_of
+
+
+class Named(click.ParamType[str]):
+    """The name of a skill, task, object, camera, renderer or policy."""
+
+    name = "name"
+
+    def __init__(self, kind: str, *names: str) -> None:
+        """Complete the names of a kind.
+
+        Args:
+            kind: As for `roboxim_bringup.catalog.names_of`.
+            names: Further names.
+        """
+        self.kind = kind
+        self._names = names
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Refuse what is certainly no name; a policy may also be a class or a file, a task a file.
+
+        Raises:
+            ConfigError: Naming the nearest name.
+        """
+        text = str(value)
+        if not text or is_path(text) or ":" in text or "=" in text:
+            return text
+        known = self._known()
+        if known and text not in known:
+            raise ConfigError(f"unknown {self.kind} '{text}'; {one_of(known, text)}")
+        return text
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the names that begin like what is typed; of a list, or ``ROLE=``, the last part."""
+        head, separator, last = incomplete.rpartition("," if "," in incomplete else "=")
+        with contextlib.suppress(RoboximError):
+            names = sorted({*names_of(self.kind), *self._names})
+            return [CompletionItem(head + separator + name) for name in names if name.startswith(last)]
+        return []
+
+    def _known(self) -> list[str]:
+        """Return all valid names if they are known for certain."""
+        if self.kind == "task":
+            return names_of("task")
+        kept = (fresh_catalog() or {}).get("skills" if self.kind == "skill" else "policies", {})
+        return sorted({*kept, *self._names}) if kept else []
+
+
+class Models(Named):
+    """``[ROLE=]MODEL[,MODEL]``: object models of a role."""
+
+    name = "models"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Refuse unknown objects.
+
+        Raises:
+            ConfigError: Naming the nearest one.
+        """
+        text = str(value)
+        known = names_of(self.kind)
+        for model in (part.strip() for part in text.rpartition("=")[2].split(",")):
+            if model and model not in known:
+                raise ConfigError(f"--object {text}: unknown object '{model}'; {one_of(known, model)}")
+        return text

@@ -1,0 +1,95 @@
+"""Completion and quick refusals: what the command line knows without importing the rooms."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_bringup import catalog
+from roboxim_bringup.cli import group
+from roboxim_core.errors import ConfigError
+from roboxim_ros.testing import PATIENCE_S
+
+HEAVY = ("rclpy", "numpy", "scipy", "pinocchio", "trimesh", "jax", "cattrs", "ruamel.yaml")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """A cache folder with a fresh catalog."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        catalog.catalog()
+        yield folder
+
+
+def complete(*words: str) -> set[str]:
+    """Complete the last word in a process of its own that must not import anything heavy."""
+    code = f"""
+import sys
+from roboxim_bringup.cli import group
+try:
+    group.main(prog_name="roboxim")
+finally:
+    heavy = [name for name in {HEAVY!r} if name in sys.modules]
+    assert not heavy, heavy
+"""
+    environment = {
+        **os.environ, "_ROBOXIM_COMPLETE": "bash_complete", "COMP_WORDS": " ".join(("roboxim", *words)),
+        "COMP_CWORD": str(len(words)),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
+    return {line.split(",", 1)[1] for line in done.stdout.splitlines()}
+
+
+def test_values_are_completed_without_a_heavy_import(cache):
+    assert {"pick_up", "place_on", "stack"} <= complete("generate", "--skill", "")
+    assert complete("generate", "--object", "target=apple,cu") == {"target=apple,cube", "target=apple,cucumber"}
+    assert "pick_cube" in complete("generate", "--task", "pick")
+    assert {"bc", "expert", "random", "zero"} <= complete("evaluate", "--policy", "")
+    assert complete("generate", "--renderer", "ra") == {"raster"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["generate", "--skill", "pick_upp"], r"unknown skill 'pick_upp'; did you mean 'pick_up'\? \(1\d names"),
+        (["generate", "--object", "cube,appel"], "unknown object 'appel'; did you mean 'apple'"),
+        (["generate", "--task", "pick_cub"], "unknown task 'pick_cub'; did you mean 'pick_cube'"),
+        (["evaluate", "--policy", "randm"], "unknown policy 'randm'; .*did you mean 'random'"),
+    ],
+)
+def test_an_unknown_name_is_refused_at_the_door(cache, words, message):
+    with pytest.raises(ConfigError, match=message):
+        CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
+
+
+def test_tasks_are_listed_from_the_kept_catalog_until_something_changes(cache, tmp_path, monkeypatch):
+    assert catalog.fresh_catalog() is not None
+    own = tmp_path / "tasks"
+    own.mkdir()
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    assert catalog.fresh_catalog() is None, "another configuration path has a catalog of its own"
+    (own / "mine.yaml").write_text("# Lift a cube.\nskill: pick_up\n")
+    listed = json.loads(CliRunner().invoke(group, ["tasks", "list", "--json"]).stdout)
+    assert listed["tasks"]["mine"] == {"about": "Lift a cube.", "skills": ["pick_up"], "episodes": None}
+    assert catalog.fresh_catalog() is not None
+    (own / "mine.yaml").write_text("# Lift an apple.\nskill: pick_up\n")
+    assert catalog.fresh_catalog() is None
+    listed = json.loads(CliRunner().invoke(group, ["tasks", "list", "--json"]).stdout)
+    assert listed["tasks"]["mine"]["about"] == "Lift an apple."
+
+
+def test_a_damaged_cache_is_made_again(cache, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "roboxim").mkdir()
+    catalog._file().write_text("{")
+    assert "pick_up" in catalog.catalog()["skills"]
+    assert catalog.fresh_catalog() is not None

@@ -1,0 +1,76 @@
+"""Where RoboXim's YAML files are, and which names they have. Imports nothing heavy: tab completion reads it too."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from roboxim_core.errors import ConfigError, one_of
+
+
+def config_dir() -> Path:
+    """Return the directory of RoboXim's YAML files: ``$ROBOXIM_CONFIG_DIR``, or ``config/`` of the checkout.
+
+    Raises:
+        ConfigError: When there is no such directory.
+    """
+    given = os.environ.get("ROBOXIM_CONFIG_DIR")
+    candidates = [Path(given)] if given else [parent / "config" for parent in Path(__file__).resolve().parents]
+    for candidate in candidates:
+        if (candidate / "robots").is_dir():
+            return candidate
+    raise ConfigError("no config directory with robots/ found; run from a checkout or set ROBOXIM_CONFIG_DIR")
+
+
+def config_dirs() -> tuple[Path, ...]:
+    """Return where YAML files are looked for, in order: the folders of ``$ROBOXIM_CONFIG_PATH``, then `config_dir`.
+
+    ``ROBOXIM_CONFIG_PATH`` is a list as ``PATH`` is: a user's own folders with ``objects/``, ``cameras/`` and so on.
+
+    Raises:
+        ConfigError: When one of them is not a folder.
+    """
+    own = tuple(Path(part).expanduser() for part in os.environ.get("ROBOXIM_CONFIG_PATH", "").split(os.pathsep) if part)
+    for folder in own:
+        if not folder.is_dir():
+            raise ConfigError(f"ROBOXIM_CONFIG_PATH names {folder}, which is not a folder")
+    return (*own, config_dir())
+
+
+def config_names(kind: str) -> list[str]:
+    """Return the names of the YAML files of a kind, sorted.
+
+    Args:
+        kind: Folder in ``config/``, e.g. ``cameras``.
+
+    Raises:
+        ConfigError: See `config_dirs`.
+    """
+    return sorted({path.stem for folder in config_dirs() for path in (folder / kind).glob("*.yaml")})
+
+
+def named_config(kind: str, name: str) -> Path:
+    """Return the YAML file of a name: ``config/<kind>/<name>.yaml``, or a path if the name looks like one.
+
+    Args:
+        kind: Folder in ``config/``, e.g. ``cameras``.
+        name: Name without ending, or a path to a YAML file.
+
+    Raises:
+        ConfigError: When there is no such file; suggests names.
+    """
+    if is_path(name):
+        path = Path(name).expanduser()
+        if not path.is_file():
+            raise ConfigError(f"no such file: {path}")
+        return path
+    for folder in config_dirs():
+        if (path := folder / kind / f"{name}.yaml").is_file():
+            return path
+    raise ConfigError(f"no {kind} configuration '{name}'; {one_of(config_names(kind), name)}")
+
+
+def is_path(name: str) -> bool:
+    """Tell a path to a YAML file from the name of a configuration."""
+    return re.search(r"[/\\]|\.ya?ml$", name) is not None

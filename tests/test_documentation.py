@@ -1,0 +1,171 @@
+"""The code in README.md and the documentation is what works: Python blocks are run or checked, commands are parsed.
+
+A Python block is executed. One that needs a recording, a server or a graph says ``not-run`` after ``python``: it is
+compiled, its imports are resolved and its names are defined. ``excerpt`` is a part of something longer: compiled only.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import pytest
+
+from roboxim_bringup.cli import group
+from roboxim_bringup.commands import demo
+from roboxim_core.errors import ConfigError
+from roboxim_ros.testing import PATIENCE_S
+
+ROOT = Path(__file__).parents[1]
+FILES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
+OWN_NAMES = ("teapot", "pepper_mill", "shake")
+"""Objects and skills that the documentation has its reader make."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A fenced block of code."""
+
+    file: str
+    line: int
+    language: str
+    """What follows the fence, e.g. ``python not-run``."""
+    text: str
+
+    def __str__(self) -> str:
+        """Name it for pytest."""
+        return f"{self.file}:{self.line}"
+
+
+def blocks() -> Iterator[Block]:
+    for path in FILES:
+        text = path.read_text()
+        for found in re.finditer(r"^```([^\n`]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+            line = text.count("\n", 0, found.start()) + 1
+            yield Block(
+                file=str(path.relative_to(ROOT)), line=line, language=found[1].strip(), text=found[2]
+            )  # fmt: skip
+
+
+PYTHON = [block for block in blocks() if block.language.startswith("python")]
+SHELL = [block for block in blocks() if block.language in ("", "bash", "console") and re.search(r"^(\$ )?roboxim ", block.text, re.M)]
+
+
+@pytest.mark.parametrize("block", PYTHON, ids=str)
+def test_python_is_valid_and_what_it_imports_is_there(block: Block) -> None:
+    tree = ast.parse(block.text)
+    assert block.language in ("python", "python not-run", "python excerpt")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                importlib.import_module(name.name)
+        elif isinstance(node, ast.ImportFrom):
+            module = importlib.import_module(node.module or "")
+            for name in node.names:
+                if not hasattr(module, name.name):
+                    importlib.import_module(f"{node.module}.{name.name}")
+
+
+def test_python_uses_only_names_that_it_defines(tmp_path: Path) -> None:
+    for number, block in enumerate(PYTHON):
+        if "excerpt" not in block.language:
+            (tmp_path / f"block_{number}.py").write_text(f"# {block}\n{block.text}")
+    checked = subprocess.run(
+        [sys.executable, "-m", "ruff", "check", "--isolated", "--select", "F821,F811", str(tmp_path)],
+        capture_output=True, text=True, check=False, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert checked.returncode == 0, checked.stdout
+
+
+@pytest.mark.parametrize("block", [block for block in PYTHON if block.language == "python"], ids=str)
+def test_python_runs(block: Block) -> None:
+    exec(compile(block.text, str(block), "exec"), {"__name__": "example"})
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """Yield the commands of a shell block as words; a quoted argument may go over lines."""
+    pending = ""
+    for line in text.splitlines():
+        pending += f"{line.removeprefix('$ ')}\n"
+        try:
+            words = shlex.split(pending, comments=True)
+        except ValueError:  # the quote goes on
+            continue
+        pending = ""
+        command: list[str] = []
+        for word in [*words, "&&"]:
+            if word in ("&&", "&", ">", "|"):
+                yield command
+                command = []
+            else:
+                command.append(word)
+    assert not pending, f"a quote does not end: {pending}"
+
+
+def parse(command: click.Command, name: str, words: list[str], parent: click.Context | None = None) -> None:
+    """Parse a command line without running it."""
+    context = command.make_context(name, list(words), parent)
+    if isinstance(command, click.Group):
+        rest = [*context._protected_args, *context.args]
+        found, sub, arguments = command.resolve_command(context, rest)
+        assert sub is not None
+        parse(sub, str(found), arguments, context)
+
+
+@pytest.mark.parametrize("block", SHELL, ids=str)
+def test_commands_are_those_of_the_command_line(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M)
+    for words in commands(block.text):
+        if words[:1] == ["make"]:
+            assert words[1] in targets
+        if words[:1] != ["roboxim"] or words == ["roboxim"]:
+            continue
+        try:
+            parse(group, "roboxim", words[1:])
+        except click.exceptions.BadParameter as error:
+            assert "does not exist" in str(error), shlex.join(words)  # a recording that the reader has made
+        except ConfigError as error:
+            assert any(f"'{name}'" in str(error) for name in OWN_NAMES), f"{shlex.join(words)}: {error}"
+
+
+def test_readme_and_make_demo_use_the_same_folders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The steps that README.md shows are those that `make demo` runs."""
+    run: list[list[str]] = []
+    monkeypatch.setattr(demo, "_step", lambda *words: run.append(list(words)))
+    group.main(["demo", "--renderer", "tiny"], standalone_mode=False)
+    section = (ROOT / "README.md").read_text().partition("## The main job, step by step")[2]
+    shown = [words[1:] for words in commands(re.search(r"```bash\n(.*?)```", section, re.DOTALL)[1]) if words]
+
+    def essence(words: list[str]) -> list[str]:
+        """Leave out what has the value that it has anyway."""
+        options = [("--seed", "0"), ("--workers", "2"), ("--renderer", "tiny"), ("--steps", "1200")]
+        left = list(words)
+        for option, value in options:
+            if option in left and left[left.index(option) + 1] == value:
+                del left[left.index(option) : left.index(option) + 2]
+        return sorted(left)
+
+    assert [essence(words) for words in shown] == [essence(words) for words in run]
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_the_example_of_a_test_passes(tmp_path: Path) -> None:
+    (block,) = [block for block in PYTHON if block.file == "README.md" and "conftest.py" in block.text]
+    for name, text in re.findall(r"^# (\w+\.py)\n(.*?)(?=^# \w+\.py\n|\Z)", block.text, re.MULTILINE | re.DOTALL):
+        (tmp_path / name).write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "--rootdir", str(tmp_path), str(tmp_path)],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "1 passed" in done.stdout
