@@ -19,7 +19,9 @@ from roboxim_core.errors import RoboximError
 GIB = 2**30
 MIB = 2**20
 WHEELS = ("ros-jazzy-rclpy", "ros-fastrtps", "ros-jazzy-sensor-msgs")
-LIBRARIES = ("numpy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "mcap", "rosbags", "jax")
+LIBRARIES = (
+    "numpy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "opencv-python-headless", "mcap", "rosbags", "jax",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +31,16 @@ class Finding:
     name: str
     """What it is."""
     state: str
-    """``ok``, ``warning`` (something works worse or not at all) or ``missing`` (RoboXim does not work)."""
+    """``ok``, ``warning`` (something works worse or not at all), ``missing`` (RoboXim does not work), or ``absent`` (an
+    optional part is not installed)."""
     detail: str
     """What was found."""
     remedy: str = ""
     """What to do."""
     without: str = ""
     """What works, or does not, as things are."""
+    purpose: str = ""
+    """What an optional part is for."""
 
 
 def examine() -> Iterator[Finding]:
@@ -119,22 +124,51 @@ def _compiler() -> Finding:
 
 
 OPTIONAL_RENDERERS = {"photo"}
-"""Only for rendering recorded episodes again."""
+"""Only for rendering recorded episodes again; a check of its own."""
 
 
 def _renderers() -> Finding:
-    from roboxim_sim.rendering import available_renderers
+    from roboxim_sim.rendering import RENDERERS, available_renderers
 
-    found = available_renderers()
+    found = available_renderers(name for name in RENDERERS if name not in OPTIONAL_RENDERERS)
     detail = "; ".join(f"{name}: {status.detail}" for name, status in found.items())
     absent = [name for name, status in found.items() if not status.available]
     return Finding(
         name="renderers",
-        state="missing" if len(absent) == len(found) else "warning" if {*absent} - OPTIONAL_RENDERERS else "ok",
+        state="missing" if len(absent) == len(found) else "warning" if absent else "ok",
         detail=detail,
         remedy="on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri",
         without="use -p sim:renderer:=tiny -p tasks:visible_renderer:=tiny: PyBullet's own, slower and plainer",
     )
+
+
+def _photo() -> Finding:
+    from roboxim_sim.rendering import available_renderers
+
+    status = available_renderers(["photo"])["photo"]
+    return Finding(
+        name="renderer photo",
+        state="ok" if status.available else "absent",
+        detail=status.detail,
+        remedy="make photo",
+        purpose="rendering recorded episodes again with Blender (roboxim rerender --renderer photo)",
+    )
+
+
+def _environment(name: str, target: str, purpose: str) -> Callable[[], Finding]:
+    """Return a check of an optional environment under ``.tools/`` that a make target installs."""
+
+    def check() -> Finding:
+        folder = Path(sys.prefix).parent / ".tools" / f"{name}-env"
+        return Finding(
+            name=name,
+            state="ok" if folder.is_dir() else "absent",
+            detail=str(folder) if folder.is_dir() else "not installed",
+            remedy=f"make {target}",
+            purpose=purpose,
+        )
+
+    return check
 
 
 def _shared_memory() -> Finding:
@@ -243,6 +277,8 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _libraries,
     _compiler,
     _renderers,
+    _photo,
+    _environment("verify-rlds", "verify-rlds DATASET=...", "reading an exported dataset with TensorFlow Datasets"),
     _shared_memory,
     _graph,
     _network,

@@ -21,6 +21,7 @@ from simulation_interfaces.srv import DeleteEntity
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from roboxim_bringup import doctor
 from roboxim_bringup.cli import group
 from roboxim_bringup.commands import topic
 from roboxim_bringup.graph_names import complete
@@ -29,9 +30,11 @@ from roboxim_ros import qos
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain, register_run
 from roboxim_ros.testing import PATIENCE_S, eventually
+from roboxim_sim.rendering import RendererStatus
 
 ISOLATED = """
 import sys
+from roboxim_bringup import doctor
 from roboxim_bringup.cli import group
 from roboxim_bringup.graph_names import complete
 from roboxim_bringup.commands import topic
@@ -305,6 +308,18 @@ def test_doctor_looks_at_everything(runtime):
     found = {finding["name"]: finding for finding in json.loads(result.stdout)}
     assert {"Python", "renderers", "graph", "shared memory", "compiler", "cores", "disk"} <= set(found)
     assert found["graph"]["state"] == "ok"
+    assert found["renderer photo"]["state"] in ("ok", "absent")
+    assert "Blender" in found["renderer photo"]["purpose"]
+
+
+def test_doctor_tells_an_optional_part_that_is_absent(monkeypatch):
+    absent = RendererStatus(available=False, detail="Blender is not installed")
+    monkeypatch.setattr("roboxim_sim.rendering.available_renderers", lambda names=None: {"photo": absent})
+    monkeypatch.setattr(doctor, "CHECKS", (doctor._photo,))
+    result = CliRunner().invoke(group, ["doctor"], standalone_mode=False)
+    assert "optional  renderer photo   Blender is not installed" in result.stdout
+    assert "for: rendering recorded episodes again" in result.stdout
+    assert "install: make photo" in result.stdout
 
 
 @pytest.mark.ros

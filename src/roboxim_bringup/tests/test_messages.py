@@ -23,7 +23,7 @@ def test_type_is_looked_up_as_ros2_spells_it(name):
         ("roboxim_interfaces/srv/Tock", "roboxim_interfaces/srv/Tick"),
         ("roboxim_interface/srv/Tick", "roboxim_interfaces"),
         ("Tick", "expected one of"),
-        ("roboxim_interfaces/msg/Tick", "expected one of"),
+        ("roboxim_interfaces/msg/Tick", "did you mean 'roboxim_interfaces/srv/Tick'"),
     ],
 )
 def test_unknown_type_gets_a_suggestion(name, hint):

@@ -271,7 +271,7 @@ def test_own_folders_are_searched_before_the_built_in_one(tmp_path: Path, monkey
     with pytest.raises(ConfigError, match="did you mean 'mine'"):
         named_config("cameras", "mien")
     monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path / "nowhere"))
-    with pytest.raises(ConfigError, match="which is no folder"):
+    with pytest.raises(ConfigError, match="which is not a folder"):
         ModelLibrary()
 
 

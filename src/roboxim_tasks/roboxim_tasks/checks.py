@@ -254,7 +254,9 @@ def _check_role(document: Document, path: Path, model: str, role_name: str, role
         if role.max_width_m:
             demands.append(f"at most {100 * role.max_width_m:g} cm wide")
         raise document.error(
-            path, f"a {model} cannot be the {role_name}, which must be {' and '.join(demands)}; {one_of(suited, model)}"
+            path,
+            f"a {model} cannot be the {role_name}, which must be {' and '.join(demands)}; these are: "
+            + ", ".join(sorted(suited)),
         )
 
 

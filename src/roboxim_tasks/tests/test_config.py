@@ -66,7 +66,7 @@ CELL = "cells:\n  - tasks: [pick_up, rotate]\n    models: {target: [cube, apple]
         ),
         (
             RESET + "surfaces:\n    table:\n      texture: {values: [wodd]}",
-            ["reset.surfaces.table.texture (line 5)", "marble", "did you mean 'wood'"],
+            ["reset.surfaces.table.texture (line 5)", "did you mean 'wood'"],
         ),
         (
             RESET + "surfaces:\n    floor:\n      color: {values: [[2, 0, 0]]}\n      roughness: {values: [dull]}",

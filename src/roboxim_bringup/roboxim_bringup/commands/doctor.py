@@ -7,7 +7,12 @@ import json
 
 import click
 
-_SIGNS = {"ok": ("ok  ", "green"), "warning": ("note", "yellow"), "missing": ("MISS", "red")}
+_SIGNS = {
+    "ok": ("ok      ", "green"),
+    "absent": ("optional", "blue"),
+    "warning": ("note    ", "yellow"),
+    "missing": ("MISSING ", "red"),
+}
 
 
 @click.command()
@@ -25,9 +30,10 @@ def command(as_json: bool) -> None:
         if not as_json:
             sign, colour = _SIGNS[finding.state]
             click.echo(f"{click.style(sign, fg=colour)}  {finding.name:<16} {finding.detail}")
-            for label, text in (("do", finding.remedy), ("without it", finding.without)):
+            lines = (("for", finding.purpose), ("install" if finding.purpose else "do", finding.remedy))
+            for label, text in (*lines, ("without it", finding.without)):
                 if finding.state != "ok" and text:
-                    click.echo(f"      {'':<16} {label}: {text}")
+                    click.echo(f"{'':<10}{'':<16} {label}: {text}")
     if as_json:
         click.echo(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
     raise SystemExit(int(any(finding.state == "missing" for finding in findings)))

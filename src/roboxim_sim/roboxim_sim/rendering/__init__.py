@@ -64,7 +64,7 @@ class RendererStatus:
     """What draws, or why it cannot and what to do."""
 
 
-def available_renderers(names: Iterable[str] | None = None, timeout_s: float = 60.0) -> dict[str, RendererStatus]:
+def available_renderers(names: Iterable[str] | None = None, timeout_s: float = 300.0) -> dict[str, RendererStatus]:
     """Try every renderer in a process of its own, because a broken GL driver may crash or hang.
 
     Args:
