@@ -103,9 +103,10 @@ def guarded_service(
         response_type: Makes the empty response that an error is written into.
     """
 
-    def refused(error: BaseException) -> Any:
+    def refused(error: BaseException, begun: Any) -> Any:
+        """Return the error as an answer; one of ours comes with what the handler had to say besides, e.g. a part."""
         report(logger, error, name)
-        answer = response_type()
+        answer = begun if isinstance(error, RoboximError) else response_type()
         fill_error(answer, *describe(error, name))
         return answer
 
@@ -116,7 +117,7 @@ def guarded_service(
                 check_message(request)
                 answer = await handler(request, response)
             except CAUGHT as error:
-                return refused(error)
+                return refused(error, response)
             return response if answer is None else answer
 
         return wait
@@ -126,7 +127,7 @@ def guarded_service(
             check_message(request)
             answer = handler(request, response)
         except CAUGHT as error:
-            return refused(error)
+            return refused(error, response)
         return response if answer is None else answer
 
     return call
