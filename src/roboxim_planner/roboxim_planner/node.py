@@ -28,6 +28,7 @@ from roboxim_interfaces.srv import (
     CheckTrajectory,
     ComputeFK,
     ComputeIK,
+    GetState,
     PlanCartesian,
     PlanToJoints,
     PlanToPose,
@@ -35,7 +36,14 @@ from roboxim_interfaces.srv import (
 )
 from roboxim_interfaces.srv import PlanSequence as PlanSequenceSrv
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError, RoboximError
+from roboxim_core.errors import (
+    ErrorCode,
+    InvalidRequestError,
+    PlannerError,
+    RequestTimeoutError,
+    RoboximError,
+    UnavailableError,
+)
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
@@ -53,6 +61,8 @@ from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 
 FEEDBACK_PERIOD_S = 0.1
+LATEST = "latest"
+"""Episode id by which a request means the newest state that the sim has; for use by hand, not reproducible."""
 
 
 def _parameter(default: Any, description: str, *limits: float) -> Any:
@@ -128,12 +138,16 @@ class PlannerNode(RoboximNode):
 
     def _on_state(self, msg: StateRecordMsg, info: dict[str, Any]) -> None:
         sent_ns = info["source_timestamp"]
-        self._tracker.state_arrived(msg.episode_id, int(msg.seq), lambda: from_msg(msg, StateRecord), sent_ns)
+        self._tracker.state_arrived(
+            msg.episode_id, int(msg.seq), msg.scene_hash, lambda: from_msg(msg, StateRecord), sent_ns
+        )
         if not self._waiting:
             self._states.open = False
 
     def _revision(self, episode_id: str, seq: int) -> PlanningScene:
         """Return a revision of the scene; wait for it if it is on its way."""
+        if episode_id == LATEST:
+            return self._latest()
         self._states.take()
         self._waiting = True
         try:
@@ -142,6 +156,17 @@ class PlannerNode(RoboximNode):
             return self._tracker.revision(episode_id, seq, self._config.scene_wait_s)
         finally:
             self._waiting = self._states.open = False
+
+    def _latest(self) -> PlanningScene:
+        """Ask the sim for its newest state: what the topics have brought so far may be older."""
+        wait_s = self._config.scene_wait_s
+        try:
+            answer = self.clients_of_node.call(GetState, "sim/get_state", GetState.Request(), wait_s=wait_s)
+        except (UnavailableError, RequestTimeoutError) as error:
+            raise PlannerError(f"no latest scene: {error}", ErrorCode.STALE_SCENE) from None
+        return PlanningScene.from_state(
+            from_msg(answer.scene, SceneSpec), from_msg(answer.state, StateRecord), self._library
+        )
 
     def _hear_state(self) -> None:
         self._states.open = True

@@ -6,29 +6,24 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_planner.scene import PlanningScene
 
-LATEST = "latest"
-"""Episode id by which a request means whatever revision is newest; for use by hand, not reproducible."""
-
 
 @dataclass(frozen=True)
 class _Tick:
     episode_id: str
     seq: int
+    scene_hash: str
     read: Callable[[], StateRecord]
 
 
 class SceneTracker:
-    """Pairs scenes with states. Safe to use from several threads.
-
-    Non-obvious: a scene carries no episode id and may arrive after the first state that belongs to it, so after a
-    change of episode only a scene that was sent after the last state of the old episode counts.
-    """
+    """Pairs the newest state with its scene, which may arrive before or after it. Safe to use from several threads."""
 
     def __init__(self, library: ModelLibrary) -> None:
         """Start with nothing.
@@ -38,10 +33,9 @@ class SceneTracker:
         """
         self._library = library
         self._changed = threading.Condition()
-        self._scene: tuple[SceneSpec, int] | None = None
+        self._scene: tuple[SceneSpec, str, int] | None = None
         self._state: _Tick | None = None
         self._state_ns = 0
-        self._needs_scene_after_ns = -1
         self._built: tuple[_Tick, PlanningScene] | None = None
 
     def scene_arrived(self, scene: SceneSpec, sent_ns: int) -> None:
@@ -52,26 +46,26 @@ class SceneTracker:
             sent_ns: When it was sent, by the sender's clock [ns].
         """
         with self._changed:
-            if self._scene is None or sent_ns >= self._scene[1]:
-                self._scene = (scene, sent_ns)
-                self._built = None
+            if self._scene is None or sent_ns >= self._scene[2]:
+                self._scene = (scene, digest(scene), sent_ns)
                 self._changed.notify_all()
 
-    def state_arrived(self, episode_id: str, seq: int, read: Callable[[], StateRecord], sent_ns: int) -> None:
+    def state_arrived(
+        self, episode_id: str, seq: int, scene_hash: str, read: Callable[[], StateRecord], sent_ns: int
+    ) -> None:
         """Take a state.
 
         Args:
             episode_id: Its episode.
             seq: Its tick.
+            scene_hash: Hash of its scene, see `StateRecord`.
             read: Returns the state; called only when a request names this tick, since most ticks nobody asks about.
             sent_ns: When it was sent, by the sender's clock [ns].
         """
         with self._changed:
             if sent_ns < self._state_ns:
                 return
-            if self._state is not None and (episode_id != self._state.episode_id or seq == 0):
-                self._needs_scene_after_ns = self._state_ns
-            self._state, self._state_ns = _Tick(episode_id, seq, read), sent_ns
+            self._state, self._state_ns = _Tick(episode_id, seq, scene_hash, read), sent_ns
             self._changed.notify_all()
 
     def has(self, episode_id: str, seq: int) -> bool:
@@ -83,8 +77,8 @@ class SceneTracker:
         """Return the planning scene of a revision.
 
         Args:
-            episode_id: The episode, or ``latest``.
-            seq: The tick; not used with ``latest``.
+            episode_id: The episode.
+            seq: The tick.
             wait_s: Longest wait for a revision that has not arrived yet [s].
 
         Raises:
@@ -106,9 +100,9 @@ class SceneTracker:
             return self._built[1]
 
     def _has(self, episode_id: str, seq: int) -> bool:
-        if self._state is None or self._scene is None or self._scene[1] <= self._needs_scene_after_ns:
+        if self._state is None or self._scene is None or self._scene[1] != self._state.scene_hash:
             return False
-        return episode_id == LATEST or (self._state.episode_id, self._state.seq) == (episode_id, seq)
+        return (self._state.episode_id, self._state.seq) == (episode_id, seq)
 
     def _is_past(self, episode_id: str, seq: int) -> bool:
         return self._state is not None and self._state.episode_id == episode_id and self._state.seq > seq
@@ -116,4 +110,5 @@ class SceneTracker:
     def _newest(self) -> str:
         if self._state is None:
             return "no scene yet; is the sim running?"
-        return f"episode '{self._state.episode_id}', tick {self._state.seq}"
+        without = ", whose scene has not arrived" * (self._scene is None or self._scene[1] != self._state.scene_hash)
+        return f"episode '{self._state.episode_id}', tick {self._state.seq}{without}"

@@ -32,6 +32,7 @@ from sensor_msgs.msg import JointState
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose
@@ -65,7 +66,7 @@ def state(episode: str, seq: int) -> StateRecord:
         gripper_command=1.0,
     )
     cube = EntityState(name="target", pose=Pose(position=(0.5, 0.2, 0.0225)))
-    return StateRecord(episode_id=episode, seq=seq, stamp_ns=0, robot=robot, entities=(cube,))
+    return StateRecord(episode_id=episode, seq=seq, stamp_ns=0, robot=robot, entities=(cube,), scene_hash=digest(SPEC))
 
 
 class Graph:
@@ -224,7 +225,9 @@ def test_scene_by_revision(graph: Graph) -> None:
     request.scene.seq = 0
     assert "has episode 'e7', tick 1" in str(graph.refused(CheckState, "check_state", request))
     request.scene.episode_id = "latest"
-    assert graph.call(CheckState, "check_state", request).valid
+    error = graph.refused(CheckState, "check_state", request)
+    assert error.code == ErrorCode.STALE_SCENE
+    assert "sim/get_state" in str(error), "only the sim knows the newest state, and there is none here"
 
 
 def test_attached_entity_lifts_with_the_arm(graph: Graph) -> None:

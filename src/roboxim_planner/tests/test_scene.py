@@ -1,5 +1,6 @@
 import pytest
 
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose
@@ -56,26 +57,38 @@ def test_bad_sizes_are_refused(size: tuple[float, ...]) -> None:
         box("b", size)
 
 
+def arrive(tracker: SceneTracker, scene: SceneSpec, record: StateRecord, sent_ns: int) -> None:
+    tracker.state_arrived(record.episode_id, record.seq, digest(scene), lambda: record, sent_ns)
+
+
 def test_tracker_answers_for_exactly_the_revision() -> None:
     tracker = SceneTracker(ModelLibrary())
     with pytest.raises(PlannerError, match="no scene yet") as caught:
         tracker.revision("e", 0)
     assert caught.value.code == ErrorCode.STALE_SCENE
     tracker.scene_arrived(spec(), 10)
-    tracker.state_arrived("e", 0, lambda: state("e", 0), 11)
-    assert tracker.revision("e", 0) is tracker.revision("latest", 0)
-    tracker.state_arrived("e", 1, lambda: state("e", 1, x=0.7), 12)
+    arrive(tracker, spec(), state("e", 0), 11)
+    assert tracker.revision("e", 0) is tracker.revision("e", 0)
+    arrive(tracker, spec(), state("e", 1, x=0.7), 12)
     with pytest.raises(PlannerError, match="has episode 'e', tick 1"):
         tracker.revision("e", 0, wait_s=30.0)
     assert tracker.revision("e", 1).bodies[1].pose.position[0] == 0.7
 
 
-def test_tracker_never_pairs_an_old_scene_with_a_new_episode() -> None:
+def test_tracker_never_pairs_a_state_with_another_scene() -> None:
     tracker = SceneTracker(ModelLibrary())
     tracker.scene_arrived(spec(1.0), 10)
-    tracker.state_arrived("e1", 0, lambda: state("e1", 0), 11)
-    tracker.state_arrived("e2", 0, lambda: state("e2", 0), 21)
-    with pytest.raises(PlannerError):
+    arrive(tracker, spec(1.0), state("e1", 0), 11)
+    arrive(tracker, spec(1.2), state("e2", 0), 21)
+    with pytest.raises(PlannerError, match="tick 0, whose scene has not arrived"):
         tracker.revision("e2", 0)
     tracker.scene_arrived(spec(1.2), 20)
     assert tracker.revision("e2", 0).bodies[1].shapes[0].size == pytest.approx((0.054,) * 3)
+
+
+def test_interference_and_free_motion_need_no_new_scene() -> None:
+    tracker = SceneTracker(ModelLibrary())
+    tracker.scene_arrived(spec(), 10)
+    for sent, record in enumerate((state("e", 0), state("e", 0, x=0.6), state("", 1, x=0.7)), start=11):
+        arrive(tracker, spec(), record, sent)
+        assert tracker.revision(record.episode_id, record.seq).bodies[1].pose == record.entities[0].pose
