@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -30,8 +29,8 @@ from simulation_interfaces.srv import (
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError
 from roboxim_core.specs import EntitySpec
-from roboxim_core.state import StateRecord
-from roboxim_ros.conversions import fill_stamp, pose_from_msg
+from roboxim_ros.conversions import pose_from_msg
+from roboxim_sim.controllers import ArmController, GripperController, Turn
 from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
 from roboxim_sim.ports import SimServer
 
@@ -53,8 +52,6 @@ FEATURES = (
     SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
     SimulatorFeatures.STEP_SIMULATION_ACTION,
 )
-GOAL_TOLERANCE_RAD = 0.01
-GRIPPER_TOLERANCE_M = 0.003
 
 
 class StandardServices:
@@ -98,7 +95,7 @@ class StandardServices:
                 self._node.publish(record)
             elif time.monotonic() > deadline:
                 raise self._node.overtime()
-            await _Turn(self._node)
+            await Turn(self._node)
         response.result.result = Result.RESULT_OK
 
     def _get_entities(self, request: Any, response: Any) -> None:
@@ -183,27 +180,16 @@ def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], N
     return answer
 
 
-class _Turn:
-    """Awaited, gives the executor one turn: rclpy resumes a waiting coroutine only when something wakes it."""
-
-    def __init__(self, node: SimServer) -> None:
-        self._node = node
-
-    def __await__(self) -> Generator[None, None, None]:
-        if self._node.executor is not None:
-            self._node.executor.wake()
-        yield
-
-
 class MotionActions:
     """Trajectory, gripper and stepping actions: they advance time themselves, outside an episode only."""
 
     def __init__(self, node: SimServer) -> None:
         """Offer the actions on a node."""
         self._node, self._world = node, node.world
+        arm, gripper = ArmController(node), GripperController(node)
         self._servers = [
-            node.serve_action(FollowJointTrajectory, "arm_controller/follow_joint_trajectory", self._follow),
-            node.serve_action(GripperCommand, "gripper_controller/gripper_cmd", self._grip),
+            node.serve_action(FollowJointTrajectory, "arm_controller/follow_joint_trajectory", arm.follow),
+            node.serve_action(GripperCommand, "gripper_controller/gripper_cmd", gripper.grip),
             node.serve_action(SimulateSteps, "sim/simulate_steps", self._simulate),
         ]
 
@@ -211,52 +197,6 @@ class MotionActions:
         """Destroy the servers."""
         for server in self._servers:
             server.destroy()
-
-    async def _follow(self, goal: ServerGoalHandle) -> Any:
-        result = FollowJointTrajectory.Result()
-        try:
-            names, motion = self._trajectory(goal.request.trajectory)
-            record = self._world.record
-            async for record in self._run(goal, motion):
-                goal.publish_feedback(_follow_feedback(record))
-            if goal.is_cancel_requested:
-                goal.canceled()
-                result.error_string = "cancelled; the arm stays where it was"
-                return result
-            worst = _goal_error(goal.request, names, record)
-            if worst:
-                goal.abort()
-                result.error_code, result.error_string = result.GOAL_TOLERANCE_VIOLATED, worst
-                return result
-            goal.succeed()
-        except RoboximError as error:
-            goal.abort()
-            result.error_code = result.INVALID_GOAL
-            result.error_string = f"{error.code.name}: {error}"
-        return result
-
-    async def _grip(self, goal: ServerGoalHandle) -> Any:
-        result = GripperCommand.Result()
-        command = goal.request.command
-        try:
-            gripper = self._world.robot.gripper
-            motion = self._world.move_gripper(
-                command.position / gripper.max_opening_m, command.max_effort if command.max_effort > 0 else None
-            )
-            async for record in self._run(goal, motion):
-                goal.publish_feedback(GripperCommand.Feedback(position=_opening_m(record, gripper.max_opening_m)))
-            result.position = _opening_m(self._world.record, gripper.max_opening_m)
-            result.reached_goal = abs(result.position - command.position) <= GRIPPER_TOLERANCE_M
-            result.stalled = not result.reached_goal
-            result.effort = _grip_force(self._world.record, gripper.links)
-            if goal.is_cancel_requested:
-                goal.canceled()
-            else:
-                goal.succeed()
-        except RoboximError as error:
-            self._node.get_logger().warning(f"gripper goal refused: {error.code.name}: {error}")
-            goal.abort()
-        return result
 
     async def _simulate(self, goal: ServerGoalHandle) -> Any:
         result = SimulateSteps.Result()
@@ -270,7 +210,7 @@ class MotionActions:
                 self._node.publish(self._world.step(steps))
                 done += steps
                 goal.publish_feedback(SimulateSteps.Feedback(completed_steps=done, remaining_steps=total - done))
-                await _Turn(self._node)
+                await Turn(self._node)
                 if time.monotonic() > deadline:
                     raise self._node.overtime()
             if done < total:
@@ -282,68 +222,3 @@ class MotionActions:
             result.result.result = RESULT_OF_CODE.get(error.code, Result.RESULT_OPERATION_FAILED)
             result.result.error_message = f"{error.code.name}: {error}"
         return result
-
-    async def _run(self, goal: ServerGoalHandle, motion: Iterator[StateRecord]) -> Any:
-        """Publish every state of a motion; end it when the goal is cancelled."""
-        deadline = time.monotonic() + self._node.config.motion_timeout_s
-        try:
-            for record in motion:
-                self._node.publish(record)
-                yield record
-                await _Turn(self._node)
-                if goal.is_cancel_requested:
-                    return
-                if time.monotonic() > deadline:
-                    raise self._node.overtime()
-        finally:
-            motion.close()  # type: ignore[attr-defined]
-
-    def _trajectory(self, trajectory: Any) -> tuple[list[str], Iterator[StateRecord]]:
-        model = self._world.robot
-        names = list(trajectory.joint_names)
-        if sorted(names) != sorted(model.joint_names):
-            raise InvalidRequestError(
-                f"the trajectory must move exactly the joints {list(model.joint_names)}, got {names}",
-                ErrorCode.TRAJECTORY_INVALID,
-            )
-        order = [names.index(name) for name in model.joint_names]
-        points = trajectory.points
-        if any(len(point.positions) != len(names) for point in points):
-            raise InvalidRequestError("every point needs a position per joint", ErrorCode.TRAJECTORY_INVALID)
-        times = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
-        positions = np.array([list(p.positions) for p in points]).reshape(-1, len(names))[:, order]
-        velocities = None
-        if points and all(len(p.velocities) == len(names) for p in points):
-            velocities = np.array([list(p.velocities) for p in points])[:, order]
-        return names, self._world.follow_trajectory(times, positions, velocities)
-
-
-def _follow_feedback(record: StateRecord) -> Any:
-    robot = record.robot
-    msg = FollowJointTrajectory.Feedback(joint_names=list(robot.joint_names))
-    fill_stamp(msg.header.stamp, record.stamp_ns)
-    msg.desired.positions = list(robot.joint_commands)
-    msg.actual.positions = list(robot.joint_positions)
-    msg.actual.velocities = list(robot.joint_velocities)
-    msg.error.positions = [c - p for c, p in zip(robot.joint_commands, robot.joint_positions, strict=True)]
-    return msg
-
-
-def _goal_error(request: Any, names: list[str], record: StateRecord) -> str:
-    """Return which joint misses its goal by more than the tolerance; empty: none."""
-    tolerances = {t.name: t.position for t in request.goal_tolerance if t.position > 0}
-    goal = dict(zip(names, request.trajectory.points[-1].positions, strict=True))
-    reached = dict(zip(record.robot.joint_names, record.robot.joint_positions, strict=True))
-    for name, position in goal.items():
-        if abs(reached[name] - position) > tolerances.get(name, GOAL_TOLERANCE_RAD):
-            return f"joint '{name}' ended at {reached[name]:.4f} rad instead of {position:.4f}; something is in the way"
-    return ""
-
-
-def _opening_m(record: StateRecord, max_opening_m: float) -> float:
-    return record.robot.gripper_opening * max_opening_m
-
-
-def _grip_force(record: StateRecord, links: tuple[str, ...]) -> float:
-    touching = (c for c in record.contacts if "robot" in (c.body_a, c.body_b))
-    return max((c.force_last for c in touching if {c.link_a, c.link_b} & set(links)), default=0.0)

@@ -314,28 +314,54 @@ class World:
         times_s: Sequence[float],
         positions: npt.ArrayLike,
         velocities: npt.ArrayLike | None = None,
-    ) -> Iterator[StateRecord]:
-        """Move the arm along a trajectory from where it is commanded to be; advances time.
+        accelerations: npt.ArrayLike | None = None,
+    ) -> Generator[StateRecord, None, None]:
+        """Move the arm along a trajectory from where it is commanded to be; see `checked_trajectory` and `follow`."""
+        return self.follow(self.checked_trajectory(times_s, positions, velocities, accelerations))
+
+    def checked_trajectory(
+        self,
+        times_s: Sequence[float],
+        positions: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+        accelerations: npt.ArrayLike | None = None,
+    ) -> JointTrajectory:
+        """Return a trajectory from where the arm is commanded to be.
 
         Args:
             times_s: Increasing times from the start, shape (m,) [s].
             positions: Arm joint positions, shape (m, n) [rad].
             velocities: Arm joint velocities, shape (m, n) [rad/s]; none: straight lines between the points.
+            accelerations: Arm joint accelerations, shape (m, n) [rad/s^2]; none: cubic instead of quintic splines.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
+            InvalidRequestError: With code ``TRAJECTORY_INVALID``; see `trajectories.checked_trajectory`.
+        """
+        self.require_free("follow a trajectory")
+        return checked_trajectory(
+            self._controller.arm, self._command.joints, times_s, positions, velocities, accelerations
+        )
+
+    def follow(self, trajectory: JointTrajectory, settle_s: float = 0.0) -> Generator[StateRecord, None, None]:
+        """Move the arm along a checked trajectory; advances time.
+
+        Args:
+            trajectory: The trajectory.
+            settle_s: How long to hold its end [s].
 
         Yields:
             The state after every control period; closing the generator stops the arm where it is.
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
-            InvalidRequestError: With code ``TRAJECTORY_INVALID``; see `checked_trajectory`.
         """
         self.require_free("follow a trajectory")
-        trajectory = checked_trajectory(self._controller.arm, self._command.joints, times_s, positions, velocities)
-        return self._exclusive(self._follow(trajectory))
+        return self._exclusive(self._follow(trajectory, settle_s))
 
     def move_gripper(
         self, opening: float, force_n: float | None = None, timeout_s: float = 3.0
-    ) -> Iterator[StateRecord]:
+    ) -> Generator[StateRecord, None, None]:
         """Move the gripper until it arrives or stalls; advances time.
 
         Args:
@@ -572,7 +598,7 @@ class World:
         names = [body.name for body in self.physics.objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
-    def _follow(self, trajectory: JointTrajectory) -> Generator[StateRecord, None, None]:
+    def _follow(self, trajectory: JointTrajectory, settle_s: float) -> Generator[StateRecord, None, None]:
         rate = self.scene.physics_rate_hz
         total = int(np.ceil(trajectory.duration_s * rate - 1e-9))
         targets = trajectory.sample(np.arange(1, total + 1) / rate).tolist()
@@ -588,6 +614,8 @@ class World:
             self._command = replace(self._command, pose=self._controller.arm.fk(self._command.joints))
             self._record = self._read()
             yield self._record
+        for _ in range(int(np.ceil(settle_s * self.scene.control_rate_hz - 1e-9))):
+            yield self._free_motion(self._steps_per_tick)
 
     def _move_gripper(
         self, opening: float, force_n: float | None, timeout_s: float

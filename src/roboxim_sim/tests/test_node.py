@@ -67,7 +67,7 @@ class Listener:
 
     def listen(self, kind: Any, topic: str) -> None:
         self.messages[topic] = []
-        self._clients.node.create_subscription(kind, topic, lambda m: self._take(topic, m), qos.SENSOR)
+        self._clients.node.create_subscription(kind, topic, lambda m: self._take(topic, m), qos.EVENTS)
 
     def _take(self, topic: str, msg: Any) -> None:
         with self._arrived:
