@@ -1,4 +1,8 @@
-"""Says whether a problem that nobody solved has a solution: a search of a minute with the referee's own eyes."""
+"""Says whether a problem that nobody solved has a solution: a search of a minute with the referee's own checks.
+
+A search that finds nothing proves nothing. A problem counts as infeasible only for one of the reasons that
+`why_infeasible` gives; a problem that is neither solved nor proved infeasible stays unsolved.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,46 @@ from _referee import LOWER, UPPER
 
 Array = npt.NDArray[np.float64]
 EDGE_RAD = 0.02
+GOAL_ATTEMPTS = 4000
+"""Random configurations from which inverse kinematics descends to a goal pose before it counts as unreachable."""
+
+
+def why_infeasible(problem: Problem, seed: int = 1, attempts: int = GOAL_ATTEMPTS) -> str:
+    """Return why no motion can solve a problem; empty: that is not proved.
+
+    Args:
+        problem: The problem.
+        seed: Of the random numbers.
+        attempts: Random configurations from which inverse kinematics descends to a goal pose.
+    """
+    referee = problem.referee()
+    start = np.array(problem.start)
+    if not _within_limits(start):
+        return "the start is beyond the joint limits"
+    if referee.collides(start):
+        return "the start collides"
+    if problem.goal_is_joints:
+        goal = np.array(problem.goal)
+        if not _within_limits(goal):
+            return "the goal is beyond the joint limits"
+        return "the goal collides" if referee.collides(goal) else ""
+    pose = problem.goal_value
+    assert isinstance(pose, pin.SE3)
+    rng = np.random.default_rng(seed)
+    reached = 0
+    for _ in range(attempts):
+        joints = configuration_at(rng, pose)
+        if joints is not None:
+            if not referee.collides(joints):
+                return ""
+            reached += 1
+    if reached:
+        return f"all {reached} goal configurations collide that {attempts} random starts of the arm lead to"
+    return f"no configuration reaches the goal, from {attempts} random starts of the arm"
+
+
+def _within_limits(joints: Array) -> bool:
+    return bool(((joints >= LOWER) & (joints <= UPPER)).all())
 
 
 def is_solvable(problem: Problem, limit_s: float = 60.0, seed: int = 1) -> bool:

@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from _contenders import OURS, Contender, Outcome
-from _exhaustive import is_solvable
+from _exhaustive import is_solvable, why_infeasible
 from _problems import Problem, tabletop
 from _problems_hard import FAMILIES, hard
 from peers._serve import pack
@@ -113,41 +113,55 @@ def _solve(contender: Contender, problem: Problem, seed: int, measure: Contender
     return outcome
 
 
-def unsolved(outcomes: list[Outcome], draws: Iterable[Draw], store: Store, *, search_s: float) -> set[str]:
-    """Return the problems that nobody solved and that an exhaustive search does not solve either; say all failures.
+INFEASIBLE = "infeasible: "
+"""How what the search said of a problem begins when it is proved that nobody can solve it."""
+
+
+def infeasible(outcomes: list[Outcome], draws: Iterable[Draw], store: Store, *, search_s: float) -> set[str]:
+    """Return the problems that are proved to have no solution; print every failure of ours and what is known of it.
 
     Args:
         outcomes: What the contenders did.
         draws: The problems.
         store: Remembers what the search said.
-        search_s: Time of a search; 0: none, so that every failure counts.
+        search_s: Time of a search for a problem that nobody solves [s]; 0: none.
     """
     solved = {outcome.problem for outcome in outcomes if outcome.valid}
     makers = {name: make for name, _, make in draws}
-    hopeless = set()
+    proved = set()
     for outcome in outcomes:
         if outcome.contender != OURS or outcome.clean:
             continue
         said = outcome.error or outcome.faults or outcome.violations
         note = "another contender solves it"
         if outcome.problem not in solved:
-            note = "not searched"
-            if search_s > 0.0:
-                known = store.get(outcome.problem, "search")
-                if known is None:
-                    solvable = is_solvable(makers[outcome.problem](), search_s)
-                    known = Outcome(problem=outcome.problem, contender="search", ms=0.0, error="" if solvable else "no")
-                    store.put(known)
-                note = f"a search of {search_s:g} s {'fails too' if known.error else 'solves it'}"
-                if known.error:
-                    hopeless.add(outcome.problem)
+            note = _known_of(makers[outcome.problem], outcome.problem, store, search_s)
+            if note.startswith(INFEASIBLE):
+                proved.add(outcome.problem)
         click.echo(f"  {outcome.problem}: {said[:160]} ({note})")
-    return hopeless
+    return proved
+
+
+def _known_of(make: Callable[[], Problem], name: str, store: Store, search_s: float) -> str:
+    """Return what is known of a problem that nobody solved: proved infeasible, solved by a search, or neither."""
+    known = store.get(name, "search")
+    if known is None or (known.error and not known.error.startswith(INFEASIBLE)):
+        problem = make()
+        why = why_infeasible(problem)
+        if not why and search_s == 0.0:
+            return "unsolved, not searched"
+        error = f"{INFEASIBLE}{why}" if why else "" if is_solvable(problem, search_s) else "unsolved"
+        known = Outcome(problem=name, contender="search", ms=0.0, error=error)
+        store.put(known)
+    if known.error.startswith(INFEASIBLE):
+        return known.error
+    return f"unsolved: a search of {search_s:g} s fails too" if known.error else "a search solves it"
 
 
 def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[str, str | float]:
-    """Return a table's row about a contender; problems in ``without`` do not count."""
-    mine = [o for o in outcomes if o.contender == contender and o.problem not in without]
+    """Return a table's row about a contender; the problems in ``without``, proved infeasible, do not count."""
+    everything = [o for o in outcomes if o.contender == contender]
+    mine = [o for o in everything if o.problem not in without]
     if not mine:
         return {}
     times = [o.ms for o in mine]
@@ -157,6 +171,8 @@ def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[
         "detours": sum(o.detour for o in mine),
         "answered": sum(not o.error for o in mine),
         "valid": sum(o.valid for o in mine),
+        "unsolved": sum(not o.valid for o in mine),
+        "infeasible": len(everything) - len(mine),
         "valid_share": round(sum(o.valid for o in mine) / len(mine), 4),
         "collisions": sum("collision" in o.faults for o in mine),
         "limits_broken": sum(bool(o.violations) for o in mine),

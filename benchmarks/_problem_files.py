@@ -106,7 +106,7 @@ def _from_yaml(path: Path) -> Iterator[Read]:
             raise ProblemFileError(f"{path}: {scene_name} has no request{number}.yaml beside it")
         family = Path(folder).name or path.resolve().parent.name
         try:
-            solids = _moveit_solids(yaml.load(text, _Loader))
+            solids = _moveit_solids(yaml.load(needed_of_scene(text), _Loader))
             start, goal = _moveit_request(yaml.load(request, _Loader))
         except (KeyError, IndexError, TypeError, ValueError, yaml.YAMLError) as error:
             raise ProblemFileError(f"{path}: {scene_name}: {type(error).__name__} {error}") from error
@@ -119,9 +119,9 @@ def _yaml_texts(path: Path) -> Iterator[tuple[str, str]]:
         for file in path.rglob("*.y*ml"):
             yield str(file.relative_to(path.parent)), file.read_text()
     elif path.suffix in (".yaml", ".yml"):
-        for file in path.parent.glob("*.y*ml"):
-            if file == path or file.name.startswith("request"):
-                yield file.name, file.read_text()
+        yield path.name, path.read_text()
+        for file in path.parent.glob(f"request{''.join(re.findall('[0-9]', path.stem))}.y*ml"):
+            yield file.name, file.read_text()
     else:
         if not tarfile.is_tarfile(path):
             raise ProblemFileError(f"{path}: neither JSON, YAML nor a tar archive")
@@ -133,6 +133,34 @@ def _yaml_texts(path: Path) -> Iterator[tuple[str, str]]:
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_NEEDED = {"": {"robot_state", "world"}, "world": {"collision_objects"}}
+"""What is read of a scene: keys at the top, and of these keys' own mappings."""
+
+
+def needed_of_scene(text: str) -> str:
+    """Return the parts of a MoveIt scene's YAML that are read; its octomap alone takes seconds to parse.
+
+    Block mappings are cut by the indentation of their keys. Anything else (one in flow style) stays as it is.
+    """
+    kept = []
+    for key, part in _parts(text, ""):
+        if key in _NEEDED[""]:
+            wanted = _NEEDED.get(key)
+            head, _, body = part.partition("\n")
+            indent = re.match(" *", body)
+            if wanted and indent and indent.group():
+                children = [child for name, child in _parts(body, indent.group()) if name in wanted]
+                part = "\n".join([head, *children])
+            kept.append(part)
+    return "\n".join(kept) if kept else text
+
+
+def _parts(text: str, indent: str) -> Iterator[tuple[str, str]]:
+    """Yield the keys of a block mapping at an indentation, each with its lines."""
+    starts = list(re.finditer(rf"^{indent}([A-Za-z_]\w*):", text, re.MULTILINE))
+    for number, match in enumerate(starts, start=1):
+        end = starts[number].start() if number < len(starts) else len(text)
+        yield match.group(1), text[match.start() : end].rstrip("\n")
 
 
 def _moveit_solids(scene: dict[str, Any]) -> list[Solid]:

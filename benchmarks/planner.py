@@ -2,11 +2,12 @@
 
 A motion is valid when the referee (``_referee.py``), which shares no code with the planner, finds neither a collision
 at a kilohertz on the original collision meshes nor a goal missed; limits of velocity, acceleration and jerk are counted
-apart for everybody, and for ours a broken limit is a failure too. An unsolved problem is a failure unless a search of
-60 s with the referee's own collision checks fails as well; all are listed by seed. Our time begins with a scene of
-plain values; ``our_p95_by_theirs`` compares it with a peer's time once its scene is set up, ``with_scene`` with the
-whole of a peer's time. Contenders are processes of their
-own, asked in turn with the same problem; peers come with ``make planner-peers``. Rows:
+apart for everybody, and for ours a broken limit is a failure too. An unsolved problem is a failure unless it is proved
+infeasible: start or goal collides, or no free configuration reaches the goal's pose. A search of 60 s with the
+referee's own collision checks says whether the others can be solved. All failures are listed by seed. Our time begins
+with a scene of plain values; ``our_p95_by_theirs`` compares it with a peer's time once its scene is set up,
+``with_scene`` with the whole of a peer's time. Contenders are processes of their own, asked in turn with the same
+problem; peers come with ``make planner-peers``. Rows:
 
 tabletop   3 to 10 obstacles on a table, every third with a stick in the hand, more than half detours
 hard       shelves, a crate, a cage, cluttered tables, in the manner of MotionBenchMaker
@@ -33,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from _abilities import ik_row, load_row, memory_row, retreat_row
 from _contenders import OURS, Contender, contenders, our_planner, toppra_measure
 from _harness import Bench
-from _motions import Draw, Store, file_draws, hard_draws, run_problems, summary, tabletop_draws, unsolved
+from _motions import Draw, Store, file_draws, hard_draws, infeasible, run_problems, summary, tabletop_draws
 from _problem_files import ProblemFileError, load_problems
 
 SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory", "load")
@@ -127,20 +128,24 @@ class Sets:
         )
         if not done:
             click.echo(f"{name}: stopped after {len(outcomes)} outcomes; the same command goes on")
-        hopeless = unsolved(
+        proved = infeasible(
             outcomes, draws, self._store, search_s=0.0 if self._bench.quick else self._bench.options.search
         )
-        mine = [o for o in outcomes if o.contender == OURS and o.problem not in hopeless]
+        mine = [o for o in outcomes if o.contender == OURS and o.problem not in proved]
         if sum(o.detour for o in mine) < detours * len(mine):
             raise AssertionError(f"only {sum(o.detour for o in mine)} of {len(mine)} {name} problems need a detour")
         families = dict.fromkeys(o.problem.rsplit("-", 1)[0] for o in mine)
         for family in families if len(families) > 1 else []:
             chosen = [o for o in mine if o.problem.rsplit("-", 1)[0] == family]
-            self._bench.row(problems=family, contender=OURS, **summary(chosen, OURS, hopeless))
+            self._bench.row(problems=family, contender=OURS, **summary(chosen, OURS, proved))
         for contender in self._asked:
-            row = summary(outcomes, contender.name, hopeless)
+            row = summary(outcomes, contender.name, proved)
             if row:
                 self._bench.row(problems=name, contender=contender.name, **row)
+        click.echo(
+            f"{name}: {sum(not o.clean for o in mine)} of {len(mine)} problems unsolved or not clean, "
+            f"{len(proved)} more proved infeasible and not counted"
+        )
         return sum(o.clean for o in mine) / max(1, len(mine))
 
 

@@ -278,6 +278,57 @@ def test_a_problem_that_begins_in_collision_is_left_out_by_name(tmp_path: Path) 
     assert left_out == ["shelf_panda-1: start in collision"]
 
 
+def test_an_unsolved_problem_counts_unless_it_is_proved_infeasible() -> None:
+    from _contenders import OURS, Outcome
+    from _motions import INFEASIBLE, Store, infeasible, summary
+    from _problems import tabletop
+
+    free = tabletop(1)
+    blocked = replace(free, name="tabletop-2", solids=(*free.solids, _ball_at_the_start(free)))
+    draws = [("tabletop-1", 1, lambda: free), ("tabletop-2", 2, lambda: blocked), ("tabletop-3", 3, lambda: free)]
+    store = Store(None)
+    store.put(Outcome(problem="tabletop-3", contender="search", ms=0.0, error=f"{INFEASIBLE}the goal collides"))
+    outcomes = [Outcome(problem=name, contender=OURS, ms=1.0, error="no path") for name, _, _ in draws]
+    proved = infeasible(outcomes, draws, store, search_s=0.0)
+    assert proved == {"tabletop-2", "tabletop-3"}
+    row = summary(outcomes, OURS, proved)
+    assert (row["count"], row["unsolved"], row["infeasible"], row["valid_share"]) == (1, 1, 2, 0.0)
+
+
+def _ball_at_the_start(problem: Any) -> Any:
+    from _referee import Solid
+
+    pose = problem.referee().tcp(np.array(problem.start))
+    x, y, z = pose.translation.tolist()
+    return Solid(kind="sphere", size=(0.05,), position=(x, y, z))
+
+
+def test_infeasibility_is_proved_at_the_ends_only() -> None:
+    from _exhaustive import why_infeasible
+    from _problems import tabletop
+
+    free = tabletop(1)
+    assert why_infeasible(free) == ""
+    assert "start collides" in why_infeasible(replace(free, solids=(_ball_at_the_start(free),)))
+    away = replace(free, goal=(2.0, *free.goal[1:]))
+    assert "no configuration reaches" in why_infeasible(away, attempts=50)
+
+
+def test_a_scene_with_an_octomap_is_read_for_its_objects_only() -> None:
+    from _problem_files import needed_of_scene
+
+    octomap = {"origin": {}, "octomap": {"data": list(range(2_000))}}
+    matrix = {"entry_names": ["a"], "entry_values": [[False]]}
+    for world in ({"octomap": octomap, **SCENE["world"]}, {**SCENE["world"], "octomap": octomap}):
+        whole = {"name": "s", "allowed_collision_matrix": matrix, "robot_state": {"is_diff": False}, "world": world}
+        for indent in (2, 4):
+            text = needed_of_scene(yaml.dump(whole, Dumper=yaml.CSafeDumper, sort_keys=False, indent=indent))
+            assert len(text) < 3_000
+            assert yaml.safe_load(text) == {"robot_state": {"is_diff": False}, **SCENE}
+    flow = json.dumps(SCENE)
+    assert needed_of_scene(flow) == flow
+
+
 @pytest.mark.parametrize("damage", ["no folder", "empty", "no request", "mesh", "pose goal", "joints"])
 def test_a_file_that_cannot_be_read_says_where(tmp_path: Path, damage: str) -> None:
     from _problem_files import ProblemFileError, load_problems
