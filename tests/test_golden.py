@@ -26,6 +26,7 @@ EPISODES = {
     "open_drawer": 2,
     "rotate": 3,
     "put_into": 4,
+    "pick_cube_ur5": 0,
 }
 """Task to the index of its episode; with other skills, objects and motions."""
 
