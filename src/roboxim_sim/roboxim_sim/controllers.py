@@ -6,7 +6,7 @@ They advance time themselves, outside an episode only.
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Generator, Sequence
+from collections.abc import AsyncGenerator, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +47,7 @@ class Turn:
 
 async def published_states(
     node: SimServer, goal: ServerGoalHandle, motion: Generator[StateRecord, None, None]
-) -> AsyncIterator[StateRecord]:
+) -> AsyncGenerator[StateRecord, None]:
     """Publish every state of a motion and yield it; end the motion when its goal is cancelled.
 
     Args:
@@ -159,12 +159,12 @@ class ArmController:
             )
         delay_s = self._delay_s(stamp_to_ns(msg.header.stamp))
         order = [names.index(name) for name in model.joint_names]
-        positions = _matrix([p.positions for p in msg.points], order, "positions", required=True)
+        positions = _matrix([p.positions for p in msg.points], order, "positions")
         trajectory = self._world.checked_trajectory(
             [delay_s + _duration_s(p.time_from_start) for p in msg.points],
             positions,
-            _matrix([p.velocities for p in msg.points], order, "velocities"),
-            _matrix([p.accelerations for p in msg.points], order, "accelerations"),
+            _optional_matrix([p.velocities for p in msg.points], order, "velocities"),
+            _optional_matrix([p.accelerations for p in msg.points], order, "accelerations"),
         )
         return _Goal(
             trajectory=trajectory,
@@ -235,10 +235,13 @@ def _tolerances(joints: Sequence[str], given: Sequence[Any], default: Tolerance)
     return found
 
 
-def _matrix(rows: Sequence[Any], order: list[int], what: str, *, required: bool = False) -> Array | None:
-    """Return numbers by point and joint, in the model's order; none where no point has them."""
-    if not required and not any(len(row) for row in rows):
-        return None
+def _optional_matrix(rows: Sequence[Any], order: list[int], what: str) -> Array | None:
+    """Return `_matrix`, or none where no point has such numbers."""
+    return _matrix(rows, order, what) if any(len(row) for row in rows) else None
+
+
+def _matrix(rows: Sequence[Any], order: list[int], what: str) -> Array:
+    """Return numbers by point and joint, in the model's order."""
     for index, row in enumerate(rows):
         if len(row) != len(order):
             raise InvalidRequestError(

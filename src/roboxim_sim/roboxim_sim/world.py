@@ -538,7 +538,7 @@ class World:
         """Have the motion that is being executed end with ``CANCELLED`` where it is; nothing when there is none."""
         self._stopped = self._moving
 
-    def _exclusive(self, motion: Generator[R, None, None]) -> Iterator[R]:
+    def _exclusive(self, motion: Generator[R, None, None]) -> Generator[R, None, None]:
         """Pass a motion's states on while nothing else may move; end it when it is stopped or the scene is replaced."""
         loads, self._moving, self._stopped = self._loads, True, False
         try:
