@@ -7,7 +7,6 @@ pytest.importorskip("rclpy")
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
-from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
 from roboxim_recorder.bag import BagReader
 from roboxim_tasks.config import parse_task_config
 
@@ -39,17 +38,6 @@ def test_a_demonstration_at_the_task_s_rate_succeeds(rate_hz, tmp_path):
     ticks = list(bag.ticks(cameras=[]))
     assert ticks[-1].state.stamp_ns == round((len(ticks) - 1) * 1e9 / rate_hz)
     assert 3.0 < result.steps / rate_hz < 9.0, "the expert takes its time in seconds, not in ticks"
-
-
-def test_policies_without_a_rate_of_their_own_act_at_any(tmp_path):
-    config = RunConfig(
-        purpose="eval", task_config=at_rate(5.0), image_width=32, image_height=32, cameras=("workspace",), keep="none",
-        max_steps=2, settle_ticks=1,
-    )  # fmt: skip
-    for policy in (ZeroPolicy(), RandomPolicy()):
-        with CoreGraph(tmp_path, policy=policy) as graph:
-            result = EpisodeRunner(graph.ports, config).run_index(0)
-        assert (result.outcome, result.steps) == ("failure", 2)
 
 
 def test_a_skill_s_limit_is_a_time():
