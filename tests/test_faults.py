@@ -161,7 +161,7 @@ def test_a_policy_of_other_semantics_is_refused_before_the_first_step(run, share
 def test_an_image_that_does_not_come_is_missing_by_name_and_never_an_older_frame(
     graph, policy, run, monkeypatch, older_frame
 ):
-    publisher = graph["sim"]._camera_publisher
+    publisher = graph["sim"]._publisher
     policy.answer = lambda window: np.array([0, 0, 0.02, 0, 0, 0, 1])
     sent = []
 
@@ -178,11 +178,11 @@ def test_an_image_that_does_not_come_is_missing_by_name_and_never_an_older_frame
                 )
                 message.data = sent[1].data
             if len(sent) <= 2 or older_frame:
-                publisher("camera/wrist/image", None).publish(message)
+                publisher("camera/wrist/image", Image).publish(message)
 
     monkeypatch.setattr(
         graph["sim"],
-        "_camera_publisher",
+        "_publisher",
         lambda topic, kind: Faulty() if topic == "camera/wrist/image" else publisher(topic, kind),
     )
     code, message = refused(lambda: run(max_steps=5))
