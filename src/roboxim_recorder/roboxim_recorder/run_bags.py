@@ -1,15 +1,101 @@
-"""The bags of a run's folder."""
+"""The bags of a run's folder, held against the run's results."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from roboxim_core.config import from_json
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_recorder.bag_writer import PLACES
 
+RESULTS_FILE = "results.jsonl"
+SHOWN = 5
+"""Further names are only counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunBags:
+    """Which bags there are, and which there should be."""
+
+    paths: tuple[Path, ...]
+    """Kept bags that the run's results name, sorted by name; in a folder without results all kept bags."""
+    missing: tuple[str, ...] = ()
+    """Bags, kept or set apart, that results name and that are not there, relative to the run's folder."""
+    unexpected: tuple[Path, ...] = ()
+    """Kept bags that no result names."""
+    results: dict[str, EpisodeResult] = field(default_factory=dict)
+    """Name of a kept bag to its line in the run's results."""
+
+    @property
+    def missing_text(self) -> str:
+        """What is missing, for a person."""
+        shown = ", ".join(self.missing[:SHOWN]) + (", ..." if len(self.missing) > SHOWN else "")
+        bags = "bag is" if len(self.missing) == 1 else "bags are"
+        return f"{len(self.missing)} {bags} missing that {RESULTS_FILE} names: {shown}"
+
+    @property
+    def unexpected_text(self) -> str:
+        """What no result names, for a person."""
+        names = [path.name for path in self.unexpected]
+        shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+        return f"{len(names)} {'bag has' if len(names) == 1 else 'bags have'} no line in {RESULTS_FILE}: {shown}"
+
+
+def run_bags(path: Path | str) -> RunBags:
+    """Return the bags of a run's folder or of a folder of bags, held against the run's results where there are some.
+
+    A bag is missing when its folder or its ``.mcap`` file is. A run that is going on, or was killed, may have one bag
+    for each worker whose result is not yet written; going on with the run records these episodes again.
+
+    Args:
+        path: A run's folder, its ``episodes`` folder, another folder of bags, or one bag.
+
+    Raises:
+        ConfigError: When there is no such folder, or a line of the results is not readable.
+        RecorderError: When there is neither a bag nor a result that names one.
+    """
+    folder = Path(path)
+    run = folder.parent if folder.name == PLACES["keep"] else folder
+    results = [result for result in read_results(run) if result.bag]
+    if not results:
+        return RunBags(paths=tuple(list_bags(folder)))
+    kept = {Path(r.bag).name: r for r in results if Path(r.bag).parent.name == PLACES["keep"]}
+    missing = tuple(sorted(r.bag for r in results if not any((run / r.bag).glob("*.mcap"))))
+    there = _bags_in(run / PLACES["keep"])
+    if not there and not missing:
+        list_bags(folder)  # says why there is none
+    return RunBags(
+        paths=tuple(bag for bag in there if bag.name in kept and f"{PLACES['keep']}/{bag.name}" not in missing),
+        missing=missing,
+        unexpected=tuple(bag for bag in there if bag.name not in kept),
+        results=kept,
+    )
+
+
+def read_results(run: Path) -> list[EpisodeResult]:
+    """Return the results of a run, one an index; none when there are none. A torn last line (a crash) is left out.
+
+    Raises:
+        ConfigError: When a line is not readable.
+    """
+    path = run / RESULTS_FILE
+    if not path.is_file():
+        return []
+    found = {}
+    try:
+        lines = path.read_text().split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from None
+    for number, line in enumerate(lines[:-1], start=1):
+        result = from_json(line, EpisodeResult, source=f"{path} line {number}")
+        found[result.index] = result
+    return [found[index] for index in sorted(found)]
+
 
 def list_bags(path: Path | str) -> list[Path]:
-    """Return the bags of a run's folder or of a folder of bags, sorted by name; set apart ones are not among them.
+    """Return the bags of a run's folder or of a folder of bags, sorted by name, without those set apart.
 
     A bag that has lost its ``.mcap`` file counts, so that whoever reads it learns of the loss.
 
@@ -25,16 +111,16 @@ def list_bags(path: Path | str) -> list[Path]:
         what = "is a file; expected a run's folder or a folder of bags"
         raise ConfigError(f"{folder} {what}" if folder.exists() else f"no such folder: {folder}")
     apart = len(list((folder / PLACES["set_apart"]).glob("[!.]*/*.mcap")))
-    if (folder / "episodes").is_dir():
-        folder = folder / "episodes"
-    bags = (
-        [folder]
-        if list(folder.glob("*.mcap"))
-        else sorted({path.parent for name in ("*.mcap", "metadata.yaml") for path in folder.glob(f"[!.]*/{name}")})
-    )
+    if (folder / PLACES["keep"]).is_dir():
+        folder = folder / PLACES["keep"]
+    bags = [folder] if list(folder.glob("*.mcap")) else _bags_in(folder)
     if not bags:
         failed = (
             f"; the {apart} in set_apart did not succeed" if apart else "; expected folders that hold an .mcap file"
         )
         raise RecorderError(f"{folder} has no bags{failed}")
     return bags
+
+
+def _bags_in(folder: Path) -> list[Path]:
+    return sorted({path.parent for name in ("*.mcap", "metadata.yaml") for path in folder.glob(f"[!.]*/{name}")})

@@ -1,0 +1,140 @@
+"""Exports bags to any registered format."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from roboxim_core.config import to_json, to_plain
+from roboxim_core.errors import ConfigError
+from roboxim_recorder.bag_writer import disk_errors
+from roboxim_recorder.export.episodes import bag_episode
+from roboxim_recorder.export.registry import EXPORTERS, DatasetWriter, Exporter
+from roboxim_recorder.export.selection import Selected, Selection, select, splits
+from roboxim_recorder.run_bags import run_bags
+
+Progress = Callable[[int, int], None]
+EXPORT_FILE = "export.json"
+"""Beside every dataset: what it was exported from, and how."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """What was exported."""
+
+    path: Path
+    """The dataset."""
+    splits: dict[str, int]
+    """Split to number of episodes."""
+    steps: int
+    """Steps in all."""
+    left_out: dict[str, int]
+    """Reason to number of bags that were not exported."""
+    dead_dimensions: tuple[str, ...]
+    """Components of the action that (nearly) never change; a policy cannot learn them."""
+    resumed: int = 0
+    """Episodes that an interrupted export had already."""
+    missing: tuple[str, ...] = ()
+    """Bags that the run's results name and that are not there, relative to the run."""
+    unexpected: tuple[Path, ...] = ()
+    """Bags that no result of the run names; they were not exported."""
+
+
+def export_bags(
+    name: str,
+    source: Path | str,
+    target: Path | str,
+    config: Selection | None = None,
+    *,
+    if_exists: Literal["refuse", "overwrite", "keep"] = "refuse",
+    progress: Progress = lambda done, total: None,
+) -> ExportReport:
+    """Export a run's folder, a folder of bags or one bag.
+
+    An interrupted export goes on where it stopped; nothing carries the dataset's name before it is whole. Equal bags
+    and configuration give equal bytes.
+
+    Args:
+        name: Registered format, e.g. ``rlds``.
+        source: Where the bags are; set apart ones are not taken.
+        target: Folder that the dataset is written into.
+        config: What to export, of the format's class; None: the defaults.
+        if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
+            when it is of the same bags and configuration (an error otherwise).
+        progress: Called with the episodes done and their total.
+
+    Raises:
+        ConfigError: On an unknown format, or a configuration of another one.
+        InvalidRequestError: On a name, camera or size that does not fit.
+        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags are missing or do not fit together,
+            or when the dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
+    """
+    exporter = EXPORTERS[name]()
+    config = config if config is not None else exporter.config()
+    if not isinstance(config, exporter.config):
+        raise ConfigError(f"exporter '{name}' takes a {exporter.config.__name__}, got a {type(config).__name__}")
+    selected = select(run_bags(source), config)
+    identity = _identity(name, selected, config)
+    path, total = exporter.path(Path(target), config), len(selected.sources)
+    resumed = total
+    if if_exists == "keep" and _exported_identity(path) == identity:
+        progress(total, total)
+    else:
+        with (
+            disk_errors(path),
+            exporter.open(
+                Path(target), config, selected, identity=identity, overwrite=if_exists == "overwrite"
+            ) as writer,
+        ):
+            resumed = _write_episodes(writer, selected, config, progress)
+            facts = {"format": name, "identity": identity, "config": to_plain(config), "left_out": selected.left_out}
+            writer.complete({EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n"})
+    return _report(exporter, path, selected, resumed)
+
+
+def _write_episodes(writer: DatasetWriter, selected: Selected, config: Selection, progress: Progress) -> int:
+    """Add every episode that an interrupted export has not; return how many it had."""
+    skip = {split: writer.resumed(split) for split in ("train", "val")}
+    resumed, total = sum(skip.values()), len(selected.sources)
+    parts = splits(total, config.val_fraction)
+    for done, (source, split) in enumerate(zip(selected.sources, parts, strict=True), start=1):
+        if skip[split]:
+            skip[split] -= 1
+        else:
+            writer.add(split, bag_episode(source, selected.joint_names))
+        progress(done, total)
+    return resumed
+
+
+def _identity(name: str, selected: Selected, config: Selection) -> str:
+    """Return a hash of everything that the exported bytes depend on."""
+    digest = hashlib.blake2b(f"{name} {to_json(config)}".encode(), digest_size=16)
+    for source in selected.sources:
+        result = source.result
+        digest.update(f"{result.episode_id} {result.last_seq} {result.final_state_hash}\n".encode())
+    return digest.hexdigest()
+
+
+def _exported_identity(path: Path) -> str:
+    try:
+        return str(json.loads((path / EXPORT_FILE).read_text())["identity"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return ""
+
+
+def _report(exporter: Exporter, path: Path, selected: Selected, resumed: int) -> ExportReport:
+    contents = exporter.contents(path)
+    return ExportReport(
+        path=path,
+        splits=contents.splits,
+        steps=sum(source.result.steps for source in selected.sources),
+        left_out=selected.left_out,
+        dead_dimensions=contents.dead_dimensions,
+        resumed=resumed,
+        missing=selected.missing,
+        unexpected=selected.unexpected,
+    )
