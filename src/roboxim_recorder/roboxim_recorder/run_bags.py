@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roboxim_core.config import from_json
+from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_recorder.bag_writer import PLACES
@@ -75,7 +76,7 @@ def run_bags(path: Path | str) -> RunBags:
 
 
 def read_results(run: Path) -> list[EpisodeResult]:
-    """Return the results of a run, one an index; none when there are none. A torn last line (a crash) is left out.
+    """Return the results of a run, the last of each index. A torn last line (a crash) is left out.
 
     Raises:
         ConfigError: When a line is not readable.
@@ -83,15 +84,22 @@ def read_results(run: Path) -> list[EpisodeResult]:
     path = run / RESULTS_FILE
     if not path.is_file():
         return []
-    found = {}
     try:
-        lines = path.read_text().split("\n")
+        lines = path.read_text().split("\n")[:-1]
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
-    for number, line in enumerate(lines[:-1], start=1):
-        result = from_json(line, EpisodeResult, source=f"{path} line {number}")
-        found[result.index] = result
-    return [found[index] for index in sorted(found)]
+    found = {}
+    for number, line in enumerate(lines, start=1):
+        source = f"{path} line {number}"
+        try:
+            data = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"{source} is not a result ({error})") from None
+        if isinstance(data, dict):
+            data.pop("key", None)  # the hash of what the result depends on
+        result = from_plain(data, EpisodeResult, source=source)
+        found[result.episode_id.rpartition("-")[0]] = result  # of all attempts at an index the last counts
+    return list(found.values())
 
 
 def list_bags(path: Path | str) -> list[Path]:

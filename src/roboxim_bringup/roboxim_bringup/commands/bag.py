@@ -31,15 +31,24 @@ def info(path: Path) -> None:
 @command.command("check")
 @click.argument("paths", type=_bag, nargs=-1, required=True)
 def check(paths: tuple[Path, ...]) -> None:
-    """Check that bags are whole: every tick, every topic, every checksum. The exit code is 1 when one is not."""
+    """Check that bags are whole: every byte, every tick, every topic; of a run also that none is missing.
+
+    The exit code is 1 when a bag is damaged or missing.
+    """
     from roboxim_core.errors import ErrorCode, RecorderError
     from roboxim_recorder.bag import mcap_file
     from roboxim_recorder.check import check_bag
-    from roboxim_recorder.run_bags import list_bags
+    from roboxim_recorder.run_bags import RunBags, run_bags
 
-    broken = total = 0
+    broken = total = missing = 0
     for path in paths:
-        for bag in [mcap_file(path)] if path.is_file() else list_bags(path):
+        found = RunBags(paths=(mcap_file(path),)) if path.is_file() else run_bags(path)
+        missing += len(found.missing)
+        if found.missing:
+            click.echo(f"{path}: {found.missing_text}")
+        if found.unexpected:
+            click.echo(f"{path}: {found.unexpected_text}")
+        for bag in sorted((*found.paths, *found.unexpected)):
             report = check_bag(bag)
             total += 1
             broken += not report.ok
@@ -47,8 +56,10 @@ def check(paths: tuple[Path, ...]) -> None:
             click.echo(f"{bag}: {state}")
             for problem in report.problems:
                 click.echo(f"  {problem}")
-    if broken:
-        raise RecorderError(f"{broken} of {total} bags are damaged", ErrorCode.BAG_DAMAGED)
+    if broken or missing:
+        raise RecorderError(
+            f"{broken} of {total} bags are damaged" + f", {missing} are missing" * bool(missing), ErrorCode.BAG_DAMAGED
+        )
 
 
 @command.command("repair")

@@ -15,39 +15,42 @@ from roboxim_bringup.runs.events import (
     telling_interruption,
 )
 from roboxim_bringup.runs.folder import RUN_FILE, RunFolder, checked_path, command_of
-from roboxim_recorder.export import rlds
-from roboxim_recorder.export.rlds import ExportConfig, ExportReport
+from roboxim_recorder.export import ExportReport, Selection, export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 
-__all__ = ["ExportConfig", "ExportReport", "export_rlds", "unfinished"]
+__all__ = ["ExportConfig", "ExportReport", "export_dataset", "export_rlds", "unfinished"]
 
 
-def export_rlds(
+def export_dataset(
+    name: str,
     source: Path | str,
     target: Path | str,
-    config: ExportConfig | None = None,
+    config: Selection | None = None,
     *,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> ExportReport:
-    """Export the bags of a run as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; needs no TensorFlow.
+    """Export the bags of a run as a dataset.
 
     An interrupted export goes on where it stopped; a dataset that is there of the same bags and configuration is left
     as it is.
 
     Args:
+        name: Registered format, e.g. ``rlds``.
         source: A run's folder, a folder of bags, or one bag.
-        target: Data directory to write ``<name>/<version>`` into.
-        config: What to export; none: the defaults.
+        target: Folder to write the dataset into.
+        config: What to export, of the format's class; None: the defaults.
         overwrite: Replace a dataset that is there.
         on_event: Told what happens.
         cancellation: Ends the export when it is set.
 
     Raises:
         CancelledError: When the export was cancelled.
+        ConfigError: On an unknown format.
         InvalidRequestError: On a name, camera or size that does not fit.
-        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags do not fit together or when the
-            dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
+        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags are missing or do not fit together,
+            or when the dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
     """
     checked_path(target)
     note = unfinished(Path(source))
@@ -61,11 +64,26 @@ def export_rlds(
 
     with telling_interruption(on_event, lambda: "the same command goes on where it stopped"):
         on_event(StageStarted(title="exporting", total=1, unit="episodes"))
-        report = rlds.export_rlds(
-            source, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
+        report = export_bags(
+            name, source, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
         )
         on_event(StageFinished())
     return report
+
+
+def export_rlds(
+    source: Path | str,
+    target: Path | str,
+    config: ExportConfig | None = None,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> ExportReport:
+    """Export as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; see `export_dataset`."""
+    return export_dataset(
+        "rlds", source, target, config, overwrite=overwrite, on_event=on_event, cancellation=cancellation
+    )
 
 
 def unfinished(source: Path) -> str:

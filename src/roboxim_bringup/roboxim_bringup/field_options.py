@@ -1,0 +1,56 @@
+"""Command line options made of a configuration's fields: its names, types, defaults and docstrings."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Collection
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import click
+
+from roboxim_core.errors import ConfigError
+
+
+def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[click.Option]:
+    """Return an option for each field of a configuration.
+
+    Args:
+        cls: A dataclass whose fields are ``int``, ``float``, ``str``, ``bool`` or ``Literal``, all with defaults.
+        leave_out: Fields that get no option.
+
+    Raises:
+        ConfigError: When a field is of another type.
+    """
+    hints, docs = get_type_hints(cls), field_docs(cls)
+    return [
+        _option(field.name, hints[field.name], field.default, docs.get(field.name, ""))
+        for field in dataclasses.fields(cls)
+        if field.name not in leave_out
+    ]
+
+
+def field_docs(cls: type[Any]) -> dict[str, str]:
+    """Return the docstring under each field of a class itself, without those that it inherits."""
+    [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+    assert isinstance(tree, ast.ClassDef)
+    docs = {}
+    for field, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+            value = text.value.value if isinstance(text.value, ast.Constant) else None
+            if isinstance(value, str):
+                docs[field.target.id] = " ".join(value.replace("``", "").split())
+    return docs
+
+
+def _option(name: str, kind: Any, default: Any, doc: str) -> click.Option:
+    flag = f"--{name.replace('_', '-')}"
+    if kind is bool:
+        return click.Option([f"{flag}/--no-{flag[2:]}"], default=default, show_default=True, help=doc)
+    if get_origin(kind) is Literal:
+        kind = click.Choice(get_args(kind))
+    elif kind not in (int, float, str):
+        raise ConfigError(f"field '{name}' is of type {kind}, which has no command line option")
+    return click.Option([flag], type=kind, default=default, show_default=True, help=doc)
