@@ -125,6 +125,9 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            click.echo(f"error: '{str(error.filename)[:40]}...' is too long for a file's name or path", err=True)
+            sys.exit(2)
         if error.errno not in DISK_ERRORS:
             raise
         path = f"{error.filename}: " if error.filename else ""

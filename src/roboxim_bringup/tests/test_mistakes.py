@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+
 import pytest
 from click.testing import CliRunner
 
-from roboxim_bringup.cli import group
+from roboxim_bringup.cli import group, main
 from roboxim_bringup.runs.export import unfinished
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_core.episode import EpisodeResult
@@ -78,4 +81,37 @@ def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):
     assert f"{broken} is not valid: skill (line 2)" in mistake("tasks", "sample", "--task", broken)
     assert "pick_cube.yaml with the command line's options is not valid" in mistake(
         "tasks", "sample", "--colors", "puce"
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("generate", "--task", "x" * 300 + ".yaml"),
+        ("generate", "--out", "x" * 300),
+        ("train", "bc", "x" * 300),
+        ("train", "bc", "somewhere", "--out", "x" * 300),
+        ("export", "rlds", "somewhere", "x" * 300),
+        ("up", "--id", "x" * 300),
+    ],
+    ids=lambda words: " ".join(words).replace("x" * 300, "LONG"),
+)
+def test_a_name_of_300_characters_is_an_error_by_name(words, monkeypatch, capsys, tmp_path, runtime):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(sys, "argv", ["roboxim", *words])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "xxxx" in said
+    assert len(said) < 300
+    assert list(here.iterdir()) == []
+
+
+def test_a_value_of_the_wrong_kind_names_the_policy():
+    assert "policy 'random' cannot be made: TypeError" in mistake(
+        "evaluate", "--policy", "random", "--option", "scale=much"
     )

@@ -33,6 +33,8 @@ import domain_coordinator
 from roboxim_core.errors import ConfigError, UnavailableError
 from roboxim_ros.shared_memory import busy_domains
 
+LONGEST_RUN_ID = 100
+"""Characters of a run's name, which is a file's name too."""
 LARGEST_DOMAIN = 100
 """Above, the ports of a domain reach into the ephemeral range, where any connection may take them."""
 _TRANSPORTS = ("user", "network")
@@ -213,8 +215,10 @@ def check_run_id(run_id: str | None) -> None:
     """Check a run's name, which is a file's name too.
 
     Raises:
-        ConfigError: When it has other characters than letters, digits, dots, hyphens and underscores.
+        ConfigError: When it has other characters than letters, digits, dots, hyphens and underscores, or too many.
     """
+    if run_id is not None and len(run_id) > LONGEST_RUN_ID:
+        raise ConfigError(f"a run's name has at most {LONGEST_RUN_ID} characters, '{run_id[:40]}...' has {len(run_id)}")
     if run_id is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", run_id):
         raise ConfigError(f"a run's name has letters, digits, '.', '-' and '_' only, e.g. bench-2; got '{run_id}'")
 

@@ -47,12 +47,16 @@ def command(
     stops; the same command goes on. A policy whose file or checkpoint has changed since needs another --out.
     """
     from roboxim_bringup.options import parse_size
-    from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.evaluation import EvaluationConfig, command_line, evaluate
     from roboxim_bringup.runs.policies import choose_policies
 
+    image_size = parse_size(size)
+    chosen = choose_policies(policies, checkpoints, policy_options)  # before what takes longer to import
+
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.evaluation import EvaluationConfig, command_line, evaluate
+
     config = EvaluationConfig(
-        policies=choose_policies(policies, checkpoints, policy_options), size=parse_size(size),
+        policies=chosen, size=image_size,
         policy_timeout_s=policy_timeout, command=command_line(sys.argv[1:]), **options,
     )  # fmt: skip
     with EventPrinter() as printer:

@@ -1,4 +1,8 @@
-"""Evaluates policies in fresh scenes, counts successes, and writes a report."""
+"""Evaluates policies in fresh scenes, counts successes, and writes a report.
+
+Tasks, statistics and the report are imported where they are needed: they take seconds, and a mistake in a policy's name
+or folder is refused without them.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
 from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder, require_bags
-from roboxim_bringup.runs.pictures import drawn_by_name, film
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
 from roboxim_core.config import load_config, named_config
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
-from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
-from roboxim_eval.statistics import SuccessRate, error_line, is_measured, rate_of
-from roboxim_recorder.bag import BagReader
-from roboxim_tasks.config import TaskMix, parse_task_config
-from roboxim_tasks.task_config import TaskConfig
+
+if TYPE_CHECKING:
+    from roboxim_eval.report import PolicyRun
+    from roboxim_eval.statistics import SuccessRate
+    from roboxim_tasks.task_config import TaskConfig
 
 SHOWN = 12
 """Films per policy in the report, failures first."""
@@ -64,11 +68,15 @@ class PolicyResult:
     @property
     def measured(self) -> bool:
         """Whether the results measure the policy: not where most episodes ended in errors."""
+        from roboxim_eval.statistics import is_measured
+
         return is_measured(self.results)
 
     @property
     def rate(self) -> SuccessRate:
         """Success rate with its interval; an error counts as no success."""
+        from roboxim_eval.statistics import rate_of
+
         return rate_of(self.results)
 
     @property
@@ -218,6 +226,8 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str) -> Ep
 
 
 def _cells(task_config: str) -> Sequence[TaskConfig]:
+    from roboxim_tasks.config import TaskMix, parse_task_config
+
     config = parse_task_config(task_config)
     return config.cells if isinstance(config, TaskMix) else (config,)
 
@@ -302,6 +312,8 @@ def _tell_resumed(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: boo
 
 def rate_line(results: Sequence[EpisodeResult]) -> str:
     """Say how a policy did: its rate with the interval, and errors; the errors alone where most episodes ended so."""
+    from roboxim_eval.statistics import error_line, is_measured, rate_of
+
     errors = error_line(results)
     if not is_measured(results):
         return errors
@@ -318,6 +330,9 @@ def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob
 
 
 def _policy_run(result: PolicyResult) -> PolicyRun:
+    from roboxim_bringup.runs.pictures import drawn_by_name, film
+    from roboxim_eval.report import PolicyRun
+
     recorded = [episode for episode in result.results if episode.bag]
     failed = [episode for episode in recorded if episode.outcome != "success"][: SHOWN // 2]
     solved = [episode for episode in recorded if episode.outcome == "success"][: SHOWN - len(failed)]
@@ -330,6 +345,8 @@ def _report(
     config: EvaluationConfig, found: Mapping[str, PolicyResult], policy_facts: Mapping[str, str]
 ) -> EvaluationResult:
     """Write the report."""
+    from roboxim_eval.report import Report, verdict_line, write_report
+
     facts = {"task": config.task_name, "run seed": str(config.seed), "purpose": "eval"}
     facts |= {"episodes": str(len(next(iter(found.values())).results)), **policy_facts}
     versions: dict[str, str] = {}
@@ -362,6 +379,8 @@ def _report(
 
 def _first_info(result: PolicyResult) -> EpisodeInfo | None:
     """Return what a policy's first bag says of itself; none without a bag."""
+    from roboxim_recorder.bag import BagReader
+
     first = next((episode for episode in result.results if episode.bag), None)
     return None if first is None else BagReader(result.folder / first.bag).info
 

@@ -16,7 +16,7 @@ from roboxim_bringup.parameters import parse_options
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.policies import Policy
 from roboxim_policies import POLICIES
-from roboxim_policies.base import find_policy, require_arguments
+from roboxim_policies.base import find_policy, load_policy, require_arguments
 from roboxim_policies.bc.checkpoint_file import read_description
 from roboxim_policies.identity import policy_files
 
@@ -255,4 +255,4 @@ def _require_whole(policy: ChosenPolicy) -> None:
     if policy.spec == "bc":
         read_description(Path(policy.options[CHECKPOINT]))
     elif policy.make.__module__ == roboxim_policies.builtin.__name__:
-        policy.make(**policy.options)  # quick, and says which value is wrong
+        load_policy(policy.spec, **policy.options)  # quick, and says which value is wrong

@@ -69,13 +69,14 @@ def train_bc(
         CancelledError: When the training was cancelled.
         ConfigError: When the dataset is none, or the folder holds another training.
     """
+    settings = config or BCConfig()
+    folder = checked_path(out)
+    checked_path(dataset)
+    if folder.is_file():
+        make_folder(folder)  # says so
     from roboxim_policies.bc.data import load_rlds  # JAX takes a second
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
-    settings = config or BCConfig()
-    folder = checked_path(out)
-    if folder.is_file():
-        make_folder(folder)  # says so
     started = time.monotonic()
 
     def reading(done: int, total: int) -> None:
