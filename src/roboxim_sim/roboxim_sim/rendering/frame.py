@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 MAX_LIGHTS = 4
 CONTACT_REACH_M = 0.17
 """Height above the table up to which an object darkens it."""
-PIXELS_PER_FACE = 12.0
+PIXELS_PER_FACE = 6.0
 """A body with fewer visible pixels per face is drawn with its coarse shape: a rasteriser without a GPU shades blocks of
 pixels, whole for each face that touches them."""
 TO_TEXTURE = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])

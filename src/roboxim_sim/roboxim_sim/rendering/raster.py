@@ -217,8 +217,9 @@ class RasterRenderer:
         self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
 
     def _smooth(self, target: _Target) -> None:
-        """Anti-alias the colour."""
+        """Anti-alias the colour: edges are drawn over a copy, because most pixels have none."""
         self._context.enable_only(moderngl.NOTHING)
+        self._context.copy_framebuffer(target.final.fbo, target.colour)
         target.final.fbo.use()
         target.raw.colors[0].use(SAMPLERS["image"])
         self._fill("FXAA_FRAGMENT")
@@ -265,8 +266,11 @@ class _Target:
         self.geometry = geometry
         self.raw = Buffer(context, size, colors, depth="buffer")
         self.final = Buffer(context, size, [(4, "f1")])
+        self.colour = context.framebuffer([self.raw.colors[0]])
+        """The colour of `raw` alone, to copy it from."""
 
     def release(self) -> None:
+        self.colour.release()
         self.raw.release()
         self.final.release()
 
