@@ -34,8 +34,10 @@ lint: setup ## check style and format, changing nothing
 types: setup ## type-check every package strictly
 	$(BIN)/mypy
 
-bench-%: setup ## run benchmarks/NAME.py; ARGS="--quick --json FILE" adds options
-	$(BIN)/python benchmarks/$*.py $(ARGS)
+bench-%: setup ## run benchmarks/*/NAME.py; ARGS="--quick --json FILE" adds options
+	@test -f "$(wildcard benchmarks/*/$*.py)" || { echo "No benchmark '$*'; there are:" \
+	  $(sort $(notdir $(basename $(filter-out benchmarks/peers/%,$(wildcard benchmarks/*/[a-z]*.py))))); exit 2; }
+	$(BIN)/python -m $(subst /,.,$(basename $(wildcard benchmarks/*/$*.py))) $(ARGS)
 
 docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)

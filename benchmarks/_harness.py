@@ -1,6 +1,6 @@
 """What every benchmark shares: options, a table, a JSON file, and a headline figure as the last line.
 
-A benchmark is a file ``benchmarks/NAME.py``::
+A benchmark is a file ``benchmarks/SUBJECT/NAME.py``, run by ``make bench-NAME``::
 
     def main() -> None:
         bench = Bench("render", __doc__)
@@ -45,7 +45,7 @@ class Bench:
             add_options: Adds options of the benchmark's own, which end up in ``options``.
         """
         parser = argparse.ArgumentParser(
-            prog=f"benchmarks/{name}.py", description=description, formatter_class=argparse.RawTextHelpFormatter
+            prog=f"make bench-{name}", description=description, formatter_class=argparse.RawTextHelpFormatter
         )
         parser.add_argument("--quick", action="store_true", help="fewer repetitions: end within 45 s")
         parser.add_argument("--json", type=Path, metavar="FILE", help="also write the result to FILE")

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _benchmarks_importable():
-    sys.path.insert(0, str(BENCHMARKS))
+    sys.path.insert(0, str(ROOT))
     yield
-    sys.path.remove(str(BENCHMARKS))
+    sys.path.remove(str(ROOT))
 
 
 def test_a_run_goes_on_with_its_own_code_and_configuration_alone(tmp_path, monkeypatch):
-    import _kept
+    from benchmarks.expert import _kept
 
     folder = tmp_path / "run"
     _kept.Kept(folder, {"a": "skill: pick_up"}).add([{"cell": "a", "index": 0}])
@@ -36,7 +36,7 @@ def test_a_run_goes_on_with_its_own_code_and_configuration_alone(tmp_path, monke
 
 
 def test_the_codes_digest_is_that_of_the_files(tmp_path, monkeypatch):
-    import _kept
+    from benchmarks.expert import _kept
 
     monkeypatch.setattr(_kept, "PACKAGES", ())
     monkeypatch.setattr(_kept, "config_dirs", lambda: (tmp_path,))
@@ -50,8 +50,8 @@ def test_the_codes_digest_is_that_of_the_files(tmp_path, monkeypatch):
 
 
 def test_an_episodes_figures_are_those_of_its_settled_scene():
-    from _cells import cells
-    from _expert_run import ChunkWorker
+    from benchmarks.expert._cells import cells
+    from benchmarks.expert._expert_run import ChunkWorker
 
     cell = next(cell for cell in cells(3) if cell.name == "pick_up/apple/3")
     job = {"cell": cell.name, "config": cell.config(), "indices": [2], "replayed": [2]}

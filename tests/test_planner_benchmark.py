@@ -15,14 +15,14 @@ import pinocchio as pin
 import pytest
 import yaml
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+ROOT = Path(__file__).resolve().parents[1]
 START = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.8])
 END = np.array([0.9, -0.2, 0.2, -2.0, 0.1, 1.9, 0.5])
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _benchmarks_importable() -> Iterator[None]:
-    paths = [str(BENCHMARKS), str(BENCHMARKS / "peers")]
+    paths = [str(ROOT), str(ROOT / "benchmarks" / "peers")]
     sys.path[:0] = paths
     yield
     for path in paths:
@@ -36,20 +36,20 @@ def quintic(start: np.ndarray, end: np.ndarray, duration: float = 2.0) -> np.nda
 
 
 def judge(positions, solids=(), held=None, goal=END, start=START):
-    from _referee import Referee
+    from benchmarks.planner._referee import Referee
 
     return Referee(solids, held).judge(positions, (len(positions) - 1) * 1e-3, start, goal)
 
 
 def test_a_smooth_free_motion_is_valid() -> None:
-    from _referee import Referee
+    from benchmarks.planner._referee import Referee
 
     assert judge(quintic(START, END)).clean
     assert judge(quintic(START, END), goal=Referee([]).tcp(END)).clean
 
 
 def test_a_thin_pole_on_the_way_is_hit() -> None:
-    from _referee import Referee, Solid
+    from benchmarks.planner._referee import Referee, Solid
 
     middle = Referee([]).tcp(0.5 * (START + END)).translation
     pole = Solid(kind="cylinder", size=(0.002, 0.05), position=tuple(middle))
@@ -60,7 +60,7 @@ def test_a_thin_pole_on_the_way_is_hit() -> None:
 
 
 def test_what_is_held_collides_with_obstacles_and_with_the_arm_but_not_with_the_fingers() -> None:
-    from _referee import Referee, Solid
+    from benchmarks.planner._referee import Referee, Solid
 
     tip = Referee([]).tcp(START)
     stick = Solid(kind="box", size=(0.02, 0.02, 0.3), position=(0.0, 0.0, 0.12))
@@ -109,7 +109,7 @@ def test_a_spoiled_motion_is_caught(spoil, said: str) -> None:
 
 
 def test_a_goal_missed_by_a_hair_is_caught() -> None:
-    from _referee import Referee
+    from benchmarks.planner._referee import Referee
 
     goal = Referee([]).tcp(END)
     for off in (pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.0012])), pin.SE3(pin.utils.rotate("x", 0.012), np.zeros(3))):
@@ -117,7 +117,7 @@ def test_a_goal_missed_by_a_hair_is_caught() -> None:
 
 
 def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
-    from _referee import UPPER, Referee
+    from benchmarks.planner._referee import UPPER, Referee
 
     end = END.copy()
     end[6] = UPPER[6] + 0.01
@@ -127,8 +127,8 @@ def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
 
 
 def test_skipping_what_cannot_collide_misses_nothing() -> None:
-    from _problems import tabletop
-    from _referee import LOWER, UPPER
+    from benchmarks.planner._problems import tabletop
+    from benchmarks.planner._referee import LOWER, UPPER
 
     rng = np.random.default_rng(3)
     referee = tabletop(0).referee()
@@ -140,7 +140,7 @@ def test_skipping_what_cannot_collide_misses_nothing() -> None:
 
 
 def test_tabletop_problems_are_what_they_claim() -> None:
-    from _problems import tabletop
+    from benchmarks.planner._problems import tabletop
 
     problems = [tabletop(seed) for seed in range(20)]
     assert sum(p.detour for p in problems) >= 10
@@ -154,7 +154,7 @@ def test_tabletop_problems_are_what_they_claim() -> None:
 
 
 def test_every_hard_family_gives_problems() -> None:
-    from _problems_hard import FAMILIES, hard
+    from benchmarks.planner._problems_hard import FAMILIES, hard
 
     for family in FAMILIES:
         p = hard(family, 1)
@@ -164,9 +164,9 @@ def test_every_hard_family_gives_problems() -> None:
 
 
 def test_the_search_tells_solvable_from_walled_in() -> None:
-    from _exhaustive import is_solvable
-    from _problems import problem, tabletop
-    from _referee import Referee, Solid
+    from benchmarks.planner._exhaustive import is_solvable
+    from benchmarks.planner._problems import problem, tabletop
+    from benchmarks.planner._referee import Referee, Solid
 
     assert is_solvable(tabletop(1), 10.0)
     # walls between here and there that begin close to the base, and a roof that keeps the arm from standing upright
@@ -244,7 +244,7 @@ def write_pairs(folder: Path) -> Path:
 
 
 def test_published_formats_say_the_same(tmp_path: Path) -> None:
-    from _problem_files import load_problems
+    from benchmarks.planner._problem_files import load_problems
 
     pair = write_pairs(tmp_path / "set")
     archive = tmp_path / "problems.tar.bz2"
@@ -267,7 +267,7 @@ def test_published_formats_say_the_same(tmp_path: Path) -> None:
 
 
 def test_a_problem_that_begins_in_collision_is_left_out_by_name(tmp_path: Path) -> None:
-    from _problem_files import load_problems
+    from benchmarks.planner._problem_files import load_problems
 
     content = json.loads(json.dumps(COLLECTION))
     content["problems"]["shelf_panda"][0]["sphere"][0] = {"radius": 0.2, "position": [0.4, 0.0, 0.5]}
@@ -279,9 +279,9 @@ def test_a_problem_that_begins_in_collision_is_left_out_by_name(tmp_path: Path) 
 
 
 def test_an_unsolved_problem_counts_unless_it_is_proved_infeasible() -> None:
-    from _contenders import OURS, Outcome
-    from _motions import INFEASIBLE, Store, infeasible, summary
-    from _problems import tabletop
+    from benchmarks.planner._contenders import OURS, Outcome
+    from benchmarks.planner._motions import INFEASIBLE, Store, infeasible, summary
+    from benchmarks.planner._problems import tabletop
 
     free = tabletop(1)
     blocked = replace(free, name="tabletop-2", solids=(*free.solids, _ball_at_the_start(free)))
@@ -296,7 +296,7 @@ def test_an_unsolved_problem_counts_unless_it_is_proved_infeasible() -> None:
 
 
 def _ball_at_the_start(problem: Any) -> Any:
-    from _referee import Solid
+    from benchmarks.planner._referee import Solid
 
     pose = problem.referee().tcp(np.array(problem.start))
     x, y, z = pose.translation.tolist()
@@ -304,8 +304,8 @@ def _ball_at_the_start(problem: Any) -> Any:
 
 
 def test_infeasibility_is_proved_at_the_ends_only() -> None:
-    from _exhaustive import why_infeasible
-    from _problems import tabletop
+    from benchmarks.planner._exhaustive import why_infeasible
+    from benchmarks.planner._problems import tabletop
 
     free = tabletop(1)
     assert why_infeasible(free) == ""
@@ -315,7 +315,7 @@ def test_infeasibility_is_proved_at_the_ends_only() -> None:
 
 
 def test_a_scene_with_an_octomap_is_read_for_its_objects_only() -> None:
-    from _problem_files import needed_of_scene
+    from benchmarks.planner._problem_files import needed_of_scene
 
     octomap = {"origin": {}, "octomap": {"data": list(range(2_000))}}
     matrix = {"entry_names": ["a"], "entry_values": [[False]]}
@@ -331,7 +331,7 @@ def test_a_scene_with_an_octomap_is_read_for_its_objects_only() -> None:
 
 @pytest.mark.parametrize("damage", ["no folder", "empty", "no request", "mesh", "pose goal", "joints"])
 def test_a_file_that_cannot_be_read_says_where(tmp_path: Path, damage: str) -> None:
-    from _problem_files import ProblemFileError, load_problems
+    from benchmarks.planner._problem_files import ProblemFileError, load_problems
 
     pair = write_pairs(tmp_path / "set")
     path = pair
@@ -363,7 +363,7 @@ def test_a_file_that_cannot_be_read_says_where(tmp_path: Path, damage: str) -> N
     [("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "signal 9"), ("import time; time.sleep(60)", "hung")],
 )
 def test_a_contender_that_dies_or_hangs_has_failed(tmp_path: Path, body: str, said: str) -> None:
-    from _contenders import Contender
+    from benchmarks.planner._contenders import Contender
 
     script = tmp_path / "run.py"
     script.write_text(f"print('{{\"ready\": true}}', flush=True)\ninput()\n{body}\n")
@@ -372,7 +372,7 @@ def test_a_contender_that_dies_or_hangs_has_failed(tmp_path: Path, body: str, sa
 
 
 def test_a_fault_of_a_contenders_script_stops_the_benchmark(tmp_path: Path) -> None:
-    from _contenders import Contender
+    from benchmarks.planner._contenders import Contender
 
     script = tmp_path / "run.py"
     script.write_text("print('{\"ready\": true}', flush=True)\ninput()\nraise KeyError('typo')\n")
@@ -383,7 +383,7 @@ def test_a_fault_of_a_contenders_script_stops_the_benchmark(tmp_path: Path) -> N
 @pytest.fixture(scope="module")
 def ours() -> Callable[..., Any]:
     """Plans a problem in this process and returns the motion's samples and its duration."""
-    import run_roboxim
+    from benchmarks.peers import run_roboxim
 
     from roboxim_core.models.library import ModelLibrary
     from roboxim_planner.pipeline import Planner
@@ -403,8 +403,8 @@ def verdict_on(problem: Any, motion: tuple[np.ndarray, float]) -> Any:
 
 
 def test_the_planners_motions_are_clean(ours) -> None:
-    from _problems import tabletop
-    from _problems_hard import FAMILIES, hard
+    from benchmarks.planner._problems import tabletop
+    from benchmarks.planner._problems_hard import FAMILIES, hard
 
     problems = [tabletop(seed, salt=9) for seed in range(8)] + [hard(family, 3, salt=9) for family in FAMILIES]
     for problem in problems:
@@ -412,17 +412,16 @@ def test_the_planners_motions_are_clean(ours) -> None:
 
 
 def test_a_graze_between_free_samples_is_not_let_through(ours) -> None:
-    from _problems import tabletop
-    from _problems_hard import hard
+    from benchmarks.planner._problems import tabletop
+    from benchmarks.planner._problems_hard import hard
 
     for problem, seed in ((tabletop(598), 598), (hard("table_under_pick", 12, salt=1), 12)):
         assert verdict_on(problem, ours(problem, seed)).clean, problem.name
 
 
 def test_a_planner_that_overlooks_obstacles_is_caught(ours, monkeypatch: pytest.MonkeyPatch) -> None:
-    import run_roboxim
-
-    from _problems import tabletop
+    from benchmarks.peers import run_roboxim
+    from benchmarks.planner._problems import tabletop
 
     seen = run_roboxim.scene_of
     monkeypatch.setattr(run_roboxim, "scene_of", lambda problem: seen(problem | {"solids": []}))
@@ -431,9 +430,8 @@ def test_a_planner_that_overlooks_obstacles_is_caught(ours, monkeypatch: pytest.
 
 
 def test_a_planner_that_forgets_what_it_holds_is_caught(ours, monkeypatch: pytest.MonkeyPatch) -> None:
-    import run_roboxim
-
-    from _problems import tabletop
+    from benchmarks.peers import run_roboxim
+    from benchmarks.planner._problems import tabletop
 
     seen = run_roboxim.scene_of
     monkeypatch.setattr(run_roboxim, "scene_of", lambda problem: seen(problem | {"held": None}))
@@ -444,7 +442,8 @@ def test_a_planner_that_forgets_what_it_holds_is_caught(ours, monkeypatch: pytes
 def test_a_time_law_beyond_the_limits_is_refused_and_caught_when_the_verifier_is_blind(
     ours, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from _problems import tabletop
+    from benchmarks.planner._problems import tabletop
+
     from roboxim_planner import pipeline, timing
     from roboxim_planner.verify import Finding
 

@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 from statistics import median
 
-from _harness import Bench
+from benchmarks._harness import Bench
+
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.graph import start_graph
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig

@@ -20,13 +20,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import trimesh
-
-from _problems import Problem
-from _referee import SOURCE, Verdict
-from peers._serve import unpack
+from benchmarks.peers._serve import unpack
+from benchmarks.planner._problems import Problem
+from benchmarks.planner._referee import SOURCE, Verdict
 
 Array = npt.NDArray[np.float64]
-HERE = Path(__file__).resolve().parent
+HERE = Path(__file__).resolve().parents[1]
 TOOLS = HERE.parent / ".tools"
 OURS = "roboxim"
 LIMIT_S = 5.0

@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 import pybullet
+from benchmarks._harness import Bench
 
-from _harness import Bench
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from benchmarks.peers._serve import pack, unpack
+from benchmarks.planner._contenders import OURS, Contender
+from benchmarks.planner._problems import Problem, arm, configuration_at, tabletop
+from benchmarks.planner._referee import LOWER, PERIOD_S, UPPER, Referee
 
-from _contenders import OURS, Contender
-from _problems import Problem, arm, configuration_at, tabletop
-from _referee import LOWER, PERIOD_S, UPPER, Referee
-from peers._serve import pack, unpack
 from roboxim_core.poses import Pose
 
 Array = npt.NDArray[np.float64]

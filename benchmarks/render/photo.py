@@ -10,11 +10,11 @@ import time
 from pathlib import Path
 from statistics import median
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import numpy as np
+from benchmarks._harness import Bench
 
-from _harness import Bench
 from render_scene import example_poses, example_scene
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world

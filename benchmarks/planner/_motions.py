@@ -10,12 +10,11 @@ from pathlib import Path
 
 import click
 import numpy as np
-
-from _contenders import OURS, Contender, Outcome
-from _exhaustive import is_solvable, why_infeasible
-from _problems import Problem, tabletop
-from _problems_hard import FAMILIES, hard
-from peers._serve import pack
+from benchmarks.peers._serve import pack
+from benchmarks.planner._contenders import OURS, Contender, Outcome
+from benchmarks.planner._exhaustive import is_solvable, why_infeasible
+from benchmarks.planner._problems import Problem, tabletop
+from benchmarks.planner._problems_hard import FAMILIES, hard
 
 Draw = tuple[str, int, Callable[[], Problem]]
 """Name, seed, and how to make the problem."""

@@ -11,12 +11,11 @@ import time
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from benchmarks.planner._problems import Problem, configuration_at
+from benchmarks.planner._referee import LOWER, UPPER
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
-
-from _problems import Problem, configuration_at
-from _referee import LOWER, UPPER
 
 Array = npt.NDArray[np.float64]
 EDGE_RAD = 0.02

@@ -22,9 +22,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 import yaml
-
-from _problems import Problem, problem
-from _referee import Referee, Solid
+from benchmarks.planner._problems import Problem, problem
+from benchmarks.planner._referee import Referee, Solid
 
 Array = npt.NDArray[np.float64]
 JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))

@@ -18,11 +18,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
-from _harness import Bench
-from _mujoco_scene import write_scene
-from _peer import Peer, installed
+from benchmarks._harness import Bench
+from benchmarks.peers._peer import Peer, installed
+from benchmarks.render._mujoco_scene import write_scene
+
 from render_scene import example_poses, example_scene
 from roboxim_core.config import digest
 from roboxim_core.models.library import ModelLibrary
@@ -95,7 +96,7 @@ import pickle, sys, time
 with open("/proc/self/stat") as file:
     begun = int(file.read().rsplit(")", 1)[1].split()[19]) / 100
 sys.path.insert(0, sys.argv[3])
-from _harness import rss_mib
+from benchmarks._harness import rss_mib
 from roboxim_sim.rendering.raster import RasterRenderer
 world, frames = pickle.load(open(sys.argv[1], "rb"))
 renderer = RasterRenderer()
@@ -115,8 +116,8 @@ def fresh(world: RenderWorld, frames: list[object], pairs: int, folder: Path) ->
     """Return a new process's time to its first pair [s], its memory [MiB], and the growth over so many pairs [MiB]."""
     path = folder / "world.pickle"
     path.write_bytes(pickle.dumps((world, frames)))
-    # argv 3: where the harness is; the process's begin is in /proc, so that the interpreter's start counts too.
-    command = [sys.executable, "-c", FRESH, str(path), str(pairs), str(Path(__file__).parent)]
+    # argv 3: the folder of the package `benchmarks`. The process's begin is in /proc: the interpreter's start counts.
+    command = [sys.executable, "-c", FRESH, str(path), str(pairs), str(Path(__file__).parents[2])]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     ready, memory, growth = (float(word) for word in done.stdout.rpartition("@@")[2].split())
     return ready, memory, growth

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from benchmarks.planner._referee import LOWER, UPPER, Referee, Solid
 
-from _referee import LOWER, UPPER, Referee, Solid
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose

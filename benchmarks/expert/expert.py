@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks._harness import Bench
+from benchmarks.expert._cells import Cell, cells
+from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
-from _cells import Cell, cells
-from _harness import Bench
-from _kept import Kept
 from roboxim_bringup.executors import Job, LocalExecutor, Lost, Note, Work
 from roboxim_eval.statistics import success_rate
 from roboxim_tasks.task_config import VisibleConfig
@@ -119,7 +119,7 @@ def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -
         data = {"cell": cell.name, "config": cell.config(), "indices": indices, "replayed": replayed}
         jobs.append(Job(key=f"{cell.name} {indices[0]}", data=data))
     executor = LocalExecutor(options.workers, log_dir=options.out / "logs" if options.out else None)
-    work = Work(worker="_expert_run:ChunkWorker", python_path=(str(Path(__file__).parent),))
+    work = Work(worker="benchmarks.expert._expert_run:ChunkWorker", python_path=(str(Path(__file__).parents[2]),))
     try:
         for outcome in executor.run(work, jobs, on_note=_tell):
             if isinstance(outcome, Lost):

@@ -14,14 +14,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks._harness import Bench
+from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
-from _harness import Bench
-from _kept import Kept
 from roboxim_bringup.trial_runs import TrialRuns
 from roboxim_tasks.trials import TRIALS, Trial
 
-DOCS = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "tasks.md"
 BEGIN, END = "<!-- adversaries: begin -->", "<!-- adversaries: end -->"
 HEAD = "| skill | what is tried | must | as expected |\n| --- | --- | --- | --- |"
 

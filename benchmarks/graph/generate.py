@@ -6,7 +6,8 @@ Counts the steady state: from the first finished episode to the last one, and st
 import tempfile
 import time
 
-from _harness import Bench
+from benchmarks._harness import Bench
+
 from roboxim_bringup.runs.events import EpisodeFinished, Event
 from roboxim_bringup.runs.generation import GenerationConfig, generate
 

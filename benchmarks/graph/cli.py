@@ -13,7 +13,8 @@ import time
 from collections.abc import Mapping
 from statistics import median
 
-from _harness import Bench
+from benchmarks._harness import Bench
+
 from roboxim_ros.runs import find_run
 
 ROBOXIM = (sys.executable, "-m", "roboxim_bringup")

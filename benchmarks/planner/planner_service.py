@@ -11,13 +11,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from statistics import median
 
+from benchmarks._harness import Bench, time_ms
 from geometry_msgs.msg import PoseStamped
 from roboxim_interfaces.msg import CollisionObject
 from roboxim_interfaces.srv import CheckState, ComputeIK, PlanCartesian, PlanToPose
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 
-from _harness import Bench, time_ms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_planner.collision import CollisionWorld

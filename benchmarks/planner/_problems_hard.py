@@ -13,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-
-from _problems import Problem, free_configuration, problem
-from _referee import Referee, Solid
+from benchmarks.planner._problems import Problem, free_configuration, problem
+from benchmarks.planner._referee import Referee, Solid
 
 Array = npt.NDArray[np.float64]
 Scene = tuple[list[Solid], Callable[[np.random.Generator], pin.SE3], Callable[[np.random.Generator], pin.SE3]]

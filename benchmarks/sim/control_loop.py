@@ -14,11 +14,11 @@ import time
 from pathlib import Path
 from statistics import median
 
+from benchmarks._harness import Bench
+from benchmarks.peers._peer import Peer, installed
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.srv import RunEpisodes
 
-from _harness import Bench
-from _peer import Peer, installed
 from roboxim_bringup.graph import PolicyLaunch, start_graph
 from roboxim_core.episode import RunConfig
 from roboxim_ros.conversions import to_msg

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 import yaml
+from benchmarks._harness import Bench
+from benchmarks.expert._expert_run import DISTURBED_M, NOISE_M, NOISE_RAD
 from tqdm import tqdm
 
-from _expert_run import DISTURBED_M, NOISE_M, NOISE_RAD
-from _harness import Bench
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_bringup.cores import CorePlanner
 from roboxim_bringup.task_choice import task_text

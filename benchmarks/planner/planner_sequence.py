@@ -13,9 +13,9 @@ import time
 from statistics import median
 
 import numpy as np
+from benchmarks._harness import Bench
 from scipy.spatial.transform import Rotation
 
-from _harness import Bench
 from roboxim_core.errors import PlannerError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose

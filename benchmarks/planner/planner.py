@@ -29,13 +29,20 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import click
-
-sys.path.insert(0, str(Path(__file__).parent))
-from _abilities import ik_row, load_row, memory_row, retreat_row
-from _contenders import OURS, Contender, contenders, our_planner, toppra_measure
-from _harness import Bench
-from _motions import Draw, Store, file_draws, hard_draws, infeasible, run_problems, summary, tabletop_draws
-from _problem_files import ProblemFileError, load_problems
+from benchmarks._harness import Bench
+from benchmarks.planner._abilities import ik_row, load_row, memory_row, retreat_row
+from benchmarks.planner._contenders import OURS, Contender, contenders, our_planner, toppra_measure
+from benchmarks.planner._motions import (
+    Draw,
+    Store,
+    file_draws,
+    hard_draws,
+    infeasible,
+    run_problems,
+    summary,
+    tabletop_draws,
+)
+from benchmarks.planner._problem_files import ProblemFileError, load_problems
 
 SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory", "load")
 

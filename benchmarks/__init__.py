@@ -1,0 +1,1 @@
+"""RoboXim's benchmarks, a folder for each subject; `make bench-NAME` runs one."""
