@@ -1,4 +1,4 @@
-"""Reads an episode's bag as the core's values, without a ROS installation: the bag carries its types' definitions."""
+"""Reads an episode's bag as values of roboxim_core; bags contain their message definitions, so no ROS is needed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def damage(path: Path) -> Iterator[None]:
 
 
 def damaged(path: Path, what: str) -> RecorderError:
-    """Make the error that names a bag and what is wrong with it."""
+    """Return an error that names a bag and its damage."""
     return RecorderError(
         f"bag {path} is damaged: {what}; 'roboxim bag repair' saves what can be read", ErrorCode.BAG_DAMAGED
     )
@@ -83,7 +83,7 @@ def mcap_file(path: Path | str) -> Path:
     """Return the MCAP file of a bag, given its folder or the file itself.
 
     Raises:
-        ConfigError: When the path is no bag at all: nothing, another kind of file, a run.
+        ConfigError: When the path is not a bag: it does not exist, is another kind of file, or is a run.
         RecorderError: With code ``BAG_DAMAGED`` when the file is missing.
     """
     path = Path(path)
@@ -122,7 +122,7 @@ class BagReader:
             path: The bag's folder, or its ``.mcap`` file.
 
         Raises:
-            ConfigError: When the path is no bag at all.
+            ConfigError: When the path is not a bag.
             RecorderError: With code ``BAG_DAMAGED`` when it is not a whole bag.
         """
         self.file = mcap_file(path)
@@ -177,7 +177,7 @@ class BagReader:
         """Yield topic, stamp [ns] and decoded message in the order of recording.
 
         Args:
-            names: Topics; none: all.
+            names: Topics; None: all.
 
         Raises:
             InvalidRequestError: On a topic that the bag does not have.
@@ -224,7 +224,7 @@ class BagReader:
         """Yield the ticks in order.
 
         Args:
-            cameras: Cameras whose images to give; none: all.
+            cameras: Cameras whose images to read; None: all.
 
         Raises:
             InvalidRequestError: On a camera that the bag does not have.

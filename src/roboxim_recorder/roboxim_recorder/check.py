@@ -65,7 +65,7 @@ def check_bag(path: Path | str) -> BagReport:
         path: The bag's folder or its MCAP file.
 
     Raises:
-        ConfigError: When the path is no bag at all.
+        ConfigError: When the path is not a bag.
     """
     problems: list[str] = []
     check = None

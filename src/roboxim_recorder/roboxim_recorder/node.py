@@ -1,9 +1,9 @@
 """The recorder node: one bag per episode, from the raw messages of the graph.
 
-Publishers of a tick are transient local and so are these subscriptions, hence a tick that is published before the two
-ends have found each other still arrives; what was published before the episode was opened is told by its source's time.
-Subscriptions are made once and kept: matching is what takes time. A tick's messages are taken together, when the loop's
-step says that the tick is over: a node that wakes for each of them while the sim renders slows the sim down.
+Publishers of a tick and these subscriptions are transient local, so a tick that is published before both ends have
+matched still arrives. Messages that were published before the episode was opened are recognised by their source
+timestamps and ignored. Subscriptions are made once and kept, because matching takes time. A tick's messages are taken
+together, when the loop's step says that the tick is over: waking for each message would slow the rendering sim down.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What a bag must know of a message type: its full definition, its hash, and how to decode it. No ROS is imported.
+"""Definitions, hashes and decoders of message types, for bags. No ROS is imported.
 
-Definitions come from the interface files that every ROS package installs in its share folder, so a bag carries the
-comments too. Decoding is `rosbags`'.
+Definitions come from the interface files that every ROS package installs in its share folder, so a bag
+also carries the comments. `rosbags` decodes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What there is to say of a bag and of a folder of bags, as values and as text."""
+"""Summaries of bags and of folders of bags, as values and as text."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _named(result: EpisodeResult) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """What a folder of bags holds."""
+    """Summary of a folder of bags."""
 
     path: Path
     """The folder."""

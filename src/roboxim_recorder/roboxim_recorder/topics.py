@@ -26,7 +26,7 @@ ALWAYS = {
 }
 """Topics of every episode."""
 OF_SCENE = (TF_STATIC, DESCRIPTION)
-"""Those with a message in tick 0 only, which holds for the whole episode."""
+"""Topics with a message in tick 0 only, which is valid for the whole episode."""
 
 WALL_TIMES = {STEP: ("inference_s",), RESULT: ("wall_s", "inference_s")}
 """Fields that hold wall time [s]; they are 0 in bags, so that equal episodes give equal bytes."""

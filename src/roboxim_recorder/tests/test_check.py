@@ -101,7 +101,7 @@ def test_a_folder_without_bags_is_named(tmp_path, fake):
         list_bags(tmp_path / "nothere")
 
 
-def test_a_path_of_another_kind_is_no_damaged_bag(tmp_path, fake):
+def test_non_bags_are_distinguished_from_damaged_bags(tmp_path, fake):
     bag = fake().record(tmp_path)
     (tmp_path / "policy.py").write_text("class Policy: ...")
     with pytest.raises(ConfigError, match="policy.py is not a bag"):

@@ -1,4 +1,4 @@
-"""What stands beside an exported dataset: its statistics, and how the usual loaders are told of it."""
+"""Files beside an exported dataset: statistics, a README, and configurations for common loaders."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def dead_dimensions(statistics: dict[str, list[float]]) -> tuple[str, ...]:
 def loader_files(
     name: str, version: str, features: RldsFeatures, semantics: ActionSemantics, statistics: dict[str, Any]
 ) -> dict[str, str]:
-    """Return file name to text of what helps to load a dataset."""
+    """Return the files that help to load a dataset: name to text."""
     keys = sorted(features.images)
     wrist = next((key for key in keys if "wrist" in key), None)
     primary = "image" if "image" in keys else next(key for key in keys if key != wrist or len(keys) == 1)
@@ -92,7 +92,7 @@ def loader_files(
     }
 
 
-_REGISTER = '''"""Tells OpenVLA of the dataset `{name}`: import this and call `register()` before training."""
+_REGISTER = '''"""Registers the dataset `{name}` with OpenVLA: import this and call `register()` before training."""
 
 
 def register() -> None:

@@ -1,7 +1,7 @@
 """Writes a dataset in the RLDS format: sharded, atomic, resumable, the same bytes for the same episodes.
 
-It is built in a hidden folder beside its place and renamed when complete, so what carries the name is whole;
-an interrupted build goes on after its last finished shard.
+A dataset is built in a hidden folder beside its final place and renamed when complete. An interrupted build continues
+after its last finished shard.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class RldsWriter:
             name: Name of the dataset, lower case with underscores.
             version: ``major.minor.patch``.
             description: For ``dataset_info.json``.
-            identity: What tells this build from another; empty: never resumed.
+            identity: Distinguishes this build from others; empty: never resumed.
             overwrite: Whether an existing dataset of this name and version is replaced at the end.
             shard_bytes: Size at which a shard is finished [B].
 
