@@ -14,7 +14,7 @@ ROOMS = ["sim", "planner", "tasks", "recorder", "eval", "policies"]
 NODE_MODULES = {"node", "conversions", "ports", "ros", "tick_messages", "controllers"}
 """Modules of a room that may use rclpy or messages."""
 ALLOWED = {
-    "roboxim_core": set(),
+    "roboxim_core": {"roboxim_planner_native"},  # inverse kinematics of the delta controller
     "roboxim_datasets": {"roboxim_core"},
     "roboxim_ros": {"roboxim_core", "roboxim_interfaces"},
     **{f"roboxim_{room}": {"roboxim_core", "roboxim_ros", "roboxim_interfaces"} for room in ROOMS},

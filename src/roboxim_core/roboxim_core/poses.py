@@ -12,12 +12,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_core.quaternions import Quat
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 Vec3 = tuple[float, float, float]
-Quat = tuple[float, float, float, float]
 Array = npt.NDArray[np.float64]
 
 
@@ -38,9 +38,10 @@ class Pose:
         """
         if len(self.position) != 3 or len(self.quat_xyzw) != 4:
             raise InvalidRequestError(f"a pose is a position of 3 and a quaternion of 4 numbers, got {self}")
-        if not all(math.isfinite(value) for value in (*self.position, *self.quat_xyzw)):
+        (px, py, pz), (x, y, z, w) = self.position, self.quat_xyzw
+        if not math.isfinite(px + py + pz + x + y + z + w):  # also of finite numbers that are absurdly large
             raise InvalidRequestError(f"a pose must be finite, got {self}")
-        norm = math.sqrt(sum(value * value for value in self.quat_xyzw))
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
         if abs(norm - 1.0) > 1e-3:
             raise InvalidRequestError(f"a pose's quaternion must have norm 1, got {norm:.4f} in {self}")
 

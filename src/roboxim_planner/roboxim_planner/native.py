@@ -22,7 +22,7 @@ try:
 except ImportError as error:
     raise ImportError(f"the planner's native kernel cannot be loaded ({error}); run `make setup`") from error
 
-EXPECTED_API = 4
+EXPECTED_API = 5
 if API != EXPECTED_API:
     raise ImportError(f"the planner needs version {EXPECTED_API} of its native kernel, found {API}; run `make setup`")
 

@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import overload
 
 import numpy as np
@@ -27,6 +27,18 @@ class Arm:
     ) -> None: ...
     def tcp_poses(self, joints: npt.ArrayLike) -> _Array: ...
     def tcp_speeds(self, joints: npt.ArrayLike, velocities: npt.ArrayLike) -> _Array: ...
+    def follow(
+        self,
+        position: Sequence[float],
+        quaternion: Sequence[float],
+        start: Sequence[float],
+        *,
+        pull: Sequence[float],
+        largest_change: Sequence[float],
+        iterations: int,
+        position_tolerance: float,
+        rotation_tolerance: float,
+    ) -> tuple[list[float], float, float]: ...
     def ik(
         self,
         target: npt.ArrayLike,

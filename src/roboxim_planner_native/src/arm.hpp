@@ -73,6 +73,24 @@ struct IkOutcome {
 IkOutcome inverse_kinematics(const Arm& arm, const Transform& target, const double* reference, std::uint64_t seed,
                              const IkSettings& settings);
 
+// How a moving target is followed from one tick to the next.
+struct FollowSettings {
+  double position_tolerance = 1e-7;
+  double rotation_tolerance = 1e-6;
+  int iterations = 30;
+};
+
+struct FollowOutcome {
+  std::vector<double> joints;  // the best found
+  double position_error = 1e300;
+  double rotation_error = 1e300;
+};
+
+// Damped least squares from one start, within bounds of each joint. `pull`, of dof entries or null, is added to the first
+// step as far as it does not move the tool centre point.
+FollowOutcome follow(const Arm& arm, const Transform& target, const double* start, const double* lower,
+                     const double* upper, const double* pull, const FollowSettings& settings);
+
 // SplitMix64 (Steele, Lea, Flood 2014): small, the same everywhere.
 struct Random {
   std::uint64_t state;

@@ -23,8 +23,8 @@ Vec3 rotation_error(const Mat3& goal, const Mat3& now) {
   return angle > 3.0 ? Vec3{3.141592653589793, 0.0, 0.0} : axis;
 }
 
-// Solves the symmetric positive definite system of six in place (Cholesky).
-void solve_six(double* a, double* b) {
+// The symmetric positive definite matrix of six becomes its Cholesky factor.
+void factor_six(double* a) {
   for (int i = 0; i < 6; ++i) {
     for (int j = 0; j <= i; ++j) {
       double sum = a[6 * i + j];
@@ -32,6 +32,10 @@ void solve_six(double* a, double* b) {
       a[6 * i + j] = i == j ? std::sqrt(std::max(sum, 1e-30)) : sum / a[6 * j + j];
     }
   }
+}
+
+// Solves in place with a factor.
+void substitute_six(const double* a, double* b) {
   for (int i = 0; i < 6; ++i) {
     for (int k = 0; k < i; ++k) b[i] -= a[6 * i + k] * b[k];
     b[i] /= a[6 * i + i];
@@ -40,6 +44,11 @@ void solve_six(double* a, double* b) {
     for (int k = i + 1; k < 6; ++k) b[i] -= a[6 * k + i] * b[k];
     b[i] /= a[6 * i + i];
   }
+}
+
+void solve_six(double* a, double* b) {
+  factor_six(a);
+  substitute_six(a, b);
 }
 
 struct Descent {
@@ -139,7 +148,78 @@ struct Descent {
   }
 };
 
+constexpr double kFollowTurn = 0.3;    // metres that a radian of error counts as
+constexpr double kFollowStep = 0.3;    // largest change of a joint in an iteration [rad or m]
+
+// One damped step; joints that a bound stops are left out, and the others solve again.
+void follow_step(const double* jacobian, int n, const double* error, const double* q, const double* lower,
+                 const double* upper, const double* pull, double* step) {
+  double damping = 0.0;
+  for (int i = 0; i < 6; ++i) damping += error[i] * error[i];
+  damping = 1e-8 + 1e-3 * std::min(damping, 1.0);
+  std::uint64_t resting = 0;
+  for (int pass = 0; pass < 3; ++pass) {
+    double active[6 * 64], normal[36], y[6], pulled[6];
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < n; ++j) active[i * n + j] = (resting >> j & 1) ? 0.0 : jacobian[i * n + j];
+    for (int i = 0; i < 6; ++i) {
+      for (int k = 0; k <= i; ++k) {
+        double sum = i == k ? damping : 0.0;
+        for (int j = 0; j < n; ++j) sum += active[i * n + j] * active[k * n + j];
+        normal[6 * i + k] = sum;
+      }
+      y[i] = error[i];
+      pulled[i] = 0.0;
+      if (pull)
+        for (int j = 0; j < n; ++j) pulled[i] += active[i * n + j] * pull[j];
+    }
+    factor_six(normal);
+    substitute_six(normal, y);
+    if (pull) substitute_six(normal, pulled);
+    std::uint64_t stopped = 0;
+    for (int j = 0; j < n; ++j) {
+      step[j] = 0.0;
+      if (resting >> j & 1) continue;
+      for (int i = 0; i < 6; ++i) step[j] += active[i * n + j] * (pull ? y[i] - pulled[i] : y[i]);
+      if (pull) step[j] += pull[j];
+      if ((q[j] <= lower[j] && step[j] < 0.0) || (q[j] >= upper[j] && step[j] > 0.0)) stopped |= 1ULL << j;
+    }
+    if (!stopped) break;
+    resting |= stopped;
+    for (int j = 0; j < n; ++j)
+      if (resting >> j & 1) step[j] = 0.0;
+  }
+  for (int j = 0; j < n; ++j) step[j] = std::clamp(step[j], -kFollowStep, kFollowStep);
+}
+
 }  // namespace
+
+FollowOutcome follow(const Arm& arm, const Transform& target, const double* start, const double* lower,
+                     const double* upper, const double* pull, const FollowSettings& settings) {
+  const int n = arm.dof();
+  std::vector<Transform> frames(arm.joints.size());
+  std::vector<double> jacobian(6 * arm.joints.size()), q(arm.joints.size()), step(arm.joints.size());
+  FollowOutcome best;
+  double best_cost = 1e300;
+  for (int j = 0; j < n; ++j) q[j] = std::clamp(start[j], lower[j], upper[j]);
+  for (int turn = 0; turn < settings.iterations; ++turn) {
+    arm.forward(q.data(), frames.data());
+    const Transform tcp = arm.tcp_pose(frames.data());
+    const Vec3 off = target.t - tcp.t, turned = rotation_error(target.r, tcp.r);
+    const double far = norm(off), angle = norm(turned);
+    if (far + kFollowTurn * angle < best_cost) {
+      best_cost = far + kFollowTurn * angle;
+      best = {q, far, angle};
+    }
+    if (!pull && far < settings.position_tolerance && angle < settings.rotation_tolerance) break;
+    arm.jacobian(frames.data(), tcp.t, jacobian.data());
+    const double error[6] = {off.x, off.y, off.z, turned.x, turned.y, turned.z};
+    follow_step(jacobian.data(), n, error, q.data(), lower, upper, pull, step.data());
+    for (int j = 0; j < n; ++j) q[j] = std::clamp(q[j] + step[j], lower[j], upper[j]);
+    if (pull) pull = nullptr, best_cost = 1e300;  // once is enough; the other iterations correct what it disturbs
+  }
+  return best;
+}
 
 IkOutcome inverse_kinematics(const Arm& arm, const Transform& target, const double* reference, std::uint64_t seed,
                              const IkSettings& settings) {

@@ -6,6 +6,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <numeric>
 
 #include "world.hpp"
@@ -241,6 +242,41 @@ py::tuple solve_ik(const Arm& arm, const Array& target, const Array& reference, 
   return py::make_tuple(rows(outcome.solutions, arm.dof()), outcome.position_error, outcome.rotation_error);
 }
 
+Mat3 matrix_of_quaternion(const std::array<double, 4>& xyzw) {
+  const auto [a, b, c, d] = xyzw;
+  const double scale = 1.0 / std::sqrt(a * a + b * b + c * c + d * d);
+  const double x = a * scale, y = b * scale, z = c * scale, w = d * scale;
+  return {{1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), 2 * (x * y + z * w),
+           1 - 2 * (x * x + z * z), 2 * (y * z - x * w), 2 * (x * z - y * w), 2 * (y * z + x * w),
+           1 - 2 * (x * x + y * y)}};
+}
+
+// Joints as lists: from Python this is faster for an arm's few numbers than arrays.
+py::tuple follow_target(const Arm& arm, const std::array<double, 3>& position, const std::array<double, 4>& quaternion,
+                        const std::vector<double>& start, const std::vector<double>& pull,
+                        const std::vector<double>& largest_change, int iterations, double position_tolerance,
+                        double rotation_tolerance) {
+  const std::size_t n = arm.joints.size();
+  if (start.size() != n || (!pull.empty() && pull.size() != n) ||
+      (!largest_change.empty() && largest_change.size() != n)) {
+    throw std::invalid_argument("start, pull and largest_change have one number per joint");
+  }
+  std::vector<double> lower(n), upper(n);
+  for (std::size_t j = 0; j < n; ++j) {
+    lower[j] = arm.joints[j].lower, upper[j] = arm.joints[j].upper;
+    if (!largest_change.empty()) {
+      lower[j] = std::max(lower[j], start[j] - largest_change[j]);
+      upper[j] = std::min(upper[j], start[j] + largest_change[j]);
+      if (lower[j] > upper[j]) lower[j] = upper[j] = std::clamp(start[j], upper[j], lower[j]);
+    }
+  }
+  const Transform target{matrix_of_quaternion(quaternion), {position[0], position[1], position[2]}};
+  const FollowOutcome found = follow(arm, target, start.data(), lower.data(), upper.data(),
+                                     pull.empty() ? nullptr : pull.data(),
+                                     {position_tolerance, rotation_tolerance, iterations});
+  return py::make_tuple(found.joints, found.position_error, found.rotation_error);
+}
+
 }  // namespace
 
 PYBIND11_MODULE(_native, m) {
@@ -250,7 +286,7 @@ PYBIND11_MODULE(_native, m) {
     throw py::import_error("roboxim_planner_native is compiled for processors with AVX2 and FMA (x86-64-v3)");
   }
 #endif
-  m.attr("API") = 4;
+  m.attr("API") = 5;
   m.def("distinct", &distinct, py::arg("solutions"), py::arg("reference"), py::arg("same"));
   m.def("extremes", &extremes, py::arg("values"));
   m.def("pose_matrices", &pose_matrices, py::arg("poses"));
@@ -261,6 +297,9 @@ PYBIND11_MODULE(_native, m) {
            py::arg("prismatic"), py::arg("lower"), py::arg("upper"), py::arg("tcp_joint"), py::arg("tcp"))
       .def("tcp_poses", &tcp_poses, py::arg("joints"))
       .def("tcp_speeds", &tcp_speeds, py::arg("joints"), py::arg("velocities"))
+      .def("follow", &follow_target, py::arg("position"), py::arg("quaternion"), py::arg("start"), py::kw_only(),
+           py::arg("pull"), py::arg("largest_change"), py::arg("iterations"), py::arg("position_tolerance"),
+           py::arg("rotation_tolerance"))
       .def("ik", &solve_ik, py::arg("target"), py::arg("reference"), py::kw_only(), py::arg("seed"),
            py::arg("starts"), py::arg("enough"), py::arg("iterations"), py::arg("position_tolerance"),
            py::arg("rotation_tolerance"));

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.poses import Array, Pose
+from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import Stage
 
 _SHARE_OF_LIMIT = 0.99
@@ -130,13 +130,16 @@ def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float
     smooth = np.stack([np.convolve(column, np.full(width, 1.0 / width), "valid") for column in padded.T], axis=1)
     smooth[-1] = coordinates[-1]
     reached = np.searchsorted(np.array(times), np.append(ticks, [times[-1]] * (width - 1)) - 1e-9)
-    poses = [Pose.from_arrays(row[:3], Rotation.from_rotvec(row[3:]) * anchor) for row in smooth]
+    quats = (Rotation.from_rotvec(smooth[:, 3:]) * anchor).as_quat(canonical=True).tolist()
+    poses = [
+        Pose(position=tuple(position), quat_xyzw=tuple(quat))
+        for position, quat in zip(smooth[:, :3].tolist(), quats, strict=True)
+    ]
     return poses, [owners[min(int(i), len(owners) - 1)] for i in reached]
 
 
 def _duration(begin: Pose, end: Pose, config: SpeedConfig) -> float:
-    translation = float(np.linalg.norm(np.subtract(end.position, begin.position)))
-    angle = float((end.rotation * begin.rotation.inv()).magnitude())
+    translation, angle = distance(begin, end)
     return max(translation / config.max_tcp_speed_m_s, angle / config.max_tcp_rot_speed_rad_s, 1e-6)
 
 
@@ -147,5 +150,5 @@ def _coordinates(poses: Sequence[Pose]) -> tuple[Array, Rotation]:
     """
     anchor = poses[-1].rotation
     positions = np.array([pose.position for pose in poses])
-    vectors = np.array([(pose.rotation * anchor.inv()).as_rotvec() for pose in poses])
+    vectors = (Rotation.from_quat([pose.quat_xyzw for pose in poses]) * anchor.inv()).as_rotvec()
     return np.hstack([positions, vectors]), anchor

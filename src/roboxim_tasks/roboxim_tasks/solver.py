@@ -6,6 +6,7 @@ results is what the planner checks, stage by stage. A free stage that is blocked
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -282,7 +283,7 @@ def _roll_out(
         step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
         state = step.state
         path.append(state.joints)
-        off = float(np.linalg.norm(np.subtract(state.pose.position, point.pose.position)))
+        off = math.dist(state.pose.position, point.pose.position)
         if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
             word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
             return state, path, _Blocked(stage=point.stage, reason=f"{word} at {_short(point.pose)}")

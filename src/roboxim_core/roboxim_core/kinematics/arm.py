@@ -1,4 +1,4 @@
-"""Kinematics of a robot model with Pinocchio.
+"""Kinematics of a robot model with Pinocchio; its inverse kinematics in the native kernel.
 
 The inverse kinematics here follow a moving target from tick to tick: start at the present joints, stay near them. It is
 local and deterministic on purpose; searching for solutions of distant poses is the planner's job.
@@ -16,6 +16,7 @@ import pinocchio as pin
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Array, Pose
+from roboxim_planner_native import Arm
 
 POSITION_TOLERANCE_M = 1e-7
 ROTATION_TOLERANCE_RAD = 1e-6
@@ -68,6 +69,9 @@ class ArmKinematics:
         self.lower = np.array(model.limits.lower)
         self.upper = np.array(model.limits.upper)
         self.velocity = np.array(model.limits.velocity)
+        self._order = np.argsort(self._arm)
+        """Places of the joints in the model's order, from the base to the tip."""
+        self._native = self._native_arm()
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -148,28 +152,28 @@ class ArmKinematics:
         Returns:
             The closest configuration found within a fixed number of iterations.
         """
-        start = np.array(seed, dtype=float)
-        lower, upper = self.lower, self.upper
-        if max_step is not None:
-            lower, upper = np.maximum(lower, start - max_step), np.minimum(upper, start + max_step)
-        goal = pin.SE3(pin.Quaternion(*np.roll(target.quat_xyzw, 1)).normalized().matrix(), np.array(target.position))
-        joints = np.clip(start, lower, upper)
-        pull = None if posture is None else posture_gain * (np.asarray(posture, dtype=float) - start)
-        best, best_cost, best_error = joints, np.inf, (np.inf, np.inf)
-        for _ in range(MAX_ITERATIONS):
-            error = self._error(joints, goal)
-            size = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-            cost = size[0] + 0.3 * size[1]
-            if cost < best_cost:
-                best, best_cost, best_error = joints, cost, size
-            if size[0] < POSITION_TOLERANCE_M and size[1] < ROTATION_TOLERANCE_RAD and pull is None:
-                break
-            joints = np.clip(joints + self._step(error, joints, lower, upper, pull), lower, upper)
-            if pull is not None:
-                pull, best_cost = None, np.inf  # once is enough; the remaining iterations correct its side effects
-        converged = best_error[0] < POSITION_TOLERANCE_M and best_error[1] < ROTATION_TOLERANCE_RAD
+        start = np.asarray(seed, dtype=float)
+        pull = (
+            np.empty(0) if posture is None else posture_gain * (np.asarray(posture, dtype=float) - start)[self._order]
+        )
+        largest = np.empty(0) if max_step is None else np.asarray(max_step, dtype=float)[self._order]
+        joints, position_error_m, rotation_error_rad = self._native.follow(
+            target.position,
+            target.quat_xyzw,
+            start[self._order].tolist(),
+            pull=pull.tolist(),
+            largest_change=largest.tolist(),
+            iterations=MAX_ITERATIONS,
+            position_tolerance=POSITION_TOLERANCE_M,
+            rotation_tolerance=ROTATION_TOLERANCE_RAD,
+        )
+        found = np.empty(len(joints))
+        found[self._order] = joints
         return IkResult(
-            joints=best, converged=converged, position_error_m=best_error[0], rotation_error_rad=best_error[1]
+            joints=found,
+            converged=position_error_m < POSITION_TOLERANCE_M and rotation_error_rad < ROTATION_TOLERANCE_RAD,
+            position_error_m=position_error_m,
+            rotation_error_rad=rotation_error_rad,
         )
 
     def _place(self, joints: npt.ArrayLike) -> pin.SE3:
@@ -177,29 +181,37 @@ class ArmKinematics:
         pin.forwardKinematics(self._pin, self._data, self._q)
         return pin.updateFramePlacement(self._pin, self._data, self._tcp)
 
-    def _error(self, joints: Array, goal: pin.SE3) -> Array:
-        placement = self._place(joints)
-        rotation = pin.log3(goal.rotation @ placement.rotation.T)
-        return np.concatenate([goal.translation - placement.translation, rotation])
+    def _native_arm(self) -> Arm:
+        """Return the arm in the native kernel, its joints from the base to the tip."""
+        ids = [self._pin.getJointId(self.model.joint_names[k]) for k in self._order]
+        pin.computeJointJacobians(self._pin, self._data, pin.neutral(self._pin))
+        pin.updateFramePlacements(self._pin, self._data)
+        axes, prismatic = [], []
+        for i in ids:
+            motion = pin.getJointJacobian(self._pin, self._data, i, pin.LOCAL)[:, self._pin.joints[i].idx_v]
+            prismatic.append(bool(np.linalg.norm(motion[3:]) < 0.5))
+            axes.append(np.array(motion[:3] if prismatic[-1] else motion[3:]))
+        parents = [self._moves_with(self._pin.parents[i], ids) for i in ids]
+        frames = [pin.SE3(self._data.oMi[i]) for i in ids]
+        bases = [pin.SE3.Identity() if k < 0 else frames[k] for k in parents]
+        tcp_joint = self._moves_with(self._pin.frames[self._tcp].parentJoint, ids)
+        tip = pin.SE3.Identity() if tcp_joint < 0 else frames[tcp_joint]
+        return Arm(
+            parents=parents,
+            placements=np.array([base.actInv(frame).homogeneous for base, frame in zip(bases, frames, strict=True)]),
+            axes=np.array(axes),
+            prismatic=prismatic,
+            lower=self.lower[self._order],
+            upper=self.upper[self._order],
+            tcp_joint=tcp_joint,
+            tcp=tip.actInv(self._data.oMf[self._tcp]).homogeneous,
+        )
 
-    def _step(self, error: Array, joints: Array, lower: Array, upper: Array, pull: Array | None) -> Array:
-        """One damped step; joints that a limit stops are left out and the others solve again."""
-        jacobian = self.jacobian(joints)
-        free = np.ones(len(joints), dtype=bool)
-        damping = 1e-8 + 1e-3 * min(float(error @ error), 1.0)
-        for _ in range(3):
-            active = jacobian * free
-            gram = active @ active.T
-            gram.flat[::7] += damping
-            step = active.T @ np.linalg.solve(gram, error)
-            if pull is not None:
-                step += free * pull - active.T @ np.linalg.solve(gram, active @ (free * pull))
-            stopped = free & (((joints <= lower) & (step < 0)) | ((joints >= upper) & (step > 0)))
-            if not stopped.any():
-                break
-            free &= ~stopped
-            step = step * free
-        return np.clip(step, -0.3, 0.3)
+    def _moves_with(self, joint: int, ids: list[int]) -> int:
+        """Return the place of the arm joint that moves a joint of Pinocchio's, -1: none."""
+        while joint > 0 and joint not in ids:
+            joint = self._pin.parents[joint]
+        return ids.index(joint) if joint > 0 else -1
 
 
 def _pose(placement: pin.SE3) -> Pose:

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.kinematics.arm import ArmKinematics
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
 from roboxim_core.specs import WorkspaceSpec
 
 _SLACK = 1.0 + 1e-6
@@ -109,19 +110,19 @@ class DeltaController:
                 f"one tick takes one action, shape (7,), got {np.shape(action)}", ErrorCode.INVALID_ACTION
             )
         executed, clipped = self._clip(chunk[0])
-        position = np.array(state.pose.position) + executed[:3].astype(float)
-        rotation = Rotation.from_euler("xyz", executed[3:6].astype(float)) * state.pose.rotation
-        position, left = self._keep_inside(np.array(state.pose.position), position)
+        x, y, z, *angles, gripper = executed.tolist()
+        here = state.pose.position
+        position, left = self._keep_inside(here, (here[0] + x, here[1] + y, here[2] + z))
         pose, joints, unreached = state.pose, state.joints, False
-        if left or executed[:6].any():
-            pose = Pose.from_arrays(position, rotation)
+        if left or x or y or z or any(angles):
+            pose = Pose(position=position, quat_xyzw=quat_product(quat_from_euler(*angles), state.pose.quat_xyzw))
             result = self.arm.ik_near(pose, state.joints, posture=self.arm.model.home, max_step=self._max_joint_step)
             joints, unreached = tuple(result.joints.tolist()), not result.converged
             if unreached:
                 pose = self.arm.fk(result.joints)
         return DeltaStep(
-            state=ControllerState(pose=pose, joints=joints, gripper=float(executed[6])),
-            action_executed=tuple(executed.tolist()),
+            state=ControllerState(pose=pose, joints=joints, gripper=gripper),
+            action_executed=(x, y, z, *angles, gripper),
             clipped=clipped,
             left_workspace=left,
             unreached=unreached,
@@ -146,36 +147,36 @@ class DeltaController:
     def _clip(self, action: ActionArray) -> tuple[ActionArray, bool]:
         executed = action.copy()
         clipped = False
-        distance = float(np.linalg.norm(executed[:3].astype(float)))
+        *shift, roll, pitch, yaw, gripper = action.tolist()
+        distance = math.hypot(*shift)
         if distance > self.semantics.max_translation_m * _SLACK:
             executed[:3] *= self.semantics.max_translation_m / distance
             clipped = True
-        angles = executed[3:6].astype(float)
-        if np.abs(angles).sum() > self.semantics.max_rotation_rad:  # cheap bound: the angle is never more than the sum
-            vector = Rotation.from_euler("xyz", angles).as_rotvec()
+        if abs(roll) + abs(pitch) + abs(yaw) > self.semantics.max_rotation_rad:  # the angle is never more than the sum
+            vector = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_rotvec()
             angle = float(np.linalg.norm(vector))
-            if angle > self.semantics.max_rotation_rad * _SLACK or np.abs(angles).max() > math.pi:
+            if angle > self.semantics.max_rotation_rad * _SLACK or max(map(abs, (roll, pitch, yaw))) > math.pi:
                 vector *= min(1.0, self.semantics.max_rotation_rad / angle)
                 executed[3:6] = Rotation.from_rotvec(vector).as_euler("xyz")
                 clipped = True
-        gripper = np.clip(executed[6], 0.0, 1.0)
-        clipped = clipped or bool(gripper != executed[6])
-        executed[6] = gripper
+        if not 0.0 <= gripper <= 1.0:
+            executed[6] = min(max(gripper, 0.0), 1.0)
+            clipped = True
         return executed, clipped
 
-    def _keep_inside(
-        self, now: npt.NDArray[np.float64], then: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], bool]:
-        if self._base_is_identity:
-            now_world, then_world = now, then
-        else:
-            now_world, then_world = self._base.apply(now), self._base.apply(then)
-        lower = np.minimum(self.workspace.lower, now_world)
-        upper = np.maximum(self.workspace.upper, now_world)
-        inside = np.clip(then_world, lower, upper)
-        if np.all(np.abs(inside - then_world) < 1e-9):
+    def _keep_inside(self, now: Vec3, then: Vec3) -> tuple[Vec3, bool]:
+        """Return a position in the base, moved to the workspace's border if it would get (farther) out of it."""
+        now_world, then_world = (now, then) if self._base_is_identity else map(self._in_world, (now, then))
+        bounds = zip(self.workspace.lower, self.workspace.upper, now_world, then_world, strict=True)
+        inside = [min(max(c, min(low, b)), max(high, b)) for low, high, b, c in bounds]
+        if all(abs(a - b) < 1e-9 for a, b in zip(inside, then_world, strict=True)):
             return then, False
-        return (inside if self._base_is_identity else self._base.inverse().apply(inside)), True
+        x, y, z = inside if self._base_is_identity else self._base.inverse().apply(inside).tolist()
+        return (x, y, z), True
+
+    def _in_world(self, position: Vec3) -> Vec3:
+        x, y, z = self._base.apply(position).tolist()
+        return x, y, z
 
 
 def delta_between(commanded: Pose, following: Pose, gripper: float) -> ActionArray:
@@ -189,8 +190,6 @@ def delta_between(commanded: Pose, following: Pose, gripper: float) -> ActionArr
     Returns:
         float32, shape (7,). The rotation is that of ``R_next R_commanded^T``, so it never jumps at +-pi.
     """
-    action = np.empty(7, dtype=np.float32)
-    action[:3] = np.subtract(following.position, commanded.position)
-    action[3:6] = (following.rotation * commanded.rotation.inv()).as_euler("xyz")
-    action[6] = gripper
-    return action
+    turn = quat_product(following.quat_xyzw, quat_inverse(commanded.quat_xyzw))
+    shift = (b - a for a, b in zip(commanded.position, following.position, strict=True))
+    return np.array((*shift, *euler_from_quat(turn), gripper), dtype=np.float32)

