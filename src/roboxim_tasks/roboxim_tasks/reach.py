@@ -48,7 +48,7 @@ def start_clear(context: ResetContext) -> Constraint:
         tcp = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
         return all(_apart(context, tcp, other) for other in scene.entities)
 
-    return Constraint(name="start_clear", holds=holds)
+    return Constraint(name="start_clear", holds=holds, each=True)
 
 
 def reaches(context: ResetContext, *poses: Pose) -> bool:

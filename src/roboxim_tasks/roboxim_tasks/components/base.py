@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,6 +33,8 @@ class Constraint:
     """Whether a scene meets it."""
     room: bool = False
     """Whether it asks for free room, quickly: then distractors are placed so that they leave it."""
+    each: bool = False
+    """Whether a scene meets it if each object alone does, quickly: then it is asked while objects are placed."""
 
 
 @dataclass(kw_only=True)
@@ -78,7 +80,13 @@ class ResetContext:
 
     def room_taken(self, scene: SceneSpec) -> str:
         """Return the name of the first constraint whose room is taken in a scene with all objects, or nothing."""
-        return next((c.name for c in self.constraints if c.room and not c.holds(scene)), "")
+        taken = next((c.name for c in self.constraints if c.room and not c.holds(scene)), "")
+        return taken or self.newest_refused(scene)
+
+    def newest_refused(self, scene: SceneSpec) -> str:
+        """Return the name of a constraint that the object placed last does not meet, or nothing."""
+        alone = replace(scene, entities=scene.entities[-1:])
+        return next((c.name for c in self.constraints if c.each and not c.holds(alone)), "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import PlacementConfig, place
+from roboxim_tasks.placement import Demand, PlacementConfig, place
 from roboxim_tasks.roles import task_objects
 from roboxim_tasks.task_config import TaskConfig
 
@@ -46,5 +46,5 @@ class ObjectsReset(ResetComponent):
             config: PlacementConfig = self.config.roles.get(thing.entity, self.config)
             if thing.entity in context.areas:
                 config = replace(config, area=context.areas[thing.entity])
-            scene = place(scene, thing, config, context, self.name)
+            scene = place(scene, thing, config, context, self.name, Demand(leaves=context.newest_refused))
         return scene
