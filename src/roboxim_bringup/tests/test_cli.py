@@ -61,11 +61,11 @@ class SmallNode(Node):
         self.create_service(DeleteEntity, "delete_entity", self._delete)
         self.latched = self.create_publisher(String, "greeting", qos.LATCHED)
         self.latched.publish(String(data="hello"))
-        self.steady = self.create_publisher(String, "steady", qos.STATE)
+        self.steady = self.create_publisher(String, "steady", qos.EVENTS)
         self.create_timer(0.02, lambda: self.steady.publish(String(data="tick")))
-        self.idle = self.create_publisher(String, "idle", qos.STATE)
+        self.idle = self.create_publisher(String, "idle", qos.EVENTS)
         self.heard: list[str] = []
-        self.create_subscription(String, "ear", lambda msg: self.heard.append(msg.data), qos.STATE)
+        self.create_subscription(String, "ear", lambda msg: self.heard.append(msg.data), qos.EVENTS)
         self.action = ActionServer(self, GripperCommand, "grip", self._grip, result_timeout=10)
 
     def _flip(self, request, response):

@@ -34,7 +34,7 @@ class FakeGraph:
         self.node = host.add(lambda context: Node("fake", context=context, namespace="/w1"))
         self.clients = Clients("fake_clients", context=host.context, namespace="/w1")
         self.acknowledged = queue.Queue()
-        self.node.create_subscription(ours.RecordedTick, "recorder/recorded", self.acknowledged.put, qos.STATE)
+        self.node.create_subscription(ours.RecordedTick, "recorder/recorded", self.acknowledged.put, qos.EVENTS)
         self.publishers = {}
 
     def publish(self, topic, message):

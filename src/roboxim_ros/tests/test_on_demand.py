@@ -22,16 +22,16 @@ class Listener(Node):
         self.group, self.heard, self.marks = OnDemandGroup(), [], []
         self.opened = threading.Event()
         self.create_subscription(
-            String, "quiet", lambda m: self.heard.append(m.data), qos.STATE, callback_group=self.group
+            String, "quiet", lambda m: self.heard.append(m.data), qos.EVENTS, callback_group=self.group
         )
-        self.create_subscription(String, "mark", lambda m: self.marks.append(m.data), qos.STATE)
+        self.create_subscription(String, "mark", lambda m: self.marks.append(m.data), qos.EVENTS)
 
 
 def test_messages_wait_until_they_are_taken(graph_host):
     listener = graph_host.add(Listener)
     talker = graph_host.add(lambda context: Node("talker", context=context))
-    quiet = talker.create_publisher(String, "quiet", qos.STATE)
-    mark = talker.create_publisher(String, "mark", qos.STATE)
+    quiet = talker.create_publisher(String, "quiet", qos.EVENTS)
+    mark = talker.create_publisher(String, "mark", qos.EVENTS)
     for text in "abc":
         quiet.publish(String(data=text))
     for text in "xyz":
