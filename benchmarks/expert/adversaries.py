@@ -9,6 +9,7 @@ into docs/tasks.md.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 from collections import Counter
 from pathlib import Path
@@ -36,6 +37,7 @@ def main() -> None:
     scenes = 1 if bench.quick else options.scenes
     start = time.perf_counter()
     outcomes = measure(chosen, scenes, options.out)
+    chosen = {key: trial for key, trial in chosen.items() if key in outcomes}
     for key, trial in chosen.items():
         bench.row(**row(trial, outcomes[key]))
     if options.docs:
@@ -55,21 +57,32 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(chosen: dict[str, Trial], scenes: int, out: Path | None) -> dict[str, list[dict[str, Any]]]:
-    """Run what is not there yet; return every trial's episodes."""
+    """Run what is not there yet, all trials in turns; return the episodes of each that has some.
+
+    An interruption (Ctrl-C) ends it early.
+    """
     kept = Kept(out, {key: trial.config() for key, trial in chosen.items()}) if out else None
     known = kept.load() if kept else {}
     outcomes = {key: [o for o in known.get(key, []) if o["index"] < scenes] for key in chosen}
     done = sum(map(len, outcomes.values()))
-    with TrialRuns() as runs, tqdm(total=scenes * len(chosen), initial=done, unit="episode", disable=None) as bar:
-        for key, trial in chosen.items():
-            there = {outcome["index"] for outcome in outcomes[key]}
-            for index in (index for index in range(scenes) if index not in there):
-                outcome = {"cell": key, **runs.run(trial, index).plain()}
-                outcomes[key].append(outcome)
-                if kept:
-                    kept.add([outcome])
-                bar.update()
-    return outcomes
+    missing = [
+        (index, key)
+        for index in range(scenes)
+        for key in chosen
+        if index not in {outcome["index"] for outcome in outcomes[key]}
+    ]
+    with (
+        TrialRuns() as runs,
+        tqdm(total=scenes * len(chosen), initial=done, unit="episode", disable=None) as bar,
+        contextlib.suppress(KeyboardInterrupt),
+    ):
+        for index, key in missing:
+            outcome = {"cell": key, **runs.run(chosen[key], index).plain()}
+            outcomes[key].append(outcome)
+            if kept:
+                kept.add([outcome])
+            bar.update()
+    return {key: found for key, found in outcomes.items() if found}
 
 
 def row(trial: Trial, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:

@@ -28,7 +28,7 @@ from roboxim_tasks.motion import ExpertScene, Stage
 
 Stages = Callable[[ExpertScene], Iterable[tuple[Stage, ...]]]
 LEAST = 3
-"""Cheats, and honest ways, that every skill has at least."""
+"""How many cheats, and how many honest ways, every skill has at least."""
 ALONE: Mapping[str, Any] = {"distractors": {"minimum": 0, "maximum": 0}}
 """What differs from a skill's own task in every trial, besides that there are no cameras."""
 

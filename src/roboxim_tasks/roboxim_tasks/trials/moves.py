@@ -17,8 +17,6 @@ SLOWLY = 0.35
 """Speed of slow ways, as a fraction of the expert's."""
 OTHER_RAD = 0.7
 """Another grasp is turned by at least so much from the expert's [rad]."""
-ASIDE_M = 0.06
-"""How far a thing is set aside before it is grasped again [m]."""
 
 
 def own_stages(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:

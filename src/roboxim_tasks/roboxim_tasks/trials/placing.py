@@ -12,8 +12,9 @@ from roboxim_tasks.trials.moves import around, caging, other_grasps, own_stages,
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
 PLACING = ("place_on", *RELATIONS, "stack")
 CUBES = {"objects": {"target": {"models": {"values": ["cube"]}}}}
-"""What is the same for every grasp, so that trials are about how it is handled."""
+"""The target is a cube, whose grasps are all alike, so that a trial is about how it is handled."""
 ASIDE_M = 0.07
+"""How far the target is set aside before it is grasped again [m]."""
 
 
 def onto(scene: ExpertScene) -> str:

@@ -10,7 +10,7 @@ from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import around, displaced, other_grasps, own_ways
 
 CARTON = {"objects": {"target": {"models": {"values": ["milk_carton"]}}}}
-"""What does not roll."""
+"""The target is a carton, which does not roll when it is let go of while it lies."""
 
 
 @cheat("turn_upright", reason="not_upright")
