@@ -20,11 +20,11 @@ import cattrs
 import numpy as np
 from cattrs.errors import AttributeValidationNote
 from cattrs.gen import make_dict_structure_fn
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from scipy.spatial.transform import Rotation
 
+from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
+from roboxim_core.documents import parse_json, parse_yaml, read_text
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.poses import Pose
 
@@ -49,6 +49,8 @@ def _converter() -> cattrs.Converter:
     def integer(value: Any, _: Any) -> int:
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise ValueError(f"expected a whole number, got {value!r}")
+        if not -(2**63) <= value < 2**64:
+            raise ValueError(f"expected a number of 64 bits, got {limits.echo(value)}")
         return int(value)
 
     def exact(kind: type) -> Any:
@@ -142,6 +144,8 @@ def _scalar(value: Any, kind: Any) -> Any:
     exact = bool if isinstance(value, bool) else next((k for k in (str, int, float) if isinstance(value, k)), None)
     if exact is int and int not in kinds:
         exact = float
+    if exact in (int, float) and not -(2**63) <= value < 2**64:
+        raise ValueError(f"expected a finite number of 64 bits, got {limits.echo(value)}")
     if exact is not None and exact in kinds:  # YAML's numbers and strings are subclasses that remember their spelling
         return exact(value)
     raise ValueError(f"expected {' or '.join(k.__name__ for k in kinds)}, got {value!r}")
@@ -318,29 +322,9 @@ def load_yaml(path: Path | str) -> Any:
     """Read a YAML file, keeping line numbers for messages.
 
     Raises:
-        ConfigError: When the file is missing or is not YAML, with the line.
+        ConfigError: When the file is missing, is not YAML, or is beyond the bounds of `roboxim_core.limits`.
     """
-    file = Path(path)
-    try:
-        text = file.read_text()
-    except OSError as error:
-        raise ConfigError(f"cannot read {file}: {error.strerror or error}") from None
-    return parse_yaml(text, source=str(file))
-
-
-def parse_yaml(text: str, *, source: str = "YAML") -> Any:
-    """Parse YAML text, keeping line numbers for messages.
-
-    Raises:
-        ConfigError: When it is not YAML, with the line.
-    """
-    try:
-        return YAML(typ="rt", pure=True).load(text)
-    except MarkedYAMLError as error:
-        line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from None
-    except YAMLError as error:
-        raise ConfigError(f"{source}: not valid YAML: {error}") from None
+    return parse_yaml(read_text(path), source=str(path))
 
 
 def load_config(path: Path | str, cls: type[T]) -> T:
@@ -364,10 +348,7 @@ def from_json(text: str, cls: type[T], *, source: str = "JSON") -> T:
     Raises:
         ConfigError: When the text is not JSON or does not fit the class.
     """
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"{source} is not valid JSON: {error}") from None
+    data = parse_json(text, source=source)
     return from_plain(data, cls, source=source)
 
 

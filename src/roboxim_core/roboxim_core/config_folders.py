@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+from roboxim_core import limits
 from roboxim_core.errors import ConfigError, one_of
 
 
@@ -61,13 +62,18 @@ def named_config(kind: str, name: str) -> Path:
         ConfigError: When there is no such file; suggests names.
     """
     if is_path(name):
-        path = Path(name).expanduser()
-        if not path.is_file():
-            raise ConfigError(f"no such file: {path}")
+        try:
+            path = Path(name).expanduser()
+            found = path.is_file()
+        except (OSError, ValueError, RuntimeError):  # too long, a NUL, no such user
+            found = False
+        if not found:
+            raise ConfigError(f"no such file: {limits.echo(name)}")
         return path
-    for folder in config_dirs():
-        if (path := folder / kind / f"{name}.yaml").is_file():
-            return path
+    if limits.is_file_name(name):
+        for folder in config_dirs():
+            if (path := folder / kind / f"{name}.yaml").is_file():
+                return path
     raise ConfigError(f"no {kind} configuration '{name}'; {one_of(config_names(kind), name)}")
 
 

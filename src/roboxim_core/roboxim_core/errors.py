@@ -215,7 +215,7 @@ def one_of(choices: Iterable[str], given: str) -> str:
         ``"did you mean 'cube'? (33 names are known)"``; all of them when none is near.
     """
     names = sorted(choices)
-    close = difflib.get_close_matches(given, names, n=1)
+    close = difflib.get_close_matches(given[:200], names, n=1)
     if close and len(names) > LISTED:
         return f"did you mean '{close[0]}'? ({len(names)} names are known)"
     hint = f" (did you mean '{close[0]}'?)" if close else ""

@@ -17,6 +17,8 @@ NAME_CHARACTERS: Final = 64
 """Characters of the name of an entity, a camera or a role: it becomes part of a topic or a frame."""
 EPISODE_ID_CHARACTERS: Final = 128
 """Characters of an episode's id: with an ending it is the name of a file, which has at most 255 bytes."""
+FILE_NAME_CHARACTERS: Final = 200
+"""Characters of a name that is looked up as a file: a file system allows 255 bytes, ending included."""
 SHORT_TEXT_CHARACTERS: Final = 10_000
 """Characters of a string field of a message, unless `LONG_TEXTS` names it. Messages about names compare them in
 quadratic time."""
@@ -63,6 +65,14 @@ SNAPSHOT_ACTIONS: Final = 100_000
 
 EPISODE_STEPS: Final = 100_000
 """Actions of an episode."""
+ATTEMPTS: Final = 10_000
+"""Attempts at an episode until one is kept."""
+WINDOW: Final = 1_000
+"""Observations of a request to a policy: they are held in memory."""
+POLICY_TIMEOUT_S: Final = 86_400.0
+"""Longest wait for a policy's answer [s]."""
+IMAGE_PX: Final = 4_096
+"""Width and height of an image [px]."""
 
 DOCUMENT_BYTES: Final = 32 * 2**20
 """Size of a YAML or JSON document."""
@@ -94,6 +104,11 @@ def printable(text: str, characters: int = ERROR_CHARACTERS) -> str:
     if len(text) > characters:
         text = f"{text[: characters - 40]} ... ({len(text)} characters)"
     return text.encode("utf-8", "backslashreplace").decode("utf-8").replace("\0", "\\0")
+
+
+def is_file_name(name: str) -> bool:
+    """Tell whether a name, with an ending, can be that of a file in a folder, and leads nowhere else."""
+    return 0 < len(name.encode("utf-8", "replace")) <= FILE_NAME_CHARACTERS and not set(name) & set("/\\\0")
 
 
 def echo(value: object) -> str:

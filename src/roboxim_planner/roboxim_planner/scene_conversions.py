@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -26,6 +25,7 @@ from roboxim_planner.scene import (
     TriangleMesh,
     model_shapes,
 )
+from roboxim_ros.conversions import scalar_from_json
 
 
 def scene_from_msg(msg: Any, named: PlanningScene | None, library: ModelLibrary) -> PlanningScene:
@@ -90,11 +90,9 @@ def _body_from_msg(msg: Any, library: ModelLibrary) -> Body:
 
 def _scalar(name: str, item: Any) -> Any:
     try:
-        return json.loads(item.value)
-    except ValueError:
-        raise InvalidRequestError(
-            f"object '{name}': modifier '{item.key}' must be JSON, e.g. '\"red\"' or '1.2', got '{item.value}'"
-        ) from None
+        return scalar_from_json(item.value)
+    except InvalidRequestError as error:
+        raise InvalidRequestError(f"object '{name}': modifier '{item.key}': {error}") from None
 
 
 def _posed(msg: Any, shapes: Sequence[Any], poses: Sequence[Any]) -> list[tuple[Any, Pose]]:

@@ -15,6 +15,7 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.parameter import Parameter
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
 from roboxim_ros.guard import GuardedNode
@@ -47,7 +48,12 @@ class Clients:
             namespace: Namespace that relative service names resolve in.
         """
         self.node = GuardedNode(
-            name, context=context, namespace=namespace, enable_rosout=False, start_parameter_services=False
+            name,
+            context=context,
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._clients: dict[tuple[Any, str], Client] = {}
         self._lock = threading.Lock()

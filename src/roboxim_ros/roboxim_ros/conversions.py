@@ -27,7 +27,9 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.errors import InvalidRequestError, RoboximError
+from roboxim_core import limits
+from roboxim_core.documents import parse_json
+from roboxim_core.errors import ConfigError, InvalidRequestError, RoboximError
 from roboxim_core.poses import Pose
 
 T = TypeVar("T")
@@ -209,6 +211,25 @@ def _enum_decoder(kind: type[Enum]) -> Convert:
     return decode
 
 
+def scalar_from_json(text: str) -> str | float | int | bool:
+    """Return the value of JSON text that must be a string, a number, true or false.
+
+    Raises:
+        InvalidRequestError: When it is anything else.
+    """
+    try:
+        value = parse_json(text, source="the value", most=limits.SHORT_TEXT_CHARACTERS)
+    except ConfigError as error:
+        problem = f": {error}"
+    else:
+        if isinstance(value, str | bool) or (isinstance(value, int | float) and -(2**63) <= value < 2**64):
+            return value
+        problem = ""
+    raise InvalidRequestError(
+        f'values must be JSON scalars such as "red" (with quotes), 0.05 or true, got {limits.echo(text)}{problem}'
+    )
+
+
 def _dict_decoder(kind: Any) -> Convert:
     if dataclasses.is_dataclass(kind):
         return lambda pairs: {pair.role: from_msg(pair.object, cast(type[Any], kind)) for pair in pairs}
@@ -218,12 +239,7 @@ def _dict_decoder(kind: Any) -> Convert:
         return lambda pairs: {pair.key: pair.value for pair in pairs}
 
     def scalars(pairs: Any) -> dict[str, Any]:
-        try:
-            return {pair.key: json.loads(pair.value) for pair in pairs}
-        except json.JSONDecodeError as error:
-            raise InvalidRequestError(
-                f'values must be JSON scalars such as "red" (with quotes), 0.05 or true: {error}'
-            ) from None
+        return {pair.key: scalar_from_json(pair.value) for pair in pairs}
 
     return scalars
 

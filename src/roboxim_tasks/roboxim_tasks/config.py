@@ -8,12 +8,13 @@ anything runs.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
@@ -128,8 +129,8 @@ class CellConfig:
         """
         if not self.tasks:
             raise ConfigError("tasks must be names of at least one task, got none")
-        if self.episodes < 1:
-            raise ConfigError(f"episodes must be >= 1, got {self.episodes}")
+        if not 1 <= self.episodes <= limits.MIX_EPISODES:
+            raise ConfigError(f"episodes must be from 1 to {limits.MIX_EPISODES}, got {self.episodes}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,22 +165,48 @@ class TaskMix:
     counts: tuple[int, ...]
     """Episodes of each."""
 
+    def __post_init__(self) -> None:
+        """Check the counts.
+
+        Raises:
+            ConfigError: When there are too many cells.
+        """
+        if len(self.cells) > limits.MIX_CELLS:
+            raise ConfigError(f"a mix may have {limits.MIX_CELLS} cells, got {len(self.cells)}")
+
     @property
-    def order(self) -> tuple[tuple[int, int], ...]:
+    def order(self) -> Iterator[tuple[int, int]]:
         """Cell, and number within it, of each episode."""
-        return _turns(self.counts)
+        return (_turn(self.counts, place) for place in range(sum(self.counts)))
 
     def at(self, index: int) -> tuple[TaskConfig, int]:
         """Return the configuration of an episode and its number within its cell."""
         rounds, place = divmod(index, sum(self.counts))
-        cell, number = self.order[place]
+        cell, number = _turn(self.counts, place)
         return self.cells[cell], rounds * self.counts[cell] + number
 
 
-@lru_cache(maxsize=8)
-def _turns(counts: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    slots = [((k + 0.5) / count, cell, k) for cell, count in enumerate(counts) for k in range(count)]
-    return tuple((cell, k) for _, cell, k in sorted(slots))
+_SCALE = 2**128
+"""Makes whole numbers of two fractions with denominators up to 10^12 that differ exactly where the fractions do."""
+
+
+@lru_cache(maxsize=4096)
+def _turn(counts: tuple[int, ...], place: int) -> tuple[int, int]:
+    """Return the cell of a place in the order, and the number within the cell, without making the order.
+
+    Episode k of a cell of n stands at (k + 1/2) / n; the order is that of these numbers, then of the cells. A cell is
+    at most half an episode ahead of its share or behind it. So only those episodes are sorted that stand within as many
+    places as there are cells.
+    """
+    total, slack = sum(counts), len(counts)
+    near, skipped = [], 0
+    for cell, count in enumerate(counts):
+        first = max(0, -((total - 2 * (place - slack) * count) // (2 * total)))
+        end = min(count, (2 * (place + slack) * count - total) // (2 * total) + 1)
+        skipped += first
+        near += [((2 * k + 1) * _SCALE // count, cell, k) for k in range(first, end)]
+    _, cell, number = sorted(near)[place - skipped]
+    return cell, number
 
 
 def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:

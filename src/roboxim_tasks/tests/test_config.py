@@ -113,7 +113,7 @@ CELL = "cells:\n  - tasks: [pick_up, rotate]\n    models: {target: [cube, apple]
         ("cells:\n  - tasks: [skill_object_baseline]", ["cells.0.tasks.0 (line 2)", "a mix itself"]),
         ("cells:\n  - tasks: []", ["cells.0.tasks (line 2)", "at least one"]),
         ("cells: []", ["cells (line 1)", "at least one"]),
-        (CELL + "episodes: 0", ["cells.0.episodes (line 4)", ">= 1"]),
+        (CELL + "episodes: 0", ["cells.0.episodes (line 4)", "from 1 to"]),
         (CELL + "exclude:\n      - {taks: rotate}", ["cells.0.exclude.0.taks (line 5)", "did you mean 'task'"]),
         (CELL + "exclude:\n      - {task: rotat}", ["cells.0.exclude.0.task (line 5)", "pick_up, rotate"]),
         (CELL + "exclude:\n      - {target: appel}", ["cells.0.exclude.0.target (line 5)", "apple, cube"]),
@@ -251,3 +251,18 @@ def test_the_leave_out_and_baseline_datasets_have_the_counts_that_they_should(na
         for cell in mix.cells
     }
     assert len(cells) == total // each
+
+
+def test_a_mix_of_a_thousand_million_episodes_costs_nothing():
+    mix = parse_task_config("cells: [{tasks: [pick_cube], episodes: 1000000000}, {tasks: [stack], episodes: 3}]")
+    skills = [mix.at(index)[0].skill for index in (0, 1, 10**9 // 6, 10**9 // 6 + 1, 10**9 + 2)]
+    assert skills.count("stack") == 1
+    assert mix.at(10**9 + 3)[1] == mix.counts[0]
+    with pytest.raises(ConfigError, match="episodes must be from 1 to"):
+        parse_task_config("cells: [{tasks: [pick_cube], episodes: 10000000000000}]")
+
+
+def test_the_order_of_a_mix_is_that_of_its_shares():
+    mix = parse_task_config("cells: [{tasks: [pick_cube], episodes: 7}, {tasks: [stack, place_on], episodes: 4}]")
+    places = sorted(((k + 0.5) / count, cell, k) for cell, count in enumerate(mix.counts) for k in range(count))
+    assert list(mix.order) == [(cell, k) for _, cell, k in places]

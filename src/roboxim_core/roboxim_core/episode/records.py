@@ -4,12 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.verdicts import Verdict
 
 KEEP_RULES = ("successful", "all", "none")
+
+
+LIMITS = {
+    "image_width": limits.IMAGE_PX,
+    "image_height": limits.IMAGE_PX,
+    "rate_hz": limits.PHYSICS_RATE_HZ[1],
+    "window": limits.WINDOW,
+    "execute": limits.EPISODE_STEPS,
+    "max_steps": limits.EPISODE_STEPS,
+    "settle_ticks": limits.EPISODE_STEPS,
+    "max_attempts": limits.ATTEMPTS,
+    "policy_timeout_s": limits.POLICY_TIMEOUT_S,
+    "noise_translation_m": 1.0,
+    "noise_rotation_rad": 1.0,
+}
+"""Field of a run's configuration to its largest value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +87,9 @@ class RunConfig:
         for name, value in vars(self).items():
             if isinstance(value, int | float) and not value >= 0:
                 raise InvalidRequestError(f"{name} must be >= 0, got {value}")
+        for name, most in LIMITS.items():
+            limits.require_range(name, getattr(self, name), 0, most)
+        limits.require_count("cameras", len(self.cameras), limits.CAMERAS)
 
     @property
     def records(self) -> bool:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
+from roboxim_core import limits
 from roboxim_core.config import config_dirs, load_config
 from roboxim_core.errors import ConfigError, ErrorCode, one_of
 from roboxim_core.models.description import ClosePair, GripperModel, JointLimits, ObjectModel, RobotModel
@@ -219,6 +220,8 @@ class ModelLibrary:
             ConfigError: When the id is unknown; the message lists the known ids.
         """
         for folder in self.search_path:
+            if not limits.is_file_name(model_id):
+                break
             if (path := folder / kind / f"{model_id}.yaml").is_file():
                 return path
         raise ConfigError(

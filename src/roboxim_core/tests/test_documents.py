@@ -1,0 +1,114 @@
+"""Text from outside is read within bounds: no traceback, no memory filled."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from roboxim_core import limits
+from roboxim_core.config import from_json, load_yaml
+from roboxim_core.documents import parse_json, parse_yaml
+from roboxim_core.errors import ConfigError, InvalidRequestError
+from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
+
+BOMB = "\n".join(
+    ["a0: &a0 [x, x, x, x, x, x, x, x, x]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 10)]
+)
+
+
+def test_aliases_are_counted_by_what_they_repeat():
+    with pytest.raises(ConfigError, match=r"task line 7: more than 1000000 values"):
+        parse_yaml(BOMB, source="task")
+    data = parse_yaml("base: &base {size: [1, 2]}\nother: {<<: *base}\nagain: [*base, *base]")
+    assert data["other"]["size"] == data["again"][1]["size"] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[" * 3000, "line 1: more than 64 levels"),
+        ("- " * 3000 + "x", "line 1: more than 64 levels"),
+        ("{a: " * 3000, "line 1: more than 64 levels"),
+        ("\n".join(" " * n + "a:" for n in range(70)), "line 6[0-9]: more than 64 levels"),
+        ("a: &a [*a]", r"line 1: alias '\*a' is inside of what it repeats"),
+        ("a: *nothing", "line 1: not valid YAML"),
+        ("a: 2024-99-99", "not valid YAML"),
+        ("a: " + "9" * 5000, "not valid YAML"),
+        ("a: b: c", "line 1: not valid YAML"),
+        ("\0", "not valid YAML"),
+        ("# " + "x" * limits.YAML_BYTES, "larger than"),
+    ],
+)
+def test_bad_yaml_is_an_error_by_line(text, complaint):
+    with pytest.raises(ConfigError, match=rf"^task:? ?{complaint}"):
+        parse_yaml(text, source="task")
+
+
+def test_nesting_through_aliases_is_counted():
+    text = "a0: &a0 [x]\n" + "\n".join(f"a{n}: &a{n} [*a{n - 1}]" for n in range(1, 80))
+    with pytest.raises(ConfigError, match="more than 64 levels"):
+        parse_yaml(text)
+
+
+def test_files_that_are_no_text_are_errors_by_line(tmp_path):
+    file = tmp_path / "task.yaml"
+    file.write_bytes(b"skill: pick_up\nname: \xff\xfe\n")
+    with pytest.raises(ConfigError, match=r"task\.yaml line 2: not UTF-8 text"):
+        load_yaml(file)
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_yaml(tmp_path)
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_yaml(tmp_path / ("x" * 300))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, "[" * 70 + "]" * 70, "NaN", '{"a": -Infinity}', "9" * 5000, '"\\ud800"', "{", "", "nonsense"],
+)
+def test_bad_json_is_an_error(text):
+    with pytest.raises(ConfigError, match=r"^results\.jsonl"):
+        parse_json(text, source="results.jsonl")
+
+
+def test_json_within_the_bounds_is_read():
+    assert parse_json('{"a": [1, 2.5, "\\u00e4", null, true]}') == {"a": [1, 2.5, "ä", None, True]}
+    with pytest.raises(ConfigError, match="finite|64 bits"):
+        from_json('{"physics_rate_hz": 1e999}', SceneSpec)
+    with pytest.raises(ConfigError, match="64 bits"):
+        from_json('{"settle_steps": 99999999999999999999}', SceneSpec)
+
+
+@pytest.mark.parametrize("name", ["", "robot", "table", "world", "tcp", "a/b", "a\nb", "x" * 300, "\ud800", "../x"])
+def test_names_that_mean_something_else_are_refused_by_name(name):
+    with pytest.raises(InvalidRequestError, match="entity name"):
+        EntitySpec(name=name, model="cube")
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "x" * 300, "a\tb"])
+def test_cameras_with_impossible_names_are_refused(name):
+    with pytest.raises(InvalidRequestError, match="camera name"):
+        CameraSpec(name=name)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"physics_rate_hz": 1e300}, {"control_rate_hz": 1e-9}, {"settle_steps": 10**9},
+        {"physics_rate_hz": float("nan")},
+        {"cameras": tuple(CameraSpec(name=f"c{i}") for i in range(17))},
+        {"cameras": tuple(CameraSpec(name=f"c{i}", width=4096, height=4096) for i in range(2))},
+        {"entities": tuple(EntitySpec(name=f"e{i}", model="cube") for i in range(201))},
+    ],
+)  # fmt: skip
+def test_scenes_beyond_the_bounds_are_refused(change):
+    with pytest.raises(InvalidRequestError):
+        SceneSpec(**change)
+
+
+def test_every_bound_says_why():
+    source = Path(limits.__file__).read_text()
+    for name, following in itertools.pairwise([*source.split("\n"), ""]):
+        if ": Final" in name and not name.rstrip().endswith("{"):
+            assert following.startswith('"""'), name
