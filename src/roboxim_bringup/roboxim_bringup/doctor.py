@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import RoboximError
+from roboxim_core.registry import Registry
 
 GIB = 2**30
 MIB = 2**20
@@ -125,6 +126,25 @@ def _compiler() -> Finding:
 
 OPTIONAL_RENDERERS = {"photo"}
 """Only for rendering recorded episodes again; a check of its own."""
+
+
+def _plugins() -> Finding:
+    from roboxim_core.recorded import RECORDED_PARAMETERS
+    from roboxim_policies.base import POLICIES
+    from roboxim_sim.rendering import RENDERERS
+    from roboxim_tasks.components import COMPONENTS
+    from roboxim_tasks.skills import SKILLS
+
+    registries: tuple[Registry[Any], ...] = (SKILLS, COMPONENTS, POLICIES, RENDERERS, RECORDED_PARAMETERS)
+    broken = [f"{r.kind} '{name}': {what}" for r in registries for name, what in r.broken.items()]
+    counts = ", ".join(f"{len(r)} of kind {r.kind}" for r in registries)
+    return Finding(
+        name="plug-ins",
+        state="warning" if broken else "ok",
+        detail="; ".join(broken) or counts,
+        remedy="repair or uninstall the distributions that they come from",
+        without="everything else works",
+    )
 
 
 def _renderers() -> Finding:
@@ -276,6 +296,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _interfaces,
     _libraries,
     _compiler,
+    _plugins,
     _renderers,
     _photo,
     _environment("verify-rlds", "verify-rlds DATASET=...", "reading an exported dataset with TensorFlow Datasets"),

@@ -26,6 +26,14 @@ class RecordedParameter(Protocol):
 RECORDED_PARAMETERS: Registry[type[RecordedParameter]] = Registry("recorded parameter")
 
 
+@RECORDED_PARAMETERS.conformance
+def records_json_of_any_scene(name: str, item: type[RecordedParameter]) -> None:
+    """Refuse a parameter that cannot record a scene without objects as JSON, or records it differently each time."""
+    task, scene = TaskSpec(skill="pick_up", objects={}, instruction="Pick it up"), SceneSpec()
+    first, second = (json.dumps(item().record(task, scene), allow_nan=False) for _ in range(2))
+    assert first == second, "two recordings of one scene differ"
+
+
 @RECORDED_PARAMETERS.register("objects")
 class RecordedObjects:
     """Model, modifiers and initial pose of every entity."""

@@ -6,6 +6,7 @@ change here.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
@@ -26,6 +27,8 @@ class Registry(Generic[T]):
         """
         self.kind = kind
         self._items: dict[str, T] = {}
+        self._broken: dict[str, str] = {}
+        self._checks: list[Callable[[str, T], None]] = []
         self._entry_points_loaded = False
 
     def register(self, name: str) -> Callable[[T], T]:
@@ -56,7 +59,10 @@ class Registry(Generic[T]):
         try:
             return self._items[name]
         except KeyError:
-            raise ConfigError(f"unknown {self.kind} '{name}'; {one_of(self._items, name)}") from None
+            if name in self._broken:
+                raise ConfigError(f"the plug-in of {self.kind} '{name}' is broken: {self._broken[name]}") from None
+            others = f"; plug-ins that could not be loaded: {', '.join(sorted(self._broken))}" if self._broken else ""
+            raise ConfigError(f"unknown {self.kind} '{name}'; {one_of(self._items, name)}{others}") from None
 
     def __contains__(self, name: object) -> bool:
         """Tell whether a name is registered."""
@@ -73,8 +79,63 @@ class Registry(Generic[T]):
         self._load_entry_points()
         return len(self._items)
 
+    @property
+    def broken(self) -> dict[str, str]:
+        """Name of each plug-in that could not be loaded, to where it is and what it raised."""
+        self._load_entry_points()
+        return dict(self._broken)
+
+    def conformance(self, check: Callable[[str, T], None]) -> Callable[[str, T], None]:
+        """Register a check of what every item must do; a decorator.
+
+        Args:
+            check: Called with a name and its item; raises an error that says what is wrong.
+        """
+        self._checks.append(check)
+        return check
+
+    def check(self, name: str) -> None:
+        """Check that an item does what every item of its kind must; see `check_plugin`.
+
+        Raises:
+            ConfigError: When there is no such item, or it does not conform: every check that failed is named.
+        """
+        item = self[name]
+        failed = []
+        if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+            failed.append(f"the name '{name}' is not lower case with underscores")
+        for check in self._checks:
+            try:
+                check(name, item)
+            except Exception as error:  # a plug-in may raise anything
+                failed.append(f"{check.__name__}: {type(error).__name__}: {error}")
+        if failed:
+            raise ConfigError(f"{self.kind} '{name}' does not conform: " + "; ".join(failed))
+
     def _load_entry_points(self) -> None:
-        if not self._entry_points_loaded:
-            self._entry_points_loaded = True
-            for entry in entry_points(group=f"roboxim.{self.kind.replace(' ', '_')}"):
+        if self._entry_points_loaded:
+            return
+        self._entry_points_loaded = True
+        for entry in entry_points(group=f"roboxim.{self.kind.replace(' ', '_')}"):
+            try:
                 entry.load()
+            except (Exception, SystemExit) as error:  # one broken plug-in must not take the others away
+                self._broken[entry.name] = f"{entry.value} raised {type(error).__name__}: {error}"
+
+
+def check_plugin(registry: Registry[T], name: str) -> None:
+    """Run the contract of a registry's kind on one item: for a plug-in's author to call in a test.
+
+    ::
+
+        def test_my_skill_conforms():
+            check_plugin(SKILLS, "my_skill")
+
+    Args:
+        registry: E.g. ``roboxim_tasks.skills.SKILLS``.
+        name: Name that the item is registered under.
+
+    Raises:
+        ConfigError: Naming everything that is wrong.
+    """
+    registry.check(name)

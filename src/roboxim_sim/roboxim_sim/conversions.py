@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from simulation_interfaces.msg import EntityState as StandardEntityState
 from tf2_msgs.msg import TFMessage
 
+from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
@@ -89,7 +90,10 @@ def model_of_uri(uri: str) -> tuple[str, dict[str, Scalar]]:
     Raises:
         InvalidRequestError: When the URI is of another scheme or names no model.
     """
-    parts = urlsplit(uri if "://" in uri else f"roboxim://{uri}")
+    try:
+        parts = urlsplit(uri if "://" in uri else f"roboxim://{uri}")
+    except ValueError as error:
+        raise InvalidRequestError(f"resource {limits.echo(uri)} is no URI: {error}") from None
     model = parts.netloc + parts.path
     if parts.scheme != "roboxim" or not model:
         raise InvalidRequestError(f"resource '{uri}' names no model; expected e.g. cube or roboxim://cube?color=red")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -32,6 +31,7 @@ from roboxim_core.specs import EntitySpec
 from roboxim_ros.conversions import pose_from_msg
 from roboxim_sim.controllers import ArmController, GripperController, Turn
 from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
+from roboxim_sim.name_filter import name_filter
 from roboxim_sim.ports import SimServer
 
 RESULT_OF_CODE = {
@@ -104,10 +104,7 @@ class StandardServices:
             response.result.result = Result.RESULT_FEATURE_UNSUPPORTED
             response.result.error_message = "only the name filter is supported"
             return
-        try:
-            pattern = re.compile(filters.filter)
-        except re.error as error:
-            raise InvalidRequestError(f"filter '{filters.filter}' is no regular expression: {error}") from None
+        pattern = name_filter(filters.filter)
         response.entities = [e.name for e in self._world.record.entities if pattern.search(e.name)]
 
     def _get_entity_state(self, request: Any, response: Any) -> None:

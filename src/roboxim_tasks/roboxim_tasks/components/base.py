@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -131,6 +131,15 @@ class ResetComponent(ABC):
 
 
 COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")
+
+
+@COMPONENTS.conformance
+def has_a_configuration_with_defaults(name: str, item: type[ResetComponent]) -> None:
+    """Refuse a component whose name or configuration a task's YAML could not use."""
+    assert issubclass(item, ResetComponent), "it does not derive from ResetComponent"
+    assert item.name == name, f"its name is '{item.name}'"
+    assert is_dataclass(item.Config), "Config is no dataclass"
+    item(item.Config())
 
 
 def register(cls: type[ResetComponent]) -> type[ResetComponent]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
 from typing import Any, ClassVar
 
 from roboxim_core.config import from_plain
@@ -108,6 +109,39 @@ class Skill(ABC):
 
 
 SKILLS: Registry[Skill] = Registry("skill")
+
+
+@SKILLS.conformance
+def says_what_it_is(name: str, item: Skill) -> None:
+    """Refuse a skill whose name, roles, templates or parameters a task could not use."""
+    assert isinstance(item, Skill), "it is no instance of Skill"
+    assert item.name == name, f"its name is '{item.name}'"
+    assert item.templates, "it has no instruction template"
+    assert item.max_steps > 0, f"max_steps must be positive, got {item.max_steps}"
+    assert is_dataclass(item.Parameters), "Parameters is no dataclass"
+    item.Parameters()
+
+
+@SKILLS.conformance
+def draws_the_same_task_again(name: str, item: Skill) -> None:
+    """Refuse a skill whose task cannot be drawn, or that a second draw gives otherwise.
+
+    The task is the first one of the configuration's folders that is of the skill; without any, that of all defaults.
+    """
+    from roboxim_core.config import config_dirs, load_yaml
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.seeds import SeedPath
+    from roboxim_tasks.config import task_config
+    from roboxim_tasks.episodes import EpisodeGenerator
+
+    files = [path for folder in config_dirs() for path in sorted((folder / "tasks").glob("*.yaml"))]
+    shipped = (data for path in files if (data := load_yaml(path)) and data.get("skill") == name)
+    config = task_config(next(shipped, {"skill": name}))
+    seed = SeedPath(run_seed=1, purpose="test", index=0)
+    first, second = (EpisodeGenerator(ModelLibrary(), None, None).draw(seed, config) for _ in range(2))
+    assert first.task == second.task, "two draws of one seed give different tasks"
+    assert first.scene == second.scene, "two draws of one seed give different scenes"
+    assert first.task.instruction, "its instruction is empty"
 
 
 def register(cls: type[Skill]) -> type[Skill]:

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import pytest
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_sim.name_filter import name_filter
+
+
+@pytest.mark.parametrize("text", ["", "^red", "cube_[0-9]+$", "a.*b", "red|blue", "(red|blue)_cube", ".*a.*b.*"])
+def test_filters_that_users_write_are_taken(text):
+    assert name_filter(text).pattern == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(a+)+$",
+        "(a|a)*b",
+        "(.*)*x",
+        "((a*)b)*",
+        "a*a*a*a*a*b",
+        "(a)(\\1)*\\1+",
+        "[",
+        "x" * 201,
+        "a{1,99}" * 4,
+        "(" * 100,
+    ],
+)
+def test_filters_that_may_take_forever_are_refused(text):
+    with pytest.raises(InvalidRequestError, match="filter"):
+        name_filter(text)
