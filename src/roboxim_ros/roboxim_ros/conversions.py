@@ -21,7 +21,7 @@ import sys
 import types
 from collections.abc import Callable
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -59,9 +59,9 @@ def pose_from_msg(msg: Any) -> Pose:
 
 def fill_pose(msg: Any, pose: Pose) -> Any:
     """Set a ``geometry_msgs/Pose`` and return it."""
-    msg.position.x, msg.position.y, msg.position.z = pose.position
-    q = msg.orientation
-    q.x, q.y, q.z, q.w = pose.quat_xyzw
+    p, q = msg.position, msg.orientation
+    p.x, p.y, p.z = map(float, pose.position)
+    q.x, q.y, q.z, q.w = map(float, pose.quat_xyzw)
     return msg
 
 
@@ -130,9 +130,17 @@ def _encoder(name: str, kind: Any, msg_cls: Any) -> Convert:
     if origin is tuple and dataclasses.is_dataclass(args[0]):
         inner = _element_class(msg_cls, name)
         return lambda value: [to_msg(item, inner) for item in value]
+    if origin is tuple and args[0] is float and _is_sequence_of_doubles(msg_cls, name):
+        return lambda value: array.array("d", value)
     if origin is tuple:
         return list
+    if kind is float:
+        return float  # rclpy takes the bytes of an int for those of a float
     return lambda value: value
+
+
+def _is_sequence_of_doubles(msg_cls: Any, name: str) -> bool:
+    return bool(msg_cls.get_fields_and_field_types()[name] == "sequence<double>")
 
 
 def _dict_encoder(kind: Any, pair: Any) -> Convert:
@@ -158,13 +166,36 @@ def from_msg(msg: Any, cls: type[T]) -> T:
         InvalidRequestError: When a value does not fit the class (its own checks included).
     """
     getters = _getters(cls)  # type: ignore[arg-type]  # classes are hashable
-    return cls(**{name: get_field(msg) for name, get_field in getters})
+    try:
+        return cls(**{name: get_field(msg) for name, get_field in getters})
+    except AttributeError:  # a bag of an earlier version lacks the fields that were added since
+        missing = {name for name, _ in getters if name != "stamp_ns" and not hasattr(msg, name)}
+        if not missing <= _with_default(cls):  # type: ignore[arg-type]
+            raise
+    return cls(**{name: get_field(msg) for name, get_field in getters if name not in missing})
+
+
+@cache
+def _with_default(cls: type) -> frozenset[str]:
+    """Return the fields that need no value."""
+    none = dataclasses.MISSING
+    fields = dataclasses.fields(cls)
+    return frozenset(f.name for f in fields if f.default is not none or f.default_factory is not none)
 
 
 @cache
 def _getters(cls: type) -> list[tuple[str, Convert]]:
     hints = get_type_hints(cls)
     return [(field.name, _getter(field.name, hints[field.name])) for field in dataclasses.fields(cls)]
+
+
+def _items(kind: Any, values: Any) -> tuple[Any, ...]:
+    """Return a sequence's items: of an array in one call, since its numbers are Python's already."""
+    if kind is float and hasattr(values, "tolist"):
+        items = values.tolist()
+        if not items or type(items[0]) is float:
+            return tuple(items)
+    return tuple(map(kind, values))
 
 
 def _getter(name: str, kind: Any) -> Convert:
@@ -193,7 +224,7 @@ def _decoder(kind: Any) -> Convert:
     if origin is tuple and dataclasses.is_dataclass(args[0]):
         return lambda value: tuple(from_msg(item, args[0]) for item in value)
     if origin is tuple:
-        return lambda value: tuple(args[0](item) for item in value)
+        return partial(_items, args[0])
     if isinstance(kind, type) and issubclass(kind, Enum):
         return _enum_decoder(kind)
     if kind in (int, float, bool, str):

@@ -37,9 +37,28 @@ def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
     return msg
 
 
-def tf_msg(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> TFMessage:
-    """Return transforms from ``world`` to every frame, by frame name."""
-    return TFMessage(transforms=[_transform(stamp_ns, frame, pose) for frame, pose in poses_in_world.items()])
+class TfMessage:
+    """Transforms from ``world`` to frames; the message and its parts are made once for frames that stay the same."""
+
+    def __init__(self) -> None:
+        """Make it empty."""
+        self._msg = TFMessage()
+        self._by_frame: dict[str, TransformStamped] = {}
+
+    def filled(self, stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> TFMessage:
+        """Return the message with a stamp [ns] and the poses of the frames; it is the same object in every call."""
+        if self._by_frame.keys() != poses_in_world.keys():
+            self._by_frame = {frame: TransformStamped(child_frame_id=frame) for frame in poses_in_world}
+            for transform in self._by_frame.values():
+                transform.header.frame_id = "world"
+            self._msg.transforms = list(self._by_frame.values())
+        for frame, pose in poses_in_world.items():
+            transform = self._by_frame[frame]
+            fill_stamp(transform.header.stamp, stamp_ns)
+            t, q = transform.transform.translation, transform.transform.rotation
+            t.x, t.y, t.z = map(float, pose.position)
+            q.x, q.y, q.z, q.w = map(float, pose.quat_xyzw)
+        return self._msg
 
 
 def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
@@ -110,13 +129,3 @@ def _scalar(text: str) -> Scalar:
         return float(text)
     except ValueError:
         return text
-
-
-def _transform(stamp_ns: int, frame: str, pose: Pose) -> TransformStamped:
-    msg = TransformStamped(child_frame_id=frame)
-    fill_stamp(msg.header.stamp, stamp_ns)
-    msg.header.frame_id = "world"
-    t, q = msg.transform.translation, msg.transform.rotation
-    t.x, t.y, t.z = pose.position
-    q.x, q.y, q.z, q.w = pose.quat_xyzw
-    return msg

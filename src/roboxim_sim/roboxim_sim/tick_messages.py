@@ -20,7 +20,7 @@ from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import fill_stamp, to_msg
-from roboxim_sim.conversions import camera_msgs, joint_state_msg, optical_frame, tf_msg
+from roboxim_sim.conversions import TfMessage, camera_msgs, joint_state_msg, optical_frame
 from roboxim_sim.robot_description import robot_description
 
 NOTICE = "sim/ticks"
@@ -42,6 +42,9 @@ OF_STATE = ("clock", "joint_states", "sim/state")
 class TickMessages:
     """Makes the messages of a scene's ticks, by topic. Make another one when the scene changes.
 
+    Non-obvious: the message of ``tf`` is the same object in every tick; it is made of a hundred others. Serialise it
+    before the next tick is made.
+
     Frames that no tick moves (the robot's base, cameras whose parent is ``world``) are in ``tf_static``; it and
     ``robot_description`` come with the first tick that is made, and with every tick 0.
     """
@@ -59,6 +62,7 @@ class TickMessages:
         self._fixed = {f"{robot.id}_base": base, robot.base_link: base}
         self._fixed |= {optical_frame(camera.name): camera.pose for camera in scene.cameras if camera.parent == "world"}
         self._fresh = True
+        self._tf = TfMessage()
 
     def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
         """Return all messages of a tick by topic, the notice last.
@@ -79,10 +83,10 @@ class TickMessages:
     def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
         """Return the messages that depend on the scene's cameras: frames and images, by topic."""
         moving, stamp_ns = self._moving_frames(record), record.stamp_ns
-        messages: dict[str, Any] = {"tf": tf_msg(stamp_ns, moving)}
+        messages: dict[str, Any] = {"tf": self._tf.filled(stamp_ns, moving)}
         if self._fresh or record.seq == 0:
             self._fresh = False
-            messages["tf_static"] = tf_msg(stamp_ns, self._fixed)
+            messages["tf_static"] = TfMessage().filled(stamp_ns, self._fixed)
             messages["robot_description"] = String(data=robot_description(self._robot.urdf))
         for camera in self._scene.cameras:
             for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items():
