@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.runs.caption import captioned
 from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder.bag import BagReader
@@ -32,9 +33,17 @@ def main() -> None:
             run_seed=SEED, purpose="test", task_config=task, output_dir=folder, image_width=SIZE, image_height=SIZE
         )
         result = EpisodeRunner(cores.ports, config).run_index(0)
+        reader = BagReader(Path(folder, result.bag))
+        workspace = next(camera for camera in reader.info.scene.cameras if camera.name == "workspace")
         frames = [
-            Image.fromarray(np.concatenate([tick.images["workspace"], tick.images["wrist"]], axis=1))
-            for tick in BagReader(Path(folder, result.bag)).ticks()
+            Image.fromarray(
+                captioned(
+                    np.concatenate([tick.images["workspace"], tick.images["wrist"]], axis=1),
+                    result.instruction,
+                    workspace,
+                )
+            )
+            for tick in reader.ticks()
             if tick.seq % EVERY == 0
         ]
     pause = [frames[-1]] * 8

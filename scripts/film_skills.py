@@ -17,12 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.runs.caption import captioned
 from roboxim_bringup.task_choice import task_text
 from roboxim_core.cameras import project
 from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.specs import CameraSpec
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_tasks.roles import task_objects
 from roboxim_tasks.skills import SKILLS
@@ -34,8 +36,6 @@ CAMERA = "workspace"
 SIZE = 260
 """Side of a frame [px]."""
 GAP = 4
-TITLE = 34
-"""Height of the line with the instruction [px]."""
 STILL_M = 0.003
 """What has come less far than this has not moved, a button's cap included [m]."""
 ABOVE = 0.06
@@ -117,7 +117,7 @@ def picture(name: str, film: Film) -> Image.Image:
             frames += cut(bag, [ticks[pick] for pick in picks])
     if len(film.episodes) > 1:
         return strip(frames)
-    return strip(frames, bag.info.task.instruction)
+    return strip(frames, bag.info.task.instruction, bag.info.scene.cameras[0])
 
 
 def run(text: str, film: Film, index: int, folder: str) -> BagReader:
@@ -163,16 +163,12 @@ def cut(bag: BagReader, ticks: list[BagTick]) -> list[Picture]:
     return [tick.images[CAMERA][top : top + SIZE, left : left + SIZE] for tick in ticks]
 
 
-def strip(frames: list[Picture], title: str = "") -> Image.Image:
-    """Lay frames side by side, under a line of text."""
-    height = TITLE if title else 0
-    sheet = Image.new("RGB", (len(frames) * (SIZE + GAP) - GAP, height + SIZE), "white")
-    if title:
-        font = ImageFont.load_default(24)
-        ImageDraw.Draw(sheet).text((GAP, height / 2), title, "black", font, anchor="lm")
+def strip(frames: list[Picture], title: str = "", camera: CameraSpec | None = None) -> Image.Image:
+    """Lay frames side by side, under a line with the instruction and a compass of the robot's directions."""
+    sheet = Image.new("RGB", (len(frames) * (SIZE + GAP) - GAP, SIZE), "white")
     for number, frame in enumerate(frames):
-        sheet.paste(Image.fromarray(frame), (number * (SIZE + GAP), height))
-    return sheet
+        sheet.paste(Image.fromarray(frame), (number * (SIZE + GAP), 0))
+    return Image.fromarray(captioned(np.asarray(sheet), title, camera)) if title else sheet
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from roboxim_bringup.runs.caption import captioned
 from roboxim_recorder.bag import BagReader
 
 
@@ -53,5 +54,11 @@ def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int
 
 
 def write_contact_sheet(bags: Sequence[Path], picture: Path) -> None:
-    """Write a picture with a strip of frames of each bag."""
-    Image.fromarray(contact_sheet([film(bag) for bag in bags])).save(picture)
+    """Write a picture with a strip of frames of each bag, under its instruction and a compass."""
+    strips = []
+    for bag in bags:
+        info = BagReader(bag).info
+        cameras = {camera.name: camera for camera in info.scene.cameras}
+        first = cameras.get("workspace") or next(iter(cameras.values()), None)
+        strips.append(captioned(contact_sheet([film(bag)]), info.task.instruction, first))
+    Image.fromarray(np.concatenate(strips, axis=0)).save(picture)
