@@ -8,8 +8,10 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from PIL import Image
 
 from roboxim_bringup.core_graph import CoreGraph
@@ -29,8 +31,15 @@ def main() -> None:
     """Record the episode and write the film."""
     with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder)) as cores:
         task = task_text(skill="place_on", objects=("apple,cucumber,onion", "support=plate"), distractors="3")
+        wide: dict[str, Any] = yaml.safe_load(task)  # sees the whole arm
+        wide.setdefault("reset", {}).setdefault("cameras", {})["views"] = {"workspace": {"values": ["workspace_wide"]}}
         config = RunConfig(
-            run_seed=SEED, purpose="test", task_config=task, output_dir=folder, image_width=SIZE, image_height=SIZE
+            run_seed=SEED,
+            purpose="test",
+            task_config=yaml.safe_dump(wide),
+            output_dir=folder,
+            image_width=SIZE,
+            image_height=SIZE,
         )
         result = EpisodeRunner(cores.ports, config).run_index(0)
         reader = BagReader(Path(folder, result.bag))

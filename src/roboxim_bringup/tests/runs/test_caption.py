@@ -9,7 +9,7 @@ from roboxim_core.cameras import load_camera
 
 
 def test_the_compass_shows_the_robots_directions_in_the_picture() -> None:
-    """The workspace camera stands opposite the robot: its left is on the right, what is behind is nearer to the camera."""
+    """The workspace camera stands opposite the robot: left is on the right, what is behind is nearer to the camera."""
     shown = directions(load_camera("workspace"))
     assert shown["left"][0] > 0 > shown["right"][0]
     assert shown["behind"][1] > 0 > shown["front"][1]
