@@ -1,12 +1,12 @@
-# One interface package: find what its messages use, generate code from msg/, srv/ and action/, export it.
+# Build one interface package: find its dependencies, generate code from msg/, srv/ and action/, export it.
 #
 #   interface_package(DEPENDENCIES <package>...)
 #
-# Interface files are globbed with CONFIGURE_DEPENDS, so adding or removing one is enough.
+# Interface files are globbed with CONFIGURE_DEPENDS, so no list needs a change when one is added or removed.
 #
-# Two worlds build these packages:
+# These packages build against either of:
 # - an ordinary ROS 2 installation (colcon): nothing special happens;
-# - the ROS wheels of PyPI (-DROBOXIM_ROS_FROM_WHEELS=ON): see cmake/ros_from_wheels.cmake for what they need.
+# - the ROS wheels of PyPI (-DROBOXIM_ROS_FROM_WHEELS=ON): see cmake/ros_from_wheels.cmake.
 
 option(ROBOXIM_ROS_FROM_WHEELS "ROS 2 comes from PyPI wheels in the prefix of Python3_EXECUTABLE" OFF)
 
@@ -48,7 +48,7 @@ macro(interface_package)
   ament_package()
 endmacro()
 
-# Name the package that a message uses without depending on it (rosidl's own answer is a bare KeyError).
+# Refuse a message of a package that is not a dependency, naming the package (rosidl raises a bare KeyError).
 function(interface_package_check_dependencies files dependencies)
   foreach(_file IN LISTS files)
     file(STRINGS "${CMAKE_CURRENT_SOURCE_DIR}/${_file}" _fields REGEX "^ *[a-z][a-z0-9_]*/[A-Z]")

@@ -1,6 +1,6 @@
-# What the ROS wheels of PyPI need from a CMake project; included only when they are the ROS that is used.
+# CMake settings for the ROS wheels of PyPI; included only when building against them.
 
-# The wheels install into the prefix of the Python environment, which neither CMake nor ament searches by itself.
+# The wheels install into the prefix of the Python environment. Neither CMake nor ament searches it by default.
 if(NOT Python3_EXECUTABLE)
   message(FATAL_ERROR "ROBOXIM_ROS_FROM_WHEELS needs -DPython3_EXECUTABLE=<python of the environment with the wheels>")
 endif()
@@ -13,8 +13,8 @@ foreach(_name IN ITEMS Python Python3)
   set(${_name}_EXECUTABLE "${Python3_EXECUTABLE}" CACHE FILEPATH "Python of the ROS wheels" FORCE)
 endforeach()
 
-# Before rosidl_generate_interfaces: leave out the C++ generators (the platform is Python: half of the compiling) and
-# keep every C one.
+# Before rosidl_generate_interfaces: disable the C++ generators, which take half of the compile time and which Python
+# nodes do not need. Keep every C generator.
 macro(ros_from_wheels_before_generate)
   list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
 endmacro()
@@ -24,7 +24,7 @@ macro(ros_from_wheels_after_generate)
   ros_from_wheels_compile_together()
 endmacro()
 
-# Drop the include directories of the machine that built the wheels, which CMake refuses because they do not exist.
+# Drop the include directories of the machine that built the wheels. They do not exist here, and CMake would refuse them.
 function(ros_from_wheels_forget_foreign_includes)
   get_property(_targets DIRECTORY PROPERTY IMPORTED_TARGETS)
   foreach(_target IN LISTS _targets)
@@ -36,8 +36,8 @@ function(ros_from_wheels_forget_foreign_includes)
   endforeach()
 endfunction()
 
-# One compiler run for sixteen generated files: most of such a file is what it includes. Descriptions of types stay
-# alone, for each has static data of the same names.
+# Compile sixteen generated files in one compiler run, because most of the time goes into their shared includes.
+# Compile each type description separately: they define static data of the same names.
 function(ros_from_wheels_compile_together)
   foreach(_part IN ITEMS rosidl_generator_c rosidl_generator_py rosidl_typesupport_c rosidl_typesupport_fastrtps_c
           rosidl_typesupport_introspection_c)

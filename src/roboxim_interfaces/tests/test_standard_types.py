@@ -1,7 +1,7 @@
-"""The standard types that are generated here are those of an ordinary ROS 2 Jazzy installation.
+"""The standard types that are generated here equal those of an ordinary ROS 2 Jazzy installation.
 
-ROS 2 peers compare type hashes (REP-2011), which cover names, types and order of all fields, recursively, but neither
-constants nor default values. The hashes here are those that builds of the standard's own packages contain.
+ROS 2 peers compare type hashes (REP-2011). A hash covers names, types and order of all fields, recursively, but neither
+constants nor default values. The expected hashes were taken from builds of the original packages.
 """
 
 import importlib
@@ -42,7 +42,7 @@ FIELDS = {
 
 
 def described(name: str) -> dict:
-    """Return what was generated from an interface: its description and hashes."""
+    """Return the generated description and hashes of an interface, as parsed JSON."""
     package, kind, type_name = name.split("/")
     module = importlib.import_module(package).__file__
     assert module is not None

@@ -1,14 +1,15 @@
-"""Generate what a changed interface file touches, and nothing else.
+"""Generate only the files that a changed interface file affects.
 
-Rosidl runs seven generators, and each of them parses every interface of a package with a general (Earley) parser,
-expands every template and rewrites every file, whatever was changed; all of it is then compiled again. The wheel's
-build puts this folder on PYTHONPATH, where Python finds and runs this file first, to make the generators
+Rosidl runs seven generators. Whatever changed, each of them parses every interface of a package with a general (Earley)
+parser, expands every template and rewrites every file, and all files are then compiled again. The wheel's build puts
+this folder on PYTHONPATH. Python then runs this file at startup, which makes the generators
 
-- share their syntax trees, named by what was parsed;
-- skip a file whose template, interface, types and generator are those it was made from;
-- leave a file alone whose content would stay the same, so that nothing that depends on it is built again.
+- share syntax trees, keyed by the parsed text;
+- skip a file whose template, interface, types and generator are unchanged;
+- leave a file untouched if its content would not change, so that nothing that depends on it is built again.
 
-A first build takes half the time in the generators, one after a changed field a fraction of the whole.
+This halves the time that the generators take in a first build. A build after the change of a field takes a fraction
+of a full build.
 """
 
 import os
