@@ -1,1 +1,1 @@
-"""What every room of RoboXim shares, without ROS: value types, errors, seeds, configuration, models, kinematics."""
+"""Shared code of all RoboXim packages, without ROS: value types, errors, seeds, configuration, models, kinematics."""

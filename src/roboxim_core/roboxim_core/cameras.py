@@ -1,7 +1,7 @@
-"""The camera model: YAML files of ``config/cameras``, and where a point of the scene is in the image.
+"""The camera model: YAML files of ``config/cameras``, and projection of points into the image.
 
-Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel, u to the right,
-v down. Lens distortion is the model ``plumb_bob`` of ROS; OpenCV computes it.
+Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel, u points
+right, v down. Lens distortion follows the ``plumb_bob`` model of ROS and is computed by OpenCV.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraNoise, CameraSpec
 
 MAX_ERROR_PX = 0.01
-"""Largest distance of a pixel from where its ray is projected [px]; more: the distortion cannot be inverted."""
+"""Largest distance between a pixel and the projection of its ray [px]; above it, the distortion cannot be inverted."""
 _UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-9)
-"""When `cv2.undistortPoints` stops: iterations, error [px]."""
+"""Termination criteria of `cv2.undistortPoints`: iterations, error [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsics:
-    """A pinhole's parameters; they hold for the file's ``width`` and ``height`` and are scaled with another size."""
+    """Parameters of a pinhole camera at the file's ``width`` and ``height``; other sizes scale them."""
 
     fx: float
     """Focal length along u [px]."""
@@ -43,24 +43,24 @@ class Intrinsics:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraConfig:
-    """A YAML file of ``config/cameras``."""
+    """Content of a YAML file of ``config/cameras``."""
 
     parent: str = "world"
-    """``world``, the robot link that it is mounted on, or ``gripper``: the hand of any robot."""
+    """``world``, the robot link that it is mounted on, or ``gripper``, the hand of any robot."""
     eye: Vec3 | None = None
     """Position in the parent [m], together with ``target``."""
     target: Vec3 | None = None
     """Point in the parent that is on the optical axis [m]."""
     up: Vec3 = (0.0, 0.0, 1.0)
-    """Direction in the parent that shows upwards in the image."""
+    """Direction in the parent that points up in the image."""
     pose: Pose | None = None
     """Pose of the optical frame in the parent, instead of ``eye`` and ``target``."""
     fov_y_deg: float = 45.0
-    """Vertical field of view [deg]; not used where ``intrinsics`` are given."""
+    """Vertical field of view [deg]; ignored if ``intrinsics`` are given."""
     intrinsics: Intrinsics | None = None
     """Focal lengths and principal point, e.g. from a calibration."""
     distortion: tuple[float, ...] = ()
-    """k1, k2, p1, p2, k3 of a calibration."""
+    """Distortion coefficients k1, k2, p1, p2, k3, e.g. from a calibration."""
     width: int = 256
     """Image width [px]."""
     height: int = 256
@@ -72,27 +72,27 @@ class CameraConfig:
     rate_hz: float = 0.0
     """Frames per simulated second; 0: one at every tick."""
     noise: CameraNoise = CameraNoise()
-    """What the sensor adds; the seed is drawn for each episode."""
+    """Noise of the sensor; its seed is drawn for each episode."""
     depth: bool = False
-    """Whether metric depth is given."""
+    """Whether the camera delivers metric depth."""
     segmentation: bool = False
-    """Whether entity segmentation is given."""
+    """Whether the camera delivers entity segmentation."""
 
     def __post_init__(self) -> None:
-        """Check that there is one pose.
+        """Check that exactly one pose is given.
 
         Raises:
-            ConfigError: When there is none, or two.
+            ConfigError: When none or two are given.
         """
         placed = self.eye is not None and self.target is not None
         if placed == (self.pose is not None) or (self.eye is None) != (self.target is None):
             raise ConfigError("a camera needs either eye and target, or pose")
 
     def spec(self, name: str) -> CameraSpec:
-        """Return the camera.
+        """Return the camera's specification.
 
         Raises:
-            InvalidRequestError: When the numbers make no image.
+            InvalidRequestError: When no image can be made with these numbers.
         """
         pose = self.pose
         if self.eye is not None and self.target is not None:
@@ -108,10 +108,10 @@ class CameraConfig:
 
 
 def load_camera(name: str) -> CameraSpec:
-    """Load a camera of ``config/cameras``, or of a path to a YAML file; a file's camera is named by the file.
+    """Load a camera by its name in ``config/cameras``, or from the path of a YAML file, whose stem becomes the name.
 
     Raises:
-        ConfigError: When there is none of that name or its file is wrong.
+        ConfigError: When no camera has that name, or its file is invalid.
     """
     path = named_config("cameras", name)
     try:
@@ -126,21 +126,21 @@ def _load(path: Path, _mtime_ns: int) -> CameraConfig:
 
 
 def with_noise_seed(camera: CameraSpec, seed: SeedPath) -> CameraSpec:
-    """Return a noisy camera with the noise seed of an episode; a camera without noise stays as it is."""
+    """Return a noisy camera with the noise seed of an episode; return a camera without noise unchanged."""
     if camera.noise == CameraNoise(seed=camera.noise.seed):
         return camera
     return replace(camera, noise=replace(camera.noise, seed=seed.derived_seed(f"camera_noise/{camera.name}")))
 
 
 def project(camera: CameraSpec, points: npt.ArrayLike) -> Array:
-    """Return where points are in the image.
+    """Project points into the image.
 
     Args:
         camera: The camera.
         points: Points in the optical frame (x right, y down, z forward), shape (N, 3), z > 0 [m].
 
     Returns:
-        u, v of each point [px], shape (N, 2); pixel centres are at whole numbers.
+        u, v of each point [px], shape (N, 2); pixel centres are at integers.
     """
     xyz = np.asarray(points, dtype=float).reshape(-1, 1, 3)
     pixels, _ = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), *_calibration(camera))
@@ -151,7 +151,7 @@ def rays_of_pixels(camera: CameraSpec) -> Array:
     """Return the ray through every pixel's centre as x / z, y / z in the optical frame, shape (height, width, 2).
 
     Raises:
-        InvalidRequestError: When the distortion folds the image, so that a pixel sees no point or several.
+        InvalidRequestError: When the distortion folds the image, so that a pixel shows no point or several points.
     """
     u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     pixels = np.stack([u, v], axis=-1)
@@ -168,7 +168,7 @@ def rays_of_pixels(camera: CameraSpec) -> Array:
 
 
 def _calibration(camera: CameraSpec) -> tuple[Array, Array]:
-    """Return a camera's matrix K, shape (3, 3) [px], and its distortion coefficients D, shape (5,), as OpenCV wants."""
+    """Return a camera's matrix K, shape (3, 3) [px], and its distortion coefficients D, shape (5,), for OpenCV."""
     fx, fy, cx, cy = camera.matrix
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return matrix, np.array(camera.distortion or (0.0,) * 5)
@@ -183,5 +183,5 @@ def _radial_derivative(camera: CameraSpec, rays: Array) -> Array:
 
 
 def ideal_camera(camera: CameraSpec) -> CameraSpec:
-    """Return the camera as its sensor would see through a perfect lens: no distortion, no noise."""
+    """Return the camera without lens distortion and without noise."""
     return replace(camera, distortion=(), noise=CameraNoise())

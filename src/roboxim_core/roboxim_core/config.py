@@ -1,7 +1,7 @@
-"""Configuration and specs as YAML or JSON: checked at the door, unknown keys refused with a suggestion, hashable.
+"""Conversion of configurations and specs from and to YAML and JSON, with validation and hashing.
 
-`cattrs` converts between plain data and the frozen dataclasses of this package; this module adds what a user needs when
-the input is wrong: the key's path, its line in the file, the allowed names.
+`cattrs` converts between plain data and the frozen dataclasses of this package. This module adds the details of error
+messages: the path of the wrong key, its line in the file, and the allowed names.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def _converter() -> cattrs.Converter:
     return converter
 
 
-def _misfits(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], str]]:
-    """Yield where a list or a mapping is expected and something else given: its path, and what is wrong."""
+def _type_mismatches(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], str]]:
+    """Yield path and message of every value that should be a list or a mapping but is not."""
     arms = [arm for arm in get_args(kind) if arm is not type(None)]
     if get_origin(kind) in (Union, type(str | int)) and len(arms) == 1:
         if value is None:
@@ -87,19 +87,19 @@ def _misfits(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tup
         kinds = arms if origin is tuple and Ellipsis not in arms else itertools.repeat(arms[0])
         if any(get_origin(arm) is not None for arm in arms):
             for index, (item, below) in enumerate(zip(value, kinds, strict=False)):
-                yield from _misfits(below, item, (*path, index))
+                yield from _type_mismatches(below, item, (*path, index))
     elif origin in (dict, Mapping):
         if not isinstance(value, Mapping):
             yield path, f"expected a mapping, got {given}"
             return
         for key, item in value.items():
-            yield from _misfits(arms[1], item, (*path, key))
+            yield from _type_mismatches(arms[1], item, (*path, key))
 
 
 def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
-    """Return what builds a dataclass, after a check that lists and mappings are where they belong.
+    """Return the structure hook of a dataclass, which first checks that lists and mappings are where they belong.
 
-    Without it a string would be taken for the list of its letters.
+    Without this check, cattrs would accept a string as the list of its letters.
     """
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
     kinds = get_type_hints(cls)
@@ -109,9 +109,9 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
             raise ValueError(f"expected a mapping with keys of {', '.join(kinds)}; got {value!r}")
         if cls is Pose:
             value = _with_quaternion(value)
-        misfits = [found for name in value if name in kinds for found in _misfits(kinds[name], value[name], (name,))]
-        if misfits:
-            errors = [_at_path(ValueError(text), path, cls) for path, text in misfits]
+        mismatches = [m for name in value if name in kinds for m in _type_mismatches(kinds[name], value[name], (name,))]
+        if mismatches:
+            errors = [_at_path(ValueError(text), path, cls) for path, text in mismatches]
             raise cattrs.ClassValidationError(f"while structuring {cls.__name__}", errors, cls)
         return build(value, cls)
 
@@ -119,14 +119,14 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
 
 
 def _at_path(error: Exception, path: Sequence[Any], cls: Any) -> Exception:
-    """Return an error as cattrs would raise it of something that stands under a path."""
+    """Return an error wrapped as cattrs would raise it for the value at a path."""
     *above, last = path
     error.__notes__ = [AttributeValidationNote(str(last), last, None)]
     return _at_path(cattrs.ClassValidationError(f"at {last}", [error], cls), above, cls) if above else error
 
 
 def _with_quaternion(pose: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a pose's mapping with ``quat_xyzw`` in place of ``rpy_deg``: roll, pitch, yaw about the fixed axes."""
+    """Return a pose's mapping with ``quat_xyzw`` instead of ``rpy_deg`` (roll, pitch, yaw about the fixed axes)."""
     if "rpy_deg" not in pose:
         return pose
     angles = pose["rpy_deg"]
@@ -146,13 +146,13 @@ def _scalar(value: Any, kind: Any) -> Any:
         exact = float
     if exact in (int, float) and not -(2**63) <= value < 2**64:
         raise ValueError(f"expected a finite number of 64 bits, got {limits.echo(value)}")
-    if exact is not None and exact in kinds:  # YAML's numbers and strings are subclasses that remember their spelling
+    if exact is not None and exact in kinds:  # ruamel's numbers and strings are subclasses that keep their spelling
         return exact(value)
     raise ValueError(f"expected {' or '.join(k.__name__ for k in kinds)}, got {value!r}")
 
 
 def to_plain(value: Any) -> Any:
-    """Turn a dataclass into dicts, lists and scalars that YAML and JSON can hold."""
+    """Convert a dataclass to dicts, lists and scalars that YAML and JSON can hold."""
     return _converter().unstructure(value)
 
 
@@ -160,31 +160,31 @@ def from_plain(data: Any, cls: type[T], *, source: str = "configuration", path: 
     """Build a value of a dataclass from plain data.
 
     Args:
-        data: Dicts, lists, scalars, as `to_plain` gives or YAML holds.
+        data: Dicts, lists, scalars, from `to_plain` or from YAML.
         cls: The class to build.
-        source: What the data is, for messages, e.g. a file's name.
-        path: Where in the source the data stands, for messages, e.g. ``reset.lights``; empty: it is the whole.
-        line: The line there, as `line_of` says it.
+        source: Origin of the data, for messages, e.g. a file's name.
+        path: Path of the data in the source, for messages, e.g. ``reset.lights``; empty: the whole source.
+        line: Line of the data, in the format of `line_of`.
 
     Raises:
-        ConfigError: Listing every wrong key with its path, its line where known, what was wrong and what is allowed.
+        ConfigError: Listing every wrong key with its path, its line if known, the problem, and the allowed values.
     """
     try:
         return _converter().structure(data, cls)
-    except Exception as error:  # cattrs raises exception groups and whatever __post_init__ raises
+    except Exception as error:  # cattrs raises exception groups and the exceptions of __post_init__
         problems = _explain(error, data, f"{path}." if path else "", line, cls)
         raise ConfigError(f"{source} is not valid: " + "; ".join(problems)) from None
 
 
 def _explain(error: BaseException, data: Any, path: str, line: str, cls: Any) -> list[str]:
-    """Return what is wrong, a key each.
+    """Return one message per wrong key.
 
     Args:
-        error: What cattrs, or a class, says of the data.
-        data: The part of the data that it is about.
-        path: Where that part stands, with a dot at its end; empty: it is the whole.
-        line: Line of the nearest key around it that has one.
-        cls: What was to be built.
+        error: The error that cattrs, or a class, raised for the data.
+        data: The part of the data that the error is about.
+        path: Path of that part, with a dot at its end; empty: the whole data.
+        line: Line of the nearest enclosing key that has one.
+        cls: The class to build.
     """
     if isinstance(error, cattrs.errors.ForbiddenExtraKeysError):
         names = [f.name for f in dataclasses.fields(error.cl)]
@@ -211,20 +211,20 @@ def _explain(error: BaseException, data: Any, path: str, line: str, cls: Any) ->
             elif nested:
                 problems += _explain(sub, below, f"{path}{step}.", line_of(data, step) or line, cls)
             else:
-                problems.append(f"{_where(f'{path}{step}', line_of(data, step) or line)}{_say(sub)}")
+                problems.append(f"{_where(f'{path}{step}', line_of(data, step) or line)}{_error_text(sub)}")
         return problems
-    said = _say(error)
-    return [f"{_where(*complaint_at(said, data, path.rstrip('.'), line))}{said}"]
+    text = _error_text(error)
+    return [f"{_where(*complaint_at(text, data, path.rstrip('.'), line))}{text}"]
 
 
 def complaint_at(said: str, data: Any, path: str, line: str) -> tuple[str, str]:
-    """Return the path and the line of the key that a class complains of.
+    """Return the path and the line of the key that a class's error message is about.
 
     Args:
-        said: The complaint. It begins with the key, e.g. ``areas.left must be ...``, or names no other key of the data.
-        data: What the class was built from.
-        path: Where the data stands.
-        line: The line there, for want of a nearer one.
+        said: The message. It begins with the key, e.g. ``areas.left must be ...``, or names no other key of the data.
+        data: The data that the class was built from.
+        path: Path of the data.
+        line: Line of the data, returned if no line of the key is known.
     """
     mentioned = [key for key in data if str(key) in re.findall(r"\w+", said)] if isinstance(data, Mapping) else []
     first = re.match(r"[A-Za-z_][\w.]*", said)
@@ -239,7 +239,7 @@ def complaint_at(said: str, data: Any, path: str, line: str) -> tuple[str, str]:
     return path, line
 
 
-def _say(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     if isinstance(error, KeyError):
         return "required key is missing"
     return str(error)
@@ -252,35 +252,35 @@ def _where(path: str, line: str) -> str:
 
 
 class LocatedMap(dict[Any, Any]):
-    """A mapping whose keys come from several files: each says where it stands."""
+    """A mapping whose keys may come from several files and which knows the line of each key."""
 
     def __init__(self, items: Mapping[Any, Any], lines: Mapping[Any, str]) -> None:
         """Make a mapping.
 
         Args:
-            items: What it holds.
-            lines: Key to its line, as `line_of` says it.
+            items: Its content.
+            lines: Key to its line, in the format of `line_of`.
         """
         super().__init__(items)
         self.lines: dict[Any, str] = dict(lines)
 
 
 class LocatedList(list[Any]):
-    """A list whose items say where they stand."""
+    """A list that knows the line of each item."""
 
     def __init__(self, items: Iterable[Any], lines: Mapping[Any, str]) -> None:
         """Make a list.
 
         Args:
-            items: What it holds.
-            lines: Index to the item's line, as `line_of` says it.
+            items: Its content.
+            lines: Index to the item's line, in the format of `line_of`.
         """
         super().__init__(items)
         self.lines: dict[Any, str] = dict(lines)
 
 
 def located(data: Any, file: str) -> Any:
-    """Return YAML data whose lines name their file, so that it can be put together with that of another file."""
+    """Return YAML data whose lines name their file, so that it can be combined with data of other files."""
 
     def lines(keys: Iterable[Any]) -> dict[Any, str]:
         return {key: " of ".join(part for part in (line_of(data, key), file) if part) for key in keys}
@@ -293,7 +293,7 @@ def located(data: Any, file: str) -> Any:
 
 
 def line_of(data: Any, key: Any) -> str:
-    """Return where a key of a mapping, or an item of a list, stands: ``line 3``; empty when that is not known."""
+    """Return the line of a mapping's key or a list's item, e.g. ``line 3``; empty if it is not known."""
     if isinstance(data, LocatedMap | LocatedList):
         return data.lines.get(key, "")
     positions = getattr(getattr(data, "lc", None), "data", None)
@@ -301,13 +301,13 @@ def line_of(data: Any, key: Any) -> str:
 
 
 def place(data: Any, path: Iterable[str | int]) -> str:
-    """Return a key's path, with the line of the nearest key that has one: ``objects.target (line 3)``."""
+    """Return a key's path with the line of the nearest key that has one, e.g. ``objects.target (line 3)``."""
     keys = list(path)
     return _where(".".join(map(str, keys)), section_of(data, keys)[1]).removesuffix(": ")
 
 
 def section_of(data: Any, path: Iterable[str | int]) -> tuple[Any, str]:
-    """Return what stands under a path, none if nothing does, and its line, or that of the nearest key around it."""
+    """Return the value at a path (None if there is none) and its line, or that of the nearest enclosing key."""
     line = ""
     for key in path:
         line = line_of(data, key) or line
@@ -322,7 +322,7 @@ def load_yaml(path: Path | str) -> Any:
     """Read a YAML file, keeping line numbers for messages.
 
     Raises:
-        ConfigError: When the file is missing, is not YAML, or is beyond the bounds of `roboxim_core.limits`.
+        ConfigError: When the file is missing, is not YAML, or exceeds the bounds of `roboxim_core.limits`.
     """
     return parse_yaml(read_text(path), source=str(path))
 

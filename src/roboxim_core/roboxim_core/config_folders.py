@@ -1,4 +1,4 @@
-"""Where RoboXim's YAML files are, and which names they have. Imports nothing heavy: tab completion reads it too."""
+"""Folders and names of RoboXim's YAML files. Tab completion uses this module, so it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def config_dir() -> Path:
 
 
 def config_dirs() -> tuple[Path, ...]:
-    """Return where YAML files are looked for, in order: the folders of ``$ROBOXIM_CONFIG_PATH``, then `config_dir`.
+    """Return the search path of YAML files: the folders of ``$ROBOXIM_CONFIG_PATH``, then `config_dir`.
 
-    ``ROBOXIM_CONFIG_PATH`` is a list as ``PATH`` is: a user's own folders with ``objects/``, ``cameras/`` and so on.
+    ``ROBOXIM_CONFIG_PATH`` is a list like ``PATH``, of the user's folders with ``objects/``, ``cameras/`` and so on.
 
     Raises:
         ConfigError: When one of them is not a folder.
@@ -52,14 +52,14 @@ def config_names(kind: str) -> list[str]:
 
 
 def named_config(kind: str, name: str) -> Path:
-    """Return the YAML file of a name: ``config/<kind>/<name>.yaml``, or a path if the name looks like one.
+    """Return the YAML file of a configuration: ``config/<kind>/<name>.yaml``, or the path if the name is one.
 
     Args:
         kind: Folder in ``config/``, e.g. ``cameras``.
-        name: Name without ending, or a path to a YAML file.
+        name: Name without suffix, or a path to a YAML file.
 
     Raises:
-        ConfigError: When there is no such file; suggests names.
+        ConfigError: When there is no such file; the message suggests names.
     """
     if is_path(name):
         try:
@@ -78,5 +78,5 @@ def named_config(kind: str, name: str) -> Path:
 
 
 def is_path(name: str) -> bool:
-    """Tell a path to a YAML file from the name of a configuration."""
+    """Return whether this is a path to a YAML file rather than the name of a configuration."""
     return re.search(r"[/\\]|\.ya?ml$", name) is not None

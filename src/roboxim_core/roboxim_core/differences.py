@@ -1,4 +1,4 @@
-"""Describe the differences of two configurations in a few words, for error messages."""
+"""Short descriptions of the differences between two configurations, for error messages."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from roboxim_core.config import parse_yaml
 from roboxim_core.errors import ConfigError
 
 SHOWN = 5
-"""Further differences are only counted."""
+"""Number of differences that are described; further ones are only counted."""
 SHOWN_CHARACTERS = 60
-"""Longer values are cut."""
+"""Largest length of a shown value [characters]; longer ones are cut."""
 _MISSING = object()
 
 
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: Collection[str] = ()) -> str:
-    """Say where two configurations differ, by their innermost keys.
+    """Describe the differences between two configurations, by their innermost keys.
 
     YAML text, such as a run's ``task_config``, is compared key by key.
 
     Args:
-        there: The configuration that exists, plain data.
+        there: The existing configuration, plain data.
         asked: The requested configuration, plain data.
         ignore: Outermost keys that may differ.
 
     Returns:
         For example ``seed: 0 there, 1 asked; task_config.skill: "rotate" there, "pick_up" asked``; empty when they
-        are the same.
+        are equal.
     """
     keys = [key for key in dict.fromkeys((*asked, *there)) if key not in ignore and there.get(key) != asked.get(key)]
     found: list[str] = []
@@ -43,7 +43,7 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: C
 
 
 def _leaves(path: str, value: Any) -> dict[str, Any]:
-    """Return innermost keys with their values; a list of plain values is one value."""
+    """Map innermost keys to their values; a list of plain values counts as one value."""
     if isinstance(value, str) and "\n" in value:
         try:
             parsed = parse_yaml(value)

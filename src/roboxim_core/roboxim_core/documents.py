@@ -1,7 +1,7 @@
-"""YAML and JSON text from outside: read within bounds, so that no document fills the memory or ends in a traceback.
+"""Readers of untrusted YAML and JSON text, with bounds, so that no document fills the memory or causes a traceback.
 
-A few lines of YAML whose aliases repeat each other stand for billions of values, and a reader that calls itself for
-every level of nesting ends in a ``RecursionError``. Both are counted before anything is built.
+A few lines of YAML whose aliases repeat each other can expand to billions of values, and deep nesting makes a recursive
+reader raise ``RecursionError``. Values and levels are therefore counted before anything is built.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def parse_yaml(text: str, *, source: str = "YAML") -> Any:
     """Parse YAML text, keeping line numbers for messages.
 
     Raises:
-        ConfigError: When it is not YAML, or beyond the bounds of `roboxim_core.limits`, with the line.
+        ConfigError: When it is not YAML, or exceeds the bounds of `roboxim_core.limits`; the message names the line.
     """
     if len(text) > limits.YAML_BYTES:
         raise ConfigError(f"{source}: larger than {limits.YAML_BYTES} characters, got {len(text)}")
@@ -66,12 +66,12 @@ def parse_yaml(text: str, *, source: str = "YAML") -> Any:
         raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from None
     except YAMLError as error:
         raise ConfigError(f"{source}: not valid YAML: {limits.printable(str(error))}") from None
-    except (ValueError, TypeError, OverflowError) as error:  # of a date that is none, an integer of 5,000 digits
+    except (ValueError, TypeError, OverflowError) as error:  # e.g. an impossible date, an integer of 5,000 digits
         raise ConfigError(f"{source}: not valid YAML: {limits.printable(str(error))}") from None
 
 
 def _check_size(text: str, source: str) -> None:
-    """Refuse a document with too many values or levels, what its aliases repeat included."""
+    """Refuse a document with too many values or levels, including those that its aliases repeat."""
     known: dict[str, tuple[int, int]] = {}
     open_nodes: list[_Node] = []
     total = 0
@@ -109,7 +109,7 @@ def _check_size(text: str, source: str) -> None:
 
 
 class _Node:
-    """A list or mapping that has begun: how much is in it so far."""
+    """A list or mapping that is being read: the number of its values and levels so far."""
 
     def __init__(self, anchor: str | None) -> None:
         self.anchor = anchor
@@ -125,11 +125,11 @@ def parse_json(text: str, *, source: str = "JSON", most: int = limits.DOCUMENT_B
 
     Args:
         text: The text.
-        source: What it is, for messages.
+        source: Origin of the text, for messages.
         most: Largest size [characters].
 
     Raises:
-        ConfigError: When it is not JSON (NaN and infinities are not), too large or nested too deep.
+        ConfigError: When it is not JSON (NaN and infinities are not JSON), too large or nested too deep.
     """
     if len(text) > most:
         raise ConfigError(f"{source} is larger than {most} characters, got {len(text)}")
@@ -140,7 +140,7 @@ def parse_json(text: str, *, source: str = "JSON", most: int = limits.DOCUMENT_B
     try:
         data = json.loads(text, parse_constant=refuse)
         if "\\u" in text:
-            json.dumps(data, ensure_ascii=False).encode()  # half of a surrogate pair is no text
+            json.dumps(data, ensure_ascii=False).encode()  # refuses unpaired surrogates
     except RecursionError:
         raise ConfigError(f"{source} is nested too deep; {limits.DOCUMENT_DEPTH} levels are allowed") from None
     except ValueError as error:

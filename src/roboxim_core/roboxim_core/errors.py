@@ -1,8 +1,8 @@
-"""The tree of errors, and the numeric codes in every service and action result.
+"""The hierarchy of errors, and the numeric codes in every service and action result.
 
-Each package raises its own subclass; a node turns it into ``error_code`` + ``error_msg`` and a client turns those back
-into the same class, so an error looks the same on both sides of a service call. The codes are mirrored as constants in
-``roboxim_interfaces/msg/ErrorCode``; a test holds the two lists equal.
+Each package raises its own subclass. A node converts it to ``error_code`` and ``error_msg``; a client converts those
+back to the same class, so an error looks the same on both sides of a service call. The message
+``roboxim_interfaces/msg/ErrorCode`` repeats the codes as constants; a test checks that the two lists are equal.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from enum import IntEnum
 
 
 class ErrorCode(IntEnum):
-    """Result codes. 0 is OK; 1xx any package, 2xx planner, 3xx sim, 4xx tasks, 5xx recorder, 6xx eval, 7xx policies."""
+    """Result codes: 0 OK, 1xx any package, 2xx planner, 3xx sim, 4xx tasks, 5xx recorder, 6xx eval, 7xx policies."""
 
     OK = 0
 
@@ -71,9 +71,9 @@ class ErrorCode(IntEnum):
 
 
 class RoboximError(Exception):
-    """Base of all errors that RoboXim raises on purpose.
+    """Base class of all errors that RoboXim raises on purpose.
 
-    The message says what was wrong, what was expected and what to do. ``code`` is what a service result carries.
+    The message says what was wrong, what was expected and what to do. ``code`` becomes the code of a service result.
     """
 
     code: ErrorCode = ErrorCode.INTERNAL
@@ -83,7 +83,7 @@ class RoboximError(Exception):
 
         Args:
             message: What was wrong, what was expected, what to do.
-            code: A more exact code than the class's own.
+            code: A more specific code than the class's default.
         """
         super().__init__(message)
         if code is not None:
@@ -103,7 +103,7 @@ class ConfigError(RoboximError):
 
 
 class RequestTimeoutError(RoboximError):
-    """A deadline passed. A deadline ends in this error and never changes a result."""
+    """A deadline passed. Deadlines never change a result; they only raise this error."""
 
     code = ErrorCode.TIMEOUT
 
@@ -115,19 +115,19 @@ class UnavailableError(RoboximError):
 
 
 class PlannerError(RoboximError):
-    """The planner cannot answer a request (2xx)."""
+    """The planner cannot fulfil a request (2xx)."""
 
     code = ErrorCode.PLANNING_FAILED
 
 
 class SimError(RoboximError):
-    """The simulator refuses or fails (3xx)."""
+    """The simulator refuses a request or fails (3xx)."""
 
     code = ErrorCode.SIM_FAULT
 
 
 class TaskError(RoboximError):
-    """A task, a reset, an expert or a judge refuses or fails (4xx)."""
+    """A task, a reset, an expert or a judge refuses a request or fails (4xx)."""
 
     code = ErrorCode.TASK_FAULT
 
@@ -145,7 +145,7 @@ class EvaluationError(RoboximError):
 
 
 class PolicyError(RoboximError):
-    """A policy misbehaved (7xx); that episode fails, the run goes on."""
+    """A policy misbehaved (7xx); that episode fails, the run continues."""
 
     code = ErrorCode.POLICY_FAULT
 
@@ -168,10 +168,10 @@ def raise_for_code(error_code: int, error_msg: str) -> None:
 
     Args:
         error_code: ``error_code`` of a service or action result.
-        error_msg: Its ``error_msg``.
+        error_msg: ``error_msg`` of the result.
 
     Raises:
-        RoboximError: The subclass of the code's family, with the code and message.
+        RoboximError: The subclass for the code's range, with the code and message.
     """
     if error_code == ErrorCode.OK:
         return
@@ -184,11 +184,11 @@ def raise_for_code(error_code: int, error_msg: str) -> None:
 
 
 def printable(value: object, limit: int = 2000, *, form: Callable[[object], str] = str) -> str:
-    """Return a text that any message may hold, whatever a stranger's ``__str__`` or ``__repr__`` does.
+    """Return a text that is valid in any message, even if the value's ``__str__`` or ``__repr__`` misbehaves.
 
     Args:
         value: For example an exception that a user's code raised.
-        limit: Longest text; what is longer is cut off.
+        limit: Largest length [characters]; longer text is cut.
         form: ``str`` or ``repr``.
     """
     try:
@@ -200,19 +200,19 @@ def printable(value: object, limit: int = 2000, *, form: Callable[[object], str]
 
 
 LISTED = 8
-"""Up to so many names are all listed in a message; of more, the ones nearest to what was given."""
+"""Largest number of names that a message lists; of more names, it shows the ones nearest to the given one."""
 
 
 def one_of(choices: Iterable[str], given: str) -> str:
-    """Say which names are valid, to end an error message with.
+    """Return the end of an error message: which names are valid.
 
     Args:
         choices: The valid names.
         given: The name that was not among them.
 
     Returns:
-        For example ``"expected one of: apple, cube (did you mean 'cube'?)"``; of many names the nearest alone:
-        ``"did you mean 'cube'? (33 names are known)"``; all of them when none is near.
+        For example ``"expected one of: apple, cube (did you mean 'cube'?)"``. Of many names only the nearest:
+        ``"did you mean 'cube'? (33 names are known)"``, or all of them when none is near.
     """
     names = sorted(choices)
     close = difflib.get_close_matches(given[:200], names, n=1)

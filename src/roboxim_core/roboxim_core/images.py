@@ -1,7 +1,7 @@
 """Images: encoding and decoding (OpenCV), resizing (Pillow).
 
-Every image that is exported or fed to a network is resized by `resized`, so that training and evaluation see the same
-pixels. OpenCV does not resize here: its interpolation aliases when it makes an image smaller.
+`resized` resizes every image that is exported or fed to a network, so that training and evaluation use the same pixels.
+It does not use OpenCV, whose interpolation aliases when it shrinks an image.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ENCODINGS: dict[str, tuple[str, list[int]]] = {
     ),
     "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]),
 }
-"""Name of an encoding to the file suffix and the parameters that OpenCV knows it by."""
+"""Name of an encoding to OpenCV's file suffix and parameters for it."""
 
 
 def resized(image: RgbImage, height: int, width: int) -> RgbImage:

@@ -1,6 +1,6 @@
-"""How large a request may be: every count, size, string and duration that comes from outside has a bound here.
+"""Bounds of every count, size, string and duration in requests and files from outside.
 
-A bound is far above what a user needs and far below what stops a node from answering. A larger value is refused with
+A bound is far above what users need and far below what would stop a node from answering. A larger value is refused with
 ``INVALID_REQUEST`` (or ``INVALID_CONFIG`` in a file), which names the bound.
 """
 
@@ -14,20 +14,20 @@ from typing import Final
 from roboxim_core.errors import InvalidRequestError
 
 NAME_CHARACTERS: Final = 64
-"""Characters of the name of an entity, a camera or a role: it becomes part of a topic or a frame."""
+"""Characters of the name of an entity, a camera or a role: the name becomes part of a topic or a frame."""
 EPISODE_ID_CHARACTERS: Final = 128
-"""Characters of an episode's id: with an ending it is the name of a file, which has at most 255 bytes."""
+"""Characters of an episode's id: with a suffix it is a file name, which has at most 255 bytes."""
 FILE_NAME_CHARACTERS: Final = 200
-"""Characters of a name that is looked up as a file: a file system allows 255 bytes, ending included."""
+"""Characters of a name that is looked up as a file: a file system allows 255 bytes, suffix included."""
 SHORT_TEXT_CHARACTERS: Final = 10_000
-"""Characters of a string field of a message, unless `LONG_TEXTS` names it. Messages about names compare them in
-quadratic time."""
+"""Characters of a string field of a message, except for those in `LONG_TEXTS`: error messages with suggestions compare
+names in quadratic time."""
 LONG_TEXT_CHARACTERS: Final = 16 * 2**20
 """Characters of a string field that holds a document."""
 LONG_TEXTS: Final = frozenset({"task_config", "task_config_json", "config_json", "snapshot_json", "resource_string"})
 """String fields that hold a document: YAML or JSON."""
 ITEMS: Final = 10_000
-"""Elements of a sequence of messages or strings in a message, unless `MANY_ITEMS` names it: handlers loop over them."""
+"""Elements of a sequence of messages or strings, except for those in `MANY_ITEMS`: handlers loop over them."""
 MANY_ITEMS: Final = {"points": 100_000, "indices": 100_000}
 """Sequences that may be longer: points of a trajectory."""
 NUMBERS: Final = 2**28
@@ -79,9 +79,9 @@ DOCUMENT_BYTES: Final = 32 * 2**20
 DOCUMENT_DEPTH: Final = 64
 """Nesting of a YAML or JSON document; Python's own limit is some 300 levels of a recursive reader."""
 DOCUMENT_NODES: Final = 1_000_000
-"""Values in a document, what its aliases repeat included: nine levels of nine aliases would be 400 million."""
+"""Values in a document, including those that aliases repeat: nine levels of nine aliases would be 400 million."""
 YAML_BYTES: Final = 2 * 2**20
-"""Size of a YAML file: the reader that keeps line numbers takes 20 s for this much."""
+"""Size of a YAML file: the reader that keeps line numbers takes 20 s for a file of this size."""
 MIX_CELLS: Final = 10_000
 """Cells of a mix: each is checked when the mix is loaded."""
 MIX_EPISODES: Final = 10**12
@@ -112,12 +112,12 @@ def is_file_name(name: str) -> bool:
 
 
 def echo(value: object) -> str:
-    """Return a given value as an error's message repeats it: quoted, and cut when it is long."""
+    """Return a given value for an error message: quoted, and cut if it is long."""
     return printable(repr(value), ECHO_CHARACTERS + 40)
 
 
 def require_range(what: str, value: float, lower: float, upper: float) -> None:
-    """Refuse a number out of range; NaN is out of every range.
+    """Refuse a number outside a range; NaN is outside every range.
 
     Raises:
         InvalidRequestError: Naming the number and its range.
@@ -127,10 +127,10 @@ def require_range(what: str, value: float, lower: float, upper: float) -> None:
 
 
 def require_count(what: str, count: int, upper: int) -> None:
-    """Refuse too many of something.
+    """Refuse a count above its bound.
 
     Raises:
-        InvalidRequestError: Naming what there is too much of, and the bound.
+        InvalidRequestError: Naming the counted items and the bound.
     """
     if count > upper:
         raise InvalidRequestError(f"at most {upper} {what} are allowed, got {count}")
@@ -149,16 +149,16 @@ def require_finite(what: str, values: Iterable[float], largest: float = math.inf
 
 
 def require_name(kind: str, name: str, reserved: Iterable[str] = (), *, topic: bool = False) -> None:
-    """Refuse a name that cannot be part of a frame, or that means something else already.
+    """Refuse a name that cannot be part of a frame, or that is reserved.
 
     Args:
-        kind: What is named, e.g. ``entity``.
+        kind: Kind of the named thing, for the message, e.g. ``entity``.
         name: The name.
-        reserved: Names that are taken.
+        reserved: Reserved names.
         topic: Whether the name becomes part of a topic, where fewer characters are allowed.
 
     Raises:
-        InvalidRequestError: Saying what a name may be.
+        InvalidRequestError: The message says which names are valid.
     """
     if len(name) > NAME_CHARACTERS or not (_NAME if topic else _FREE_NAME).fullmatch(name):
         allowed = (
@@ -169,14 +169,14 @@ def require_name(kind: str, name: str, reserved: Iterable[str] = (), *, topic: b
         raise InvalidRequestError(f"{kind} name {echo(name)} must be {allowed}, at most {NAME_CHARACTERS} characters")
     taken = sorted(reserved)
     if name in taken:
-        raise InvalidRequestError(f"{kind} name '{name}' is reserved; choose another one than {', '.join(taken)}")
+        raise InvalidRequestError(f"{kind} name '{name}' is reserved; choose a name other than {', '.join(taken)}")
 
 
 def require_episode_id(episode_id: str) -> None:
-    """Refuse an episode's id that cannot be the name of a file; the empty one means no episode.
+    """Refuse an episode's id that cannot be a file name; an empty id means no episode.
 
     Raises:
-        InvalidRequestError: Saying what an id may be.
+        InvalidRequestError: The message says which ids are valid.
     """
     if episode_id and (len(episode_id) > EPISODE_ID_CHARACTERS or not _EPISODE_ID.fullmatch(episode_id)):
         raise InvalidRequestError(

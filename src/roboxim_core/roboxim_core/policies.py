@@ -1,4 +1,4 @@
-"""The policy boundary: what a policy says of itself, what it gets, what it returns."""
+"""The policy boundary: description, inputs and outputs of a policy."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from roboxim_core.state import StateRecord
 
 RGBImage = npt.NDArray[np.uint8]
 FREE = "free"
-"""Phase of an action whose way does not matter: noise may be injected."""
+"""Phase of actions whose exact path does not matter: noise may be injected."""
 RECOVERY = "recovery"
-"""Phase of an action of another try, after the first went wrong: the episode is no first-try success."""
+"""Phase of actions of a further try, after the first one failed: the episode is not a first-try success."""
 
 MAX_WINDOW = 1_000
-"""Most observations per request."""
+"""Largest number of observations per request."""
 MAX_HORIZON = 10_000
-"""Most actions per answer."""
+"""Largest number of actions per answer."""
 LONGEST_TEXT = 1_000
-"""Longest name or version [characters]."""
+"""Largest length of a name or version [characters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRequirement:
-    """A camera that a policy wants."""
+    """A camera that a policy requires."""
 
     name: str
     """Name of the camera, e.g. ``workspace``."""
     width: int = 0
-    """Wanted width [px]; 0: as the scene has it."""
+    """Required width [px]; 0: as in the scene."""
     height: int = 0
-    """Wanted height [px]; 0: as the scene has it."""
+    """Required height [px]; 0: as in the scene."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            InvalidRequestError: On a name that is no string, or a size that is no whole number from 0 to 65535.
+            InvalidRequestError: On a name that is not a string, or a size that is not an integer from 0 to 65535.
         """
         _require_text("a camera's name", self.name)
         for name in ("width", "height"):
@@ -53,28 +53,28 @@ class CameraRequirement:
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyDescription:
-    """What a policy says of itself; checked before the first step."""
+    """Requirements and properties that a policy declares; checked before the first step."""
 
     name: str
     """Name for reports, e.g. ``bc``."""
     semantics: ActionSemantics = ActionSemantics()
     """Meaning of its actions."""
     cameras: tuple[CameraRequirement, ...] = ()
-    """Cameras that it looks through."""
+    """Cameras whose images the policy needs."""
     window: int = 1
-    """Number of observations it wants, newest last, >= 1."""
+    """Number of observations per request, newest last, >= 1."""
     horizon: int = 1
-    """Number of actions that it returns per request, >= 1."""
+    """Largest number of actions per answer, >= 1."""
     privileged: bool = False
-    """Whether it reads the task, the scene and the state record (an expert does, a policy under test must not)."""
+    """Whether the policy reads task, scene and state record (an expert does, a policy under test must not)."""
     version: str = ""
-    """Version or checkpoint, for the record."""
+    """Version or checkpoint, for reports and bags."""
 
     def __post_init__(self) -> None:
-        """Check types and ranges: a policy's author writes them.
+        """Check types and ranges, because the author of a policy writes them.
 
         Raises:
-            InvalidRequestError: Naming what is wrong.
+            InvalidRequestError: Naming the wrong field.
         """
         _require_text("a policy's name", self.name)
         _require_text(f"policy '{self.name}': version", self.version)
@@ -107,7 +107,7 @@ def _require_whole(what: str, value: Any, least: int, most: int) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """What a policy sees at one tick."""
+    """Input of a policy at one tick."""
 
     seq: int
     """Tick."""
@@ -116,21 +116,21 @@ class Observation:
     images: Mapping[str, RGBImage] = field(default_factory=dict)
     """Camera name to RGB image, uint8, shape (height, width, 3), read-only."""
     proprio: Proprioception = Proprioception()
-    """What the robot measures of itself; ``proprio.vector()`` is one array."""
+    """The robot's own measurements; ``proprio.vector()`` returns one array."""
     state: StateRecord | None = None
-    """State record; only for a policy that declares ``privileged``."""
+    """State record; None unless the policy declares ``privileged``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationWindow:
-    """The last observations and what is asked for."""
+    """A request to a policy: the instruction and the last observations."""
 
     instruction: str
     """Natural language instruction."""
     observations: Sequence[Observation]
     """``window`` observations, newest last; early ones repeat the first frame."""
     pad_mask: tuple[bool, ...]
-    """For each observation whether it is real (True) or padding (False)."""
+    """For each observation, whether it is real (True) or padding (False)."""
     episode_id: str
     """Episode."""
     seq: int
@@ -144,7 +144,7 @@ class ObservationWindow:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeStart:
-    """What a policy is told when an episode starts."""
+    """Input of a policy at the start of an episode."""
 
     episode_id: str
     """Episode."""
@@ -153,33 +153,33 @@ class EpisodeStart:
     seed: int
     """Seed for the policy's own randomness."""
     task: TaskSpec | None = None
-    """The task; only for a privileged policy."""
+    """The task; None unless the policy is privileged."""
     scene: SceneSpec | None = None
-    """The scene; only for a privileged policy."""
+    """The scene; None unless the policy is privileged."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActionChunk:
-    """Actions with what only an expert says of them; a learned policy returns the bare array."""
+    """Actions with extra information that only an expert gives; a learned policy returns a plain array."""
 
     actions: ActionArray
     """float32, shape (horizon, D); D is 7 by default."""
     done: bool = False
-    """Whether the actor has nothing more to do after these; the episode then settles."""
+    """Whether the actor has finished after these actions; the episode then settles."""
     phases: tuple[str, ...] = ()
-    """Per action the actor's own word for it: noise is only injected where it is ``free``; one that is ``recovery``
+    """Name of each action's phase, chosen by the actor. Noise is injected only in phase ``free``; phase ``recovery``
     marks the episode as recovered. Empty: unknown."""
 
 
 class Policy(Protocol):
-    """A policy. `roboxim_policies.BasePolicy` gives every method but ``act``."""
+    """A policy. `roboxim_policies.BasePolicy` implements every method except ``act``."""
 
     def describe(self) -> PolicyDescription:
-        """Say what the policy needs and what its actions mean."""
+        """Return what the policy requires and what its actions mean."""
         ...
 
     def reset(self, start: EpisodeStart) -> None:
-        """Forget the last episode."""
+        """Start an episode: forget the previous one."""
         ...
 
     def act(self, window: ObservationWindow) -> npt.ArrayLike | ActionChunk:

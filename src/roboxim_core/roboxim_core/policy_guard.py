@@ -1,8 +1,8 @@
-"""The guard between a policy and whoever asks it: whatever the policy does wrong becomes an error by name.
+"""The guard between a policy and its callers: it converts every fault of the policy to a specific error.
 
-Pure: a node decodes messages and calls this, and so does a loop without nodes. A policy's exception never ends its
-node: its traceback is logged and the answer carries ``POLICY_FAULT``. What a policy returns is checked before anybody
-uses it: everything that is not a chunk of finite numbers of the declared size is ``INVALID_ACTION``, nothing is cast.
+The guard is pure: the policy node and loops without nodes use the same one. A policy's exception never ends its node:
+the traceback is logged and the answer carries ``POLICY_FAULT``. The guard checks every answer before it is used.
+Anything other than a chunk of finite numbers of the declared size is ``INVALID_ACTION``; nothing is cast.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, PolicyError, Rob
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy, PolicyDescription
 
 LONGEST_PHASE = 64
-"""Longest word for a phase [characters]."""
+"""Largest length of the name of a phase [characters]."""
 LONGEST_TRACEBACK = 20_000
-"""Longest traceback in the log [characters]."""
+"""Largest length of a traceback in the log [characters]."""
 
 
 def checked_answer(answer: Any, description: PolicyDescription) -> ActionChunk:
-    """Check what a policy returned.
+    """Validate the answer of a policy.
 
     Args:
-        answer: An `ActionChunk`, or the array-like of its actions.
-        description: What the policy said of itself: size of an action, horizon.
+        answer: An `ActionChunk`, or an array-like of actions.
+        description: The policy's description, which gives the size of an action and the horizon.
 
     Returns:
         Actions as float32, shape (horizon, D), ``done`` as a bool, phases as a tuple of strings.
 
     Raises:
-        PolicyError: With code ``INVALID_ACTION``, whatever is wrong.
+        PolicyError: With code ``INVALID_ACTION``, if the answer is invalid in any way.
     """
     try:
         return _checked(answer, description)
     except InvalidRequestError as error:
         raise PolicyError(str(error), ErrorCode.INVALID_ACTION) from None
-    except (Exception, SystemExit) as error:  # reading an attribute of an object may raise anything
+    except (Exception, SystemExit) as error:  # reading an attribute runs foreign code, which may raise anything
         raise PolicyError(
             f"the answer cannot be read: {type(error).__name__}: {printable(error)}", ErrorCode.INVALID_ACTION
         ) from None
@@ -72,9 +72,9 @@ def _checked(answer: Any, description: PolicyDescription) -> ActionChunk:
 
 
 class GuardedPolicy:
-    """Calls a policy and trusts nothing it does.
+    """Wrapper that calls a policy and checks everything that it does.
 
-    A policy that does not declare ``privileged`` never gets the task, the scene or a state record, even where a caller
+    A policy that does not declare ``privileged`` never receives the task, the scene or a state record, even if a caller
     sends them.
     """
 
@@ -85,30 +85,30 @@ class GuardedPolicy:
         log: Callable[[str], None] = lambda text: None,
         named_errors: tuple[type[RoboximError], ...] = (),
     ) -> None:
-        """Ask the policy what it is.
+        """Ask the policy for its description.
 
         Args:
             policy: The policy.
-            log: Takes the traceback of whatever the policy raises.
-            named_errors: Errors that keep their code, for a policy of RoboXim's own such as the expert; all else that
-                it raises, except a `PolicyError`, is ``POLICY_FAULT``.
+            log: Called with the traceback of every exception that the policy raises.
+            named_errors: Errors that keep their code, for RoboXim's own policies such as the expert. All other
+                exceptions, except `PolicyError`, become ``POLICY_FAULT``.
 
         Raises:
-            PolicyError: When its description is not one.
+            PolicyError: When the policy does not return a valid description.
         """
         self._policy, self._log, self._named_errors = policy, log, named_errors
         self._label = f"policy '{type(policy).__name__}'"
-        with self._blaming("describe"):
+        with self._converting_errors("describe"):
             description = policy.describe()
             if not isinstance(description, PolicyDescription):
                 raise PolicyError(f"{self._label}: describe must return a PolicyDescription, got {description!r}")
         self.description = description
-        """What the policy said of itself."""
+        """The policy's description."""
         self._label = f"policy '{description.name}'"
         self._episode: str | None = None
 
     def describe(self) -> PolicyDescription:
-        """Return what the policy said of itself when it was made."""
+        """Return the description that the policy gave when the guard was made."""
         return self.description
 
     def reset(self, start: EpisodeStart) -> None:
@@ -116,14 +116,14 @@ class GuardedPolicy:
 
         Raises:
             PolicyError: When the policy raises.
-            InvalidRequestError: When a privileged policy is not given the task and the scene.
+            InvalidRequestError: When the policy is privileged and the task or the scene is missing.
         """
         self._episode = None
         if not self.description.privileged:
             start = replace(start, task=None, scene=None)
         elif start.task is None or start.scene is None:
             raise InvalidRequestError(f"{self._label} is privileged: a reset needs the task and the scene")
-        with self._blaming(f"reset for episode {start.episode_id}"):
+        with self._converting_errors(f"reset for episode {start.episode_id}"):
             self._policy.reset(start)
         self._episode = start.episode_id
 
@@ -131,16 +131,17 @@ class GuardedPolicy:
         """Ask for the next actions.
 
         Raises:
-            InvalidRequestError: When the window is not what the policy declared, or its episode was not started.
-            PolicyError: With code ``POLICY_FAULT`` when the policy raises, ``INVALID_ACTION`` when what it returns is
-                no chunk of actions, see `checked_answer`.
+            InvalidRequestError: When the window does not match the policy's description, or its episode was not
+                started.
+            PolicyError: With code ``POLICY_FAULT`` when the policy raises, ``INVALID_ACTION`` when its answer is
+                invalid, see `checked_answer`.
         """
         self._check_window(window)
         if not self.description.privileged:
             observations = [replace(o, state=None) for o in window.observations]
             window = replace(window, observations=observations)
         where = f"act at tick {window.seq} of episode {window.episode_id}"
-        with self._blaming(where):
+        with self._converting_errors(where):
             answer = self._policy.act(window)
         try:
             return checked_answer(answer, self.description)
@@ -165,7 +166,7 @@ class GuardedPolicy:
                 image = observation.images.get(camera.name)
                 if image is None:
                     raise InvalidRequestError(
-                        f"{self._label} looks through camera '{camera.name}', but the observation of tick "
+                        f"{self._label} needs camera '{camera.name}', but the observation of tick "
                         f"{observation.seq} has only {sorted(observation.images) or 'none'}",
                         ErrorCode.OBSERVATION_MISSING,
                     )
@@ -177,8 +178,8 @@ class GuardedPolicy:
                     )
 
     @contextmanager
-    def _blaming(self, where: str) -> Iterator[None]:
-        """Turn whatever the policy raises, ``SystemExit`` included, into a `PolicyError`; Ctrl-C passes."""
+    def _converting_errors(self, where: str) -> Iterator[None]:
+        """Convert every exception of the policy, including ``SystemExit``, to a `PolicyError`; let Ctrl-C pass."""
         try:
             yield
         except KeyboardInterrupt:

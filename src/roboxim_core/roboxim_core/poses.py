@@ -1,4 +1,4 @@
-"""Rigid transforms as plain hashable values: metres, quaternions xyzw, right-handed (REP-103)."""
+"""Rigid transforms as plain hashable values: metres, quaternions xyzw, right-handed frames (REP-103)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """Pose of a child frame in a parent frame; names say which: ``pose_tcp_in_world``."""
+    """Pose of a child frame in a parent frame; variables name both frames, e.g. ``pose_tcp_in_world``."""
 
     position: Vec3 = (0.0, 0.0, 0.0)
     """Origin of the child in the parent [m]."""
@@ -51,7 +51,7 @@ class Pose:
 
     @staticmethod
     def from_arrays(position: npt.ArrayLike, rotation: Rotation | None = None) -> Pose:
-        """Make a pose from a position of shape (3,) [m] and a scipy rotation (none: identity)."""
+        """Make a pose from a position of shape (3,) [m] and a scipy rotation (None: identity)."""
         x, y, z = np.asarray(position, dtype=float).tolist()
         quat: Quat = (0.0, 0.0, 0.0, 1.0) if rotation is None else tuple(rotation.as_quat(canonical=True).tolist())
         return Pose(position=(x, y, z), quat_xyzw=quat)
@@ -77,7 +77,7 @@ class Pose:
     @property
     def quaternion(self) -> pin.Quaternion:
         """The rotation as a pinocchio quaternion, which composes single rotations faster than scipy."""
-        import pinocchio  # here, so that a process that only draws does without it
+        import pinocchio  # imported here, because processes that only render do not need it
 
         x, y, z, w = self.quat_xyzw
         return pinocchio.Quaternion(w, x, y, z).normalized()
@@ -111,18 +111,18 @@ IDENTITY = Pose()
 
 
 def distance(a: Pose, b: Pose) -> tuple[float, float]:
-    """Return how far two poses of one parent are apart: translation [m], rotation angle [rad]."""
+    """Return the distance between two poses in the same parent: translation [m], rotation angle [rad]."""
     translation = float(np.linalg.norm(np.subtract(a.position, b.position)))
     return translation, float(a.quaternion.angularDistance(b.quaternion))
 
 
 def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
-    """Return the pose of a camera's optical frame (x right, y down, z forward; REP-103) that looks at a point.
+    """Return the pose of the optical frame (x right, y down, z forward; REP-103) of a camera that looks at a point.
 
     Args:
         eye: Position of the camera in the parent frame, shape (3,) [m].
-        target: Point in the image's centre, shape (3,) [m].
-        up: Direction that shows upwards in the image, shape (3,).
+        target: Point at the image's centre, in the parent frame, shape (3,) [m].
+        up: Direction in the parent frame that points up in the image, shape (3,).
 
     Raises:
         InvalidRequestError: When the target is at the eye or along ``up``.

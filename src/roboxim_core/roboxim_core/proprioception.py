@@ -1,9 +1,9 @@
-"""Proprioception: what a robot measures of itself, in named fields.
+"""Proprioception: a robot's measurements of its own state, in named fields.
 
-The tool's rotation is kept as the first two columns of its matrix (``rotation_6d``), which is continuous everywhere. A
-quaternion whose scalar part is kept positive jumps in the working pose, where the gripper points down. Who wants a
-quaternion or Euler angles asks `Proprioception.vector` for them: their seam lies half a turn away from that pose, see
-`roboxim_core.rotations`.
+The tool's rotation is stored as the first two columns of its matrix (``rotation_6d``), which are continuous everywhere.
+A quaternion whose scalar part is kept positive jumps in the working pose, where the gripper points down.
+`Proprioception.vector` returns quaternions or Euler angles on request. Their seam lies half a turn away from that pose,
+see `roboxim_core.rotations`.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ Vec6 = tuple[float, float, float, float, float, float]
 
 
 class ProprioField(StrEnum):
-    """What `Proprioception.vector` can hold."""
+    """Fields that `Proprioception.vector` can contain; the number of components is in parentheses."""
 
     TCP_POSITION = "tcp_position"
     """Position of the tool centre point in the base [m] (3)."""
     TCP_ROTATION_6D = "tcp_rotation_6d"
-    """Its rotation: x axis, then y axis of the tool, in the base (6)."""
+    """Rotation of the tool: its x axis, then its y axis, in the base (6)."""
     TCP_QUATERNION_XYZW = "tcp_quaternion_xyzw"
-    """Its rotation as a quaternion, on the side of the gripper-down pose (4)."""
+    """Rotation of the tool in the base as a quaternion, with the sign nearer to the gripper-down pose (4)."""
     TCP_EULER_XYZ = "tcp_euler_xyz"
-    """Its rotation as roll, pitch, yaw [rad] about the base's axes; roll within 0 and 2 pi (3)."""
+    """Rotation of the tool as roll, pitch, yaw [rad] about the base's axes; roll within 0 and 2 pi (3)."""
     JOINT_POSITIONS = "joint_positions"
-    """Arm joint positions [rad] (one a joint)."""
+    """Arm joint positions [rad] (one per joint)."""
     JOINT_VELOCITIES = "joint_velocities"
-    """Arm joint velocities [rad/s] (one a joint)."""
+    """Arm joint velocities [rad/s] (one per joint)."""
     GRIPPER_OPENING = "gripper_opening"
     """1 = open, 0 = closed, linear in the total opening (1)."""
 
@@ -50,7 +50,7 @@ class ProprioField(StrEnum):
 
 
 STATE_FIELDS = (ProprioField.TCP_POSITION, ProprioField.TCP_ROTATION_6D, ProprioField.GRIPPER_OPENING)
-"""Fields of ``observation/state`` in exports, and of `Proprioception.vector` unless it is asked for others."""
+"""Fields of ``observation/state`` in exports, and the default fields of `Proprioception.vector`."""
 _ROTATIONS = {
     ProprioField.TCP_ROTATION_6D: RotationRepresentation.ROTATION_6D,
     ProprioField.TCP_QUATERNION_XYZW: RotationRepresentation.QUATERNION_XYZW,
@@ -60,14 +60,14 @@ _ROTATIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Proprioception:
-    """What a robot measures of itself at one tick. The defaults are those of an arm without joints at its base."""
+    """Measurements of a robot's own state at one tick. The defaults describe an arm without joints at its base."""
 
     tcp_position: Vec3 = (0.0, 0.0, 0.0)
     """Measured position of the tool centre point in the robot's base [m]."""
     tcp_rotation_6d: Vec6 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    """Its measured rotation in the base: first column (the tool's x axis), then second column (its y axis)."""
+    """Measured rotation of the tool in the base: first column (the tool's x axis), then second column (its y axis)."""
     joint_names: tuple[str, ...] = ()
-    """Arm joints, in the model's order."""
+    """Names of the arm joints, in the model's order."""
     joint_positions: tuple[float, ...] = ()
     """Measured positions of these joints [rad]."""
     joint_velocities: tuple[float, ...] = ()
@@ -92,7 +92,7 @@ class Proprioception:
 
     @staticmethod
     def of(state: StateRecord, pose_base_in_world: Pose = IDENTITY) -> Proprioception:
-        """Return the proprioception of a state: what `Act` carries and what an export stores.
+        """Return the proprioception of a state, as `Act` carries it and exports store it.
 
         Args:
             state: The state record.
@@ -117,7 +117,7 @@ class Proprioception:
         """Rotation of the tool centre point in the base.
 
         Raises:
-            InvalidRequestError: When ``tcp_rotation_6d`` is no rotation.
+            InvalidRequestError: When ``tcp_rotation_6d`` does not describe a rotation.
         """
         return decode(self.tcp_rotation_6d, RotationRepresentation.ROTATION_6D)
 
@@ -130,10 +130,10 @@ class Proprioception:
         """Return fields as one array.
 
         Args:
-            fields: Which, in this order, e.g. ``("tcp_position", "joint_positions")``.
+            fields: The fields, in this order, e.g. ``("tcp_position", "joint_positions")``.
 
         Returns:
-            float32, shape (n,); `component_names` names the numbers.
+            float32, shape (n,); `component_names` names the components.
 
         Raises:
             InvalidRequestError: On an unknown field.
@@ -142,7 +142,7 @@ class Proprioception:
         return np.concatenate([np.zeros(0), *parts]).astype(np.float32)
 
     def component_names(self, fields: Sequence[ProprioField | str] = STATE_FIELDS) -> tuple[str, ...]:
-        """Return the names of the numbers of `vector`, e.g. ``tcp.x`` or ``panda_joint1.position``.
+        """Return the names of the components of `vector`, e.g. ``tcp.x`` or ``panda_joint1.position``.
 
         Raises:
             InvalidRequestError: On an unknown field.
@@ -158,11 +158,11 @@ class Proprioception:
 def component_names(
     fields: Sequence[ProprioField | str] = STATE_FIELDS, joint_names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return the names of the numbers of `Proprioception.vector`.
+    """Return the names of the components of `Proprioception.vector`.
 
     Args:
         fields: The fields.
-        joint_names: Arm joints; needed for fields of joints only.
+        joint_names: Names of the arm joints; needed for joint fields only.
 
     Raises:
         InvalidRequestError: On an unknown field.
@@ -189,6 +189,6 @@ def _fields(fields: Sequence[ProprioField | str]) -> list[ProprioField]:
 
 
 STATE_NAMES = component_names()
-"""Names of the numbers of ``observation/state`` in exports."""
+"""Names of the components of ``observation/state`` in exports."""
 STATE_SIZE = len(STATE_NAMES)
-"""Count of these numbers."""
+"""Number of components of ``observation/state``."""

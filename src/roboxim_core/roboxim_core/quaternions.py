@@ -1,6 +1,6 @@
-"""Single rotations as unit quaternions xyzw, in plain floats: for one rotation ten times as fast as arrays.
+"""Single rotations as unit quaternions xyzw in plain floats, ten times as fast as arrays for one rotation.
 
-For many rotations at once use scipy's ``Rotation``.
+For many rotations at once, use scipy's ``Rotation``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def quat_from_euler(roll: float, pitch: float, yaw: float) -> Quat:
 def euler_from_quat(quat: Quat) -> tuple[float, float, float]:
     """Return the angles about the fixed axes x, then y, then z [rad].
 
-    Roll and yaw are not unique where the pitch is a right angle; the roll is then 0.
+    Roll and yaw are not unique if the pitch is +-90 degrees; the roll is then 0.
     """
     x, y, z, w = quat
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))

@@ -7,11 +7,11 @@ import math
 from roboxim_core.errors import InvalidRequestError
 
 DEFAULT_RATE_HZ = 10.0
-"""Control rate where nothing names another [Hz]. The only place that says so."""
+"""Default control rate [Hz]. Defined only here."""
 PHYSICS_RATE_HZ = 240.0
-"""Physics steps per simulated second where nothing names another [Hz]."""
+"""Default physics rate, in steps per simulated second [Hz]."""
 ANY_RATE = 0.0
-"""The rate of a policy that acts at whatever rate the run has."""
+"""Rate that a policy declares if it can act at any rate."""
 
 
 def ticks(duration_s: float, rate_hz: float) -> int:
@@ -27,7 +27,7 @@ def require_control_rate(rate_hz: float, physics_rate_hz: float = PHYSICS_RATE_H
         physics_rate_hz: Physics steps per simulated second.
 
     Raises:
-        InvalidRequestError: Naming rates that do.
+        InvalidRequestError: The message names valid rates.
     """
     if not rate_hz > 0 or (physics_rate_hz / rate_hz) % 1:
         raise InvalidRequestError(

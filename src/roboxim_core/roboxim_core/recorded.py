@@ -1,7 +1,7 @@
-"""The registry of recorded parameters: facts of a scene that are saved besides the ticks.
+"""The registry of recorded parameters: facts about a scene that are saved in addition to the ticks.
 
-A user's own is one class with a ``record`` method, registered under a name; its value lands in every bag's episode
-info as JSON.
+To add one, register a class with a ``record`` method under a name. Its value is stored as JSON in the episode info of
+every bag.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 
 
 class RecordedParameter(Protocol):
-    """Something saved of every episode."""
+    """A value that is saved with every episode."""
 
     def record(self, task: TaskSpec, scene: SceneSpec) -> Any:
         """Return plain data (dicts, lists, scalars) that JSON can hold."""
@@ -31,7 +31,7 @@ def records_json_of_any_scene(name: str, item: type[RecordedParameter]) -> None:
     """Refuse a parameter that cannot record a scene without objects as JSON, or records it differently each time."""
     task, scene = TaskSpec(skill="pick_up", objects={}, instruction="Pick it up"), SceneSpec()
     first, second = (json.dumps(item().record(task, scene), allow_nan=False) for _ in range(2))
-    assert first == second, "two recordings of one scene differ"
+    assert first == second, "two recordings of the same scene differ"
 
 
 @RECORDED_PARAMETERS.register("objects")

@@ -1,4 +1,4 @@
-"""A named collection that features register themselves in: skills, objects, reset components, renderers, policies, ...
+"""A collection in which extensions register by name: skills, objects, reset components, renderers, policies, ...
 
 A third-party distribution adds to a registry through an entry point of the registry's group, so a plug-in needs no
 change here.
@@ -17,13 +17,13 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Names to values of one kind; raises on duplicates and lists the valid names when one is unknown."""
+    """Mapping of names to items of one kind; duplicates and unknown names raise errors that list the valid names."""
 
     def __init__(self, kind: str) -> None:
         """Make an empty registry.
 
         Args:
-            kind: What it holds, for messages and for the entry point group ``roboxim.<kind>``, e.g. ``"skill"``.
+            kind: Kind of the items, for messages and for the entry point group ``roboxim.<kind>``, e.g. ``"skill"``.
         """
         self.kind = kind
         self._items: dict[str, T] = {}
@@ -50,10 +50,10 @@ class Registry(Generic[T]):
         return add
 
     def __getitem__(self, name: str) -> T:
-        """Return the item of a name.
+        """Return the item with a name.
 
         Raises:
-            ConfigError: When nothing is registered under the name; the message lists what is.
+            ConfigError: When nothing is registered under the name; the message lists the known names.
         """
         self._load_entry_points()
         try:
@@ -65,12 +65,12 @@ class Registry(Generic[T]):
             raise ConfigError(f"unknown {self.kind} '{name}'; {one_of(self._items, name)}{others}") from None
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether a name is registered."""
+        """Return whether a name is registered."""
         self._load_entry_points()
         return name in self._items
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names, sorted."""
+        """Iterate over the names in sorted order."""
         self._load_entry_points()
         return iter(sorted(self._items))
 
@@ -81,24 +81,24 @@ class Registry(Generic[T]):
 
     @property
     def broken(self) -> dict[str, str]:
-        """Name of each plug-in that could not be loaded, to where it is and what it raised."""
+        """Name of each plug-in that could not be loaded, mapped to its location and the error."""
         self._load_entry_points()
         return dict(self._broken)
 
     def conformance(self, check: Callable[[str, T], None]) -> Callable[[str, T], None]:
-        """Register a check of what every item must do; a decorator.
+        """Register a check that every item must pass; use as a decorator.
 
         Args:
-            check: Called with a name and its item; raises an error that says what is wrong.
+            check: Called with a name and its item; must raise an error that describes the problem.
         """
         self._checks.append(check)
         return check
 
     def check(self, name: str) -> None:
-        """Check that an item does what every item of its kind must; see `check_plugin`.
+        """Run all checks of the registry on an item; see `check_plugin`.
 
         Raises:
-            ConfigError: When there is no such item, or it does not conform: every check that failed is named.
+            ConfigError: When there is no such item, or it does not conform; the message names every failed check.
         """
         item = self[name]
         failed = []
@@ -119,12 +119,12 @@ class Registry(Generic[T]):
         for entry in entry_points(group=f"roboxim.{self.kind.replace(' ', '_')}"):
             try:
                 entry.load()
-            except (Exception, SystemExit) as error:  # one broken plug-in must not take the others away
+            except (Exception, SystemExit) as error:  # one broken plug-in must not prevent loading the others
                 self._broken[entry.name] = f"{entry.value} raised {type(error).__name__}: {error}"
 
 
 def check_plugin(registry: Registry[T], name: str) -> None:
-    """Run the contract of a registry's kind on one item: for a plug-in's author to call in a test.
+    """Check that an item conforms to its registry's kind. Authors of plug-ins call this in a test.
 
     ::
 
@@ -133,9 +133,9 @@ def check_plugin(registry: Registry[T], name: str) -> None:
 
     Args:
         registry: E.g. ``roboxim_tasks.skills.SKILLS``.
-        name: Name that the item is registered under.
+        name: Registered name of the item.
 
     Raises:
-        ConfigError: Naming everything that is wrong.
+        ConfigError: Naming every failed check.
     """
     registry.check(name)

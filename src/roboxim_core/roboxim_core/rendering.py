@@ -1,6 +1,6 @@
-"""The renderer's contract: plain values in, images out. A renderer knows no physics engine and no ROS.
+"""The interface of renderers: plain values in, images out. A renderer depends on no physics engine and not on ROS.
 
-A world's geometry is loaded once per scene; each tick then passes the poses of its bodies.
+The geometry of a world is loaded once per scene; each tick then passes the poses of its bodies.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class TriangleMesh:
     faces: npt.NDArray[np.uint32]
     """Vertex indices, shape (M, 3), counter-clockwise from outside."""
     uv: npt.NDArray[np.float32] | None = None
-    """Texture coordinates, shape (N, 2), or none."""
+    """Texture coordinates, shape (N, 2); None: no texture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,12 +42,12 @@ class VisualPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderBody:
-    """A rigid body to draw: one link of a robot or an object, the table, the floor."""
+    """A rigid body to draw: a link of a robot or an object, the table, the floor, or a wall."""
 
     key: str
-    """Unique key; poses are given by it: ``<entity>`` for a rigid object, ``<entity>/<link>`` else."""
+    """Unique key that poses refer to: ``<entity>`` for a rigid object, otherwise ``<entity>/<link>``."""
     entity: str
-    """Entity that it belongs to: an entity's name, ``robot``, ``table``, ``floor`` or ``wall``."""
+    """Entity that the body belongs to: an entity's name, ``robot``, ``table``, ``floor`` or ``wall``."""
     parts: tuple[VisualPart, ...]
     """What to draw."""
 
@@ -63,27 +63,27 @@ class RenderWorld:
 
     @property
     def entity_names(self) -> tuple[str, ...]:
-        """Entities in the order of first appearance among the bodies."""
+        """Names of the entities, in the order of their first bodies."""
         return tuple(dict.fromkeys(body.entity for body in self.bodies))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraImages:
-    """What one camera sees at one tick. Arrays are C-contiguous and not shared with later frames."""
+    """Images of one camera at one tick. Arrays are C-contiguous and not shared with later frames."""
 
     rgb: npt.NDArray[np.uint8]
     """Shape (height, width, 3), sRGB."""
     depth: npt.NDArray[np.float32] | None = None
-    """Distance along the optical axis, shape (height, width) [m]; nothing there, or beyond ``far``: infinity."""
+    """Distance along the optical axis, shape (height, width) [m]; infinity without a surface or beyond ``far``."""
     segmentation: npt.NDArray[np.uint16] | None = None
     """Entity ids (see `RenderWorld`), shape (height, width)."""
 
 
 class Renderer(Protocol):
-    """Draws a world. All calls of one renderer come from the thread that made it; another thread's are refused.
+    """A renderer of worlds. Only the thread that made a renderer may call it; calls of other threads are refused.
 
-    A renderer draws a camera's pinhole (`CameraSpec.matrix`, size, near, far). Lens distortion, noise and frame rate
-    are not its business: `roboxim_sim.rendering.rig` adds them to what any renderer draws.
+    A renderer draws the pinhole image of a camera (`CameraSpec.matrix`, size, near, far). It ignores lens distortion,
+    noise and frame rate: `roboxim_sim.rendering.rig` adds them to the images of every renderer.
     """
 
     name: str
@@ -103,7 +103,7 @@ class Renderer(Protocol):
             cameras: Cameras with the pose of their optical frames in the world.
 
         Returns:
-            Camera name to images; depth and segmentation where the camera asks for them.
+            Camera name to images, with depth and segmentation if the camera's specification requests them.
         """
         ...
 

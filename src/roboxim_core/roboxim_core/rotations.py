@@ -1,10 +1,10 @@
-"""Rotations as numbers: the representations that actions and proprioception use, and where their seams are.
+"""Rotations as numbers: the representations that actions and proprioception use, and the positions of their seams.
 
-Three numbers cannot describe all rotations without a jump somewhere, and neither can a quaternion, because q and -q are
-the same rotation. `encode` takes the rotation that the seam must be far from (``near``):
+Three numbers cannot describe all rotations without a jump, and neither can a quaternion, because q and -q are the same
+rotation. `encode` takes a rotation, ``near``, that the seam is kept away from:
 
 - a quaternion gets the sign that is nearer to ``near``; it jumps only half a turn or more away from it;
-- a rotation vector is that of the quaternion with that sign, so it can be longer than pi;
+- a rotation vector is computed from the quaternion with that sign, so it can be longer than pi;
 - each Euler angle lies within pi of the same angle of ``near``. At a pitch of +-90 degrees Euler angles jump anyway;
 - ``rotation_6d`` is the first two columns of the rotation matrix. It has no seam.
 
@@ -31,10 +31,10 @@ _SMALLEST = 1e-6
 
 
 class RotationRepresentation(StrEnum):
-    """How a rotation is written as numbers."""
+    """Representation of a rotation as numbers."""
 
     EULER_XYZ_EXTRINSIC = "euler_xyz_extrinsic"
-    """Roll, pitch, yaw [rad]: about the fixed x, then y, then z axis."""
+    """Roll, pitch, yaw [rad] about the fixed x, then y, then z axis."""
     EULER_XYZ_INTRINSIC = "euler_xyz_intrinsic"
     """Angles [rad] about the moving x, then y, then z axis."""
     ROTATION_VECTOR = "rotation_vector"
@@ -46,7 +46,7 @@ class RotationRepresentation(StrEnum):
     QUATERNION_WXYZ = "quaternion_wxyz"
     """Unit quaternion, scalar first."""
     NONE = "none"
-    """No rotation is part of the action: joint space."""
+    """The action contains no rotation (joint space)."""
 
     @classmethod
     def _missing_(cls, value: object) -> None:
@@ -75,12 +75,12 @@ _NAMES: dict[RotationRepresentation, tuple[str, ...]] = {
 
 
 def encode(rotation: Rotation, representation: RotationRepresentation, near: Rotation = IDENTITY_ROTATION) -> Floats:
-    """Write a rotation as numbers.
+    """Encode a rotation as numbers.
 
     Args:
         rotation: One rotation.
-        representation: How.
-        near: The rotation that the seam is turned away from; see the module.
+        representation: The representation of the result.
+        near: The rotation that the seam is kept away from; see the module.
 
     Returns:
         float64, shape (`RotationRepresentation.size`,).
@@ -107,14 +107,15 @@ def encode(rotation: Rotation, representation: RotationRepresentation, near: Rot
 
 
 def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rotation:
-    """Read a rotation from numbers. They need not be normalised: a quaternion's length and a scaled 6D are forgiven.
+    """Decode a rotation from numbers. Quaternions and 6D rotations need not be normalised.
 
     Args:
         values: Shape (`RotationRepresentation.size`,).
-        representation: How they are meant.
+        representation: The representation of the values.
 
     Raises:
-        InvalidRequestError: With code ``INVALID_ACTION`` on numbers that are no rotation, e.g. a quaternion of zeros.
+        InvalidRequestError: With code ``INVALID_ACTION`` on numbers that do not describe a rotation, e.g. a quaternion
+            of zeros.
     """
     numbers = np.asarray(values, dtype=float)
     if numbers.shape != (representation.size,) or not np.isfinite(numbers).all():
@@ -138,7 +139,7 @@ def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rot
 
 
 def continued_quaternions(quaternions: npt.ArrayLike) -> Floats:
-    """Return the same rotations with signs that do not flip from row to row; the first row keeps its sign.
+    """Return equal rotations whose signs do not flip between consecutive rows; the first row keeps its sign.
 
     Args:
         quaternions: Shape (T, 4), any order of components.
@@ -151,7 +152,7 @@ def continued_quaternions(quaternions: npt.ArrayLike) -> Floats:
 
 
 def continued_angles(angles: npt.ArrayLike) -> Floats:
-    """Return the same angles [rad], shape (T, n), without jumps of a full turn from row to row."""
+    """Return equal angles [rad], shape (T, n), without jumps of a full turn between consecutive rows."""
     return np.asarray(np.unwrap(np.asarray(angles, dtype=float), axis=0))
 
 
@@ -165,13 +166,13 @@ def _near(angles: Floats, reference: Floats) -> Floats:
 
 
 def _extrinsic_xyz(matrix: Floats) -> Floats:
-    """Return roll, pitch, yaw; at a pitch of +-90 degrees, where only their sum counts, without loss of accuracy."""
+    """Return roll, pitch, yaw [rad], accurate also at a pitch of +-90 degrees, where only roll +- yaw is defined."""
     pitch = math.atan2(-matrix[2, 0], math.hypot(matrix[0, 0], matrix[1, 0]))
     yaw = math.atan2(matrix[1, 0], matrix[0, 0])
     sine, cosine = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(
         sine * matrix[0, 2] - cosine * matrix[1, 2], cosine * matrix[1, 1] - sine * matrix[0, 1]
-    )  # from what is left after yaw is undone
+    )  # from the rotation that remains after yaw is undone
     return np.array([roll, pitch, yaw])
 
 
@@ -182,7 +183,7 @@ def _intrinsic_xyz(matrix: Floats) -> Floats:
     sine, cosine = math.sin(angle_x), math.cos(angle_x)
     angle_z = math.atan2(
         cosine * matrix[1, 0] + sine * matrix[2, 0], cosine * matrix[1, 1] + sine * matrix[2, 1]
-    )  # from what is left after the first is undone
+    )  # from the rotation that remains after the first angle is undone
     return np.array([angle_x, angle_y, angle_z])
 
 
@@ -206,5 +207,5 @@ def _matrix_of_6d(numbers: Floats) -> Floats:
 
 def _no_rotation(representation: RotationRepresentation, why: str, numbers: Floats) -> InvalidRequestError:
     return InvalidRequestError(
-        f"{np.array2string(numbers, precision=4)} is no {representation}: {why}", ErrorCode.INVALID_ACTION
+        f"{np.array2string(numbers, precision=4)} is not a valid {representation}: {why}", ErrorCode.INVALID_ACTION
     )

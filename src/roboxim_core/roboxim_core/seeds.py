@@ -1,7 +1,7 @@
 """The source of all randomness: one seed sequence per (run seed, purpose, index, attempt, component).
 
-Components never share a stream, demonstrations and evaluations never meet, and an episode depends on its own path
-alone: not on the number of workers, the order, or what ran before.
+Components never share a stream, and demonstrations and evaluations never share seeds. An episode depends only on its
+own seed path, not on the number of workers, the order, or earlier episodes.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class SeedPath:
     purpose: str
     """One of ``demo``, ``eval``, ``train``, ``test``."""
     index: int
-    """Index of the episode in its run, from 0."""
+    """Index of the episode in its run, >= 0."""
     attempt: int = 0
-    """Number of earlier attempts at this index; a failed index is drawn again as ``attempt + 1``."""
+    """Number of earlier attempts at this index; after a failure the index is drawn again with ``attempt + 1``."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

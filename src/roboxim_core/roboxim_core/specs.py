@@ -1,7 +1,7 @@
-"""What an episode is before it runs: the task, the scene, and the address of its randomness.
+"""Specifications of tasks and scenes: everything that defines an episode before it runs.
 
-All are frozen plain values made of numbers, strings, tuples and one another, so that they compare, hash, serialise
-(`config.to_plain` / `config.from_plain`) and travel as messages of the same field names (`roboxim_ros.conversions`).
+All are frozen plain values made of numbers, strings, tuples and one another. They can be compared, hashed, serialised
+(`config.to_plain` / `config.from_plain`) and sent as messages with the same field names (`roboxim_ros.conversions`).
 `config.digest` is a hash that is the same in every process.
 """
 
@@ -25,18 +25,18 @@ LIGHT_KINDS = ("sun", "lamp")
 BACKGROUNDS = ("room", "plain")
 LEAVING = ("clamp", "fail")
 RESERVED_NAMES = ("robot", "table", "tcp", "world")
-"""Names of bodies and frames that every scene has; no entity may take one."""
+"""Names of bodies and frames that every scene has; no entity may have one of them."""
 
 
 def _hash(spec: Any) -> int:
-    """Return the hash of a spec of which some fields are mappings; equal specs have equal ones."""
+    """Hash a spec that has mappings as fields, by value."""
     values = (getattr(spec, field.name) for field in fields(spec))
     return hash(tuple(frozenset(value.items()) if isinstance(value, Mapping) else value for value in values))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicalObject:
-    """An object that a task speaks of: which model, what it is called, how it is modified."""
+    """An object that a task refers to: its model, name and modifiers."""
 
     entity: str
     """Name of the entity in the scene, unique there, e.g. ``target`` or ``distractor_1``."""
@@ -54,7 +54,7 @@ class PhysicalObject:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec:
-    """A task: a skill, the objects by role, arguments, and the instruction that asks for it."""
+    """A task: a skill, its objects by role, its arguments, and the instruction."""
 
     skill: str
     """Registered skill, e.g. ``pick_up``."""
@@ -65,7 +65,7 @@ class TaskSpec:
     instruction: str
     """Natural language instruction, e.g. ``Pick up the red cube``."""
     drawn: dict[str, str] = field(default_factory=dict)
-    """What reset components have drawn by name, e.g. ``{"interaction_area": "left"}``."""
+    """Choices that reset components drew by name, e.g. ``{"interaction_area": "left"}``."""
 
     def __hash__(self) -> int:
         """Return the hash, which equal ones share."""
@@ -93,7 +93,7 @@ class EntitySpec:
         """Check the name and the numbers.
 
         Raises:
-            InvalidRequestError: On a name that is reserved or cannot be part of a frame, or a number without bounds.
+            InvalidRequestError: On a name that is reserved or cannot be part of a frame, or a number out of bounds.
         """
         limits.require_name("entity", self.name, RESERVED_NAMES)
         limits.require_finite(f"the position of '{self.name}'", self.pose.position, limits.LENGTH_M)
@@ -118,20 +118,20 @@ class RobotSpec:
     """1 = fully open, 0 = closed, linear in the total opening."""
 
     def __post_init__(self) -> None:
-        """Check that the robot is somewhere.
+        """Check the position of the robot.
 
         Raises:
-            InvalidRequestError: On a position without bounds.
+            InvalidRequestError: On a position that is not finite or too large.
         """
         limits.require_finite("the robot's position", self.pose.position, limits.LENGTH_M)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraNoise:
-    """What a camera's sensor adds to the ideal image. All zero: nothing.
+    """Noise and blur that a camera's sensor adds to the ideal image. All zero: none.
 
     Source: the linear camera model of EMVA 1288 (photon noise whose variance grows with the signal, plus constant
-    read-out noise); the depth's deviation grows with the square of the distance, as triangulation's does.
+    read-out noise). The deviation of the depth grows with the square of the distance, as in triangulation.
     """
 
     shot: float = 0.0
@@ -143,15 +143,15 @@ class CameraNoise:
     exposure_ev: float = 0.0
     """Exposure correction [stops]."""
     depth: float = 0.0
-    """Standard deviation of the depth at 1 m, growing with its square [m]."""
+    """Standard deviation of the depth at 1 m [m]; grows with the square of the depth."""
     seed: int = 0
-    """Seed of the noise; a frame's noise follows from the seed, the camera's name and the tick."""
+    """Seed of the noise; a frame's noise depends on the seed, the camera's name and the tick only."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a value that no sensor has.
+            InvalidRequestError: On a value out of range.
         """
         limits = {"shot": (0.0, 1.0), "read": (0.0, 1.0), "blur_px": (0.0, 16.0), "exposure_ev": (-8.0, 8.0)}
         for name, (low, high) in {**limits, "depth": (0.0, 1.0), "seed": (0, 2**63)}.items():
@@ -161,7 +161,7 @@ class CameraNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSpec:
-    """A camera fixed in the world or on a robot link: a pinhole, its lens' distortion and its sensor's noise.
+    """A camera fixed in the world or on a robot link: a pinhole with lens distortion and sensor noise.
 
     Image coordinates are those of ``sensor_msgs/CameraInfo``: (0, 0) is the centre of the upper left pixel.
     """
@@ -175,7 +175,7 @@ class CameraSpec:
     fov_y_rad: float = math.radians(45.0)
     """Vertical field of view [rad]."""
     parent: str = "world"
-    """``world``, the name of a robot link, or ``gripper``: its hand."""
+    """``world``, the name of a robot link, or ``gripper``, the robot's hand."""
     pose: Pose = IDENTITY
     """Pose of the optical frame (x right, y down, z forward) in the parent."""
     near: float = 0.02
@@ -191,15 +191,15 @@ class CameraSpec:
     distortion: tuple[float, ...] = ()
     """Lens distortion k1, k2, p1, p2, k3 (``plumb_bob``); empty: none."""
     rate_hz: float = 0.0
-    """Frames per simulated second, a whole part of the control rate; 0: a frame at every tick."""
+    """Frames per simulated second; must divide the control rate; 0: a frame at every tick."""
     noise: CameraNoise = CameraNoise()
-    """What the sensor adds to the ideal image."""
+    """Noise and blur of the sensor."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a size, field of view, intrinsics or clipping range that makes no image.
+            InvalidRequestError: On an invalid size, field of view, intrinsics or clipping range.
         """
         limits.require_name("camera", self.name)
         limits.require_finite(f"camera '{self.name}': position", self.pose.position, limits.LENGTH_M)
@@ -226,7 +226,7 @@ class CameraSpec:
 
     @property
     def matrix(self) -> tuple[float, float, float, float]:
-        """Focal lengths and principal point fx, fy, cx, cy [px], whichever way they were given."""
+        """Focal lengths and principal point fx, fy, cx, cy [px], from ``intrinsics`` or from ``fov_y_rad``."""
         if self.intrinsics:
             fx, fy, cx, cy = self.intrinsics
             return fx, fy, cx, cy
@@ -234,7 +234,7 @@ class CameraSpec:
         return focal, focal, self.width / 2 - 0.5, self.height / 2 - 0.5
 
     def resized(self, width: int, height: int) -> CameraSpec:
-        """Return the camera with another resolution; where its ``intrinsics`` are given they are scaled with it."""
+        """Return the camera with another resolution and accordingly scaled ``intrinsics``, if they are given."""
         intrinsics: tuple[float, ...] = ()
         if self.intrinsics:
             fx, fy, cx, cy = self.intrinsics
@@ -243,7 +243,7 @@ class CameraSpec:
         return replace(self, width=width, height=height, intrinsics=intrinsics)
 
     def ticks_per_frame(self, control_rate_hz: float) -> int:
-        """Return how many ticks a frame lasts.
+        """Return the number of ticks per frame.
 
         Raises:
             InvalidRequestError: When the camera's rate does not divide the control rate.
@@ -259,7 +259,7 @@ class CameraSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class LightSpec:
-    """A light. A directional one is a sun; a positional one a lamp."""
+    """A light: a directional ``sun`` or a positional ``lamp``."""
 
     kind: str = "sun"
     """``sun`` or ``lamp``."""
@@ -270,18 +270,18 @@ class LightSpec:
     color: RGB = (1.0, 0.97, 0.92)
     """Colour of the light."""
     intensity: float = 2.3
-    """Radiance factor; a white diffuse surface facing an unshadowed sun of 3.14 is about white. A lamp's is what
-    arrives at the world's origin."""
+    """Radiance factor; a white diffuse surface that faces an unshadowed sun of 3.14 is about white. For a lamp, the
+    intensity that arrives at the world's origin."""
     shadow: bool = True
     """Whether it casts shadows."""
     radius: float = 0.04
-    """A lamp's radius [m], a sun's angular radius [rad]: the larger, the softer the edges of the shadows."""
+    """Radius of a lamp [m], angular radius of a sun [rad]; a larger radius gives softer shadow edges."""
 
     def __post_init__(self) -> None:
         """Check kind, direction and size.
 
         Raises:
-            InvalidRequestError: Saying which is wrong.
+            InvalidRequestError: Naming the wrong field.
         """
         if self.kind not in LIGHT_KINDS:
             raise InvalidRequestError(f"a light's kind is {' or '.join(LIGHT_KINDS)}, got {limits.echo(self.kind)}")
@@ -313,14 +313,14 @@ class MaterialSpec:
         """Check the numbers.
 
         Raises:
-            InvalidRequestError: On one that is not finite.
+            InvalidRequestError: On a number that is not finite.
         """
         limits.require_finite("a material's numbers", (*self.color, self.metallic, self.roughness), 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LookSpec:
-    """How the scene looks besides its entities."""
+    """Appearance of the scene, without its entities."""
 
     table: MaterialSpec = MaterialSpec(color=(0.72, 0.56, 0.42), roughness=0.55, texture="wood")
     """Material of the table's top."""
@@ -329,19 +329,19 @@ class LookSpec:
     wall: MaterialSpec = MaterialSpec(color=(0.92, 0.92, 0.9), roughness=0.95, texture="plaster")
     """Material of the wall behind the table."""
     ambient: RGB = (0.54, 0.55, 0.58)
-    """Radiance of the surroundings (image-based light's mean)."""
+    """Mean radiance of the surroundings (image-based light)."""
     lights: tuple[LightSpec, ...] = (LightSpec(),)
     """Lights; the first one that casts a shadow is the main light."""
     background: str = "room"
-    """``room``: walls around the table; ``plain``: no walls, the backdrop's colour instead."""
+    """``room``: walls around the table; ``plain``: no walls, the backdrop colour instead."""
     backdrop: RGB = (0.76, 0.77, 0.79)
-    """sRGB colour of what is beyond everything."""
+    """sRGB colour of pixels that show no surface."""
 
     def __post_init__(self) -> None:
         """Check the background.
 
         Raises:
-            InvalidRequestError: When it is of an unknown kind.
+            InvalidRequestError: On an unknown kind of background.
         """
         if self.background not in BACKGROUNDS:
             raise InvalidRequestError(
@@ -363,10 +363,10 @@ class TableSpec:
     """Lateral friction coefficient."""
 
     def __post_init__(self) -> None:
-        """Check that it is a box.
+        """Check position and size.
 
         Raises:
-            InvalidRequestError: On a size that is no box's, or a number without bounds.
+            InvalidRequestError: On a size, position or friction out of range.
         """
         limits.require_finite("the table's centre", self.center, limits.LENGTH_M)
         for length in self.size:
@@ -386,10 +386,10 @@ class WorkspaceSpec:
     """``clamp``, or ``fail``: the episode ends as ``left_workspace``."""
 
     def __post_init__(self) -> None:
-        """Check that it is a box.
+        """Check the corners and ``on_leave``.
 
         Raises:
-            InvalidRequestError: When a lower end is above the upper one, or on an unknown ``on_leave``.
+            InvalidRequestError: When a lower bound exceeds the upper one, or on an unknown ``on_leave``.
         """
         limits.require_finite("the workspace", (*self.lower, *self.upper), limits.LENGTH_M)
         if any(low > high for low, high in zip(self.lower, self.upper, strict=True)):
@@ -400,14 +400,14 @@ class WorkspaceSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
-    """All that the sim needs to rebuild a world: same spec, same bits."""
+    """Everything that the sim needs to rebuild a world; equal specs give equal bits."""
 
     robot: RobotSpec = RobotSpec()
     """The robot."""
     table: TableSpec = TableSpec()
     """The table."""
     entities: tuple[EntitySpec, ...] = ()
-    """The objects, in the order in which they are built."""
+    """The objects, in the order in which the sim builds them."""
     cameras: tuple[CameraSpec, ...] = ()
     """The cameras."""
     look: LookSpec = LookSpec()

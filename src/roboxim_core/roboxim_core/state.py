@@ -22,7 +22,7 @@ class EntityState:
     angular_velocity: Vec3 = (0.0, 0.0, 0.0)
     """Angular velocity of its base link in the world [rad/s]."""
     fastest_fall: float = 0.0
-    """Largest downward speed of its base link over the tick's physics steps, 0 if it never moved down [m/s]."""
+    """Largest downward speed of its base link over the tick's physics steps [m/s]; 0 if it never moved down."""
     joint_names: tuple[str, ...] = ()
     """Names of its joints; empty for a rigid object."""
     joint_positions: tuple[float, ...] = ()
@@ -38,7 +38,7 @@ class RobotState:
     """State of the robot at the end of a tick."""
 
     joint_names: tuple[str, ...]
-    """Arm joints, in the model's order."""
+    """Names of the arm joints, in the model's order."""
     joint_positions: tuple[float, ...]
     """Measured arm joint positions [rad]."""
     joint_velocities: tuple[float, ...]
@@ -48,7 +48,7 @@ class RobotState:
     pose_tcp_measured: Pose
     """Measured pose of the tool centre point in the world."""
     pose_tcp_commanded: Pose
-    """Commanded pose of the tool centre point in the world: what deltas integrate on."""
+    """Commanded pose of the tool centre point in the world, to which deltas are added."""
     gripper_opening: float
     """Measured opening, 1 = open, 0 = closed."""
     gripper_command: float
@@ -65,10 +65,10 @@ class RobotState:
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Contact of two bodies in a tick: entity names, ``robot`` or ``table``; a body's base link is ``""``."""
+    """Contact of two bodies during a tick. Bodies are entity names, ``robot`` or ``table``; base links are ``""``."""
 
     body_a: str
-    """First body; the pair is sorted by name."""
+    """First body; the two bodies are sorted by name."""
     link_a: str
     """Link of the first body."""
     body_b: str
@@ -100,18 +100,18 @@ class StateRecord:
     contacts: tuple[Contact, ...] = ()
     """Contacts during the tick, sorted."""
     action_executed: tuple[float, ...] = ()
-    """What the controller integrated in this tick, after clipping, 7 float32 values; empty at tick 0."""
+    """Action that the controller integrated in this tick, after clipping, 7 float32 values; empty at tick 0."""
     clipped: bool = False
-    """Whether the action was beyond a limit and was clipped."""
+    """Whether the action exceeded a limit and was clipped."""
     left_workspace: bool = False
     """Whether the commanded tool centre point would have left the workspace in this tick."""
     disturbed: bool = False
-    """Whether anything but this episode's ticks has moved the world since tick 0."""
+    """Whether anything other than this episode's ticks has moved the world since tick 0."""
     state_hash: str = field(default="", compare=True)
-    """Hash of the full dynamic state, 32 hexadecimal digits; equal hashes mean equal bits. Motor efforts are not in
-    it: they follow from the state and the command."""
+    """Hash of the full dynamic state, 32 hexadecimal digits; equal hashes mean equal bits. It does not cover motor
+    efforts, which follow from the state and the command."""
     scene_hash: str = ""
-    """`roboxim_core.config.digest` of the scene that this is a state of; empty: unknown."""
+    """`roboxim_core.config.digest` of the scene that the state belongs to; empty: unknown."""
 
     def entity(self, name: str) -> EntityState:
         """Return an entity's state by name.
@@ -125,7 +125,7 @@ class StateRecord:
         raise KeyError(name)
 
     def contacts_between(self, body_a: str, body_b: str) -> tuple[Contact, ...]:
-        """Return the contacts of two bodies, in any order of naming."""
+        """Return the contacts between two bodies, given in any order."""
         first, second = sorted((body_a, body_b))
         return tuple(c for c in self.contacts if c.body_a == first and c.body_b == second)
 

@@ -1,8 +1,8 @@
-"""Textures: a registry of procedural ones, and images from files.
+"""Textures: a registry of procedural textures, and images from files.
 
-Procedural textures are deterministic and need no files. A texture multiplies a material's colour. Pixels are the square
-roots of linear values (8 bits are enough there; a shader squares them). The room's textures are registered by the
-renderer, those of objects by `models.textures`.
+Procedural textures are deterministic and need no files. A texture multiplies a material's colour. Pixels are square
+roots of linear values, for which 8 bits suffice; a shader squares them. The renderer registers the room's textures, and
+`models.textures` those of objects.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TEXTURES: Registry[Callable[[], Field]] = Registry("texture")
 """Name to a function that returns linear factors 0..1, shape (SIZE, SIZE) or (SIZE, SIZE, 3); first row at v = 0."""
 
 ROOM_TEXTURES = ("checker", "concrete", "fabric", "marble", "plaster", "speckle", "wood")
-"""Those of tables, floors and walls, which the renderer registers."""
+"""Names of the textures of tables, floors and walls, which the renderer registers."""
 
 
 @lru_cache(maxsize=64)
@@ -39,8 +39,8 @@ def pixels(name: str) -> Pixels:
     """Return a texture's pixels, square roots of linear values, shape (SIZE, SIZE, 3), the first row at v = 0.
 
     Args:
-        name: A registered name; or the path of an image file; or the path of a mesh file, ``#`` and the name of one of
-            its geometries: that one's base colour. Empty: white.
+        name: A registered name; the path of an image file; or ``<mesh file>#<geometry>``, for the base colour image of
+            that geometry. Empty: white.
 
     Raises:
         ConfigError: When there is no such texture or image; the message lists the known ones.
@@ -48,17 +48,17 @@ def pixels(name: str) -> Pixels:
     if not name:
         factor = np.ones((SIZE, SIZE))
     elif "/" in name:
-        factor = _linear(_image(name))[::-1]  # an image's first row is its top, at v = 1
+        factor = _linear(_image(name))[::-1]  # the first row of an image is its top, at v = 1
     else:
         factor = TEXTURES[name]()
     image = np.rint(255.0 * np.sqrt(np.clip(factor, 0.0, 1.0))).astype(np.uint8)
-    # A grey one is kept once, not thrice.
+    # A grey texture is stored once, not for each channel.
     return np.ascontiguousarray(image) if image.ndim == 3 else np.broadcast_to(image[..., None], (SIZE, SIZE, 3))
 
 
 def _image(name: str) -> Image.Image:
     path, _, geometry = name.partition("#")
-    import trimesh  # costs half a second and 20 MiB, which procedural textures do not need
+    import trimesh  # imported here: it costs 0.5 s and 20 MiB, and procedural textures do not need it
 
     try:
         if not geometry:
@@ -75,7 +75,7 @@ def _image(name: str) -> Image.Image:
 
 
 def base_color_image(mesh: trimesh.Trimesh) -> Image.Image | None:
-    """Return the image of a mesh's base colour, or none."""
+    """Return the base colour image of a mesh; None if it has none."""
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     return image if isinstance(image, Image.Image) else None
@@ -87,7 +87,7 @@ def _linear(image: Image.Image) -> Field:
 
 
 def noise(seed: int, cells_x: float, cells_y: float) -> Field:
-    """Return tileable smooth noise of zero mean and unit deviation; ``cells`` are blobs per side, roughly."""
+    """Return tileable smooth noise of zero mean and unit deviation, with about ``cells`` blobs per side."""
     white = np.random.Generator(np.random.PCG64(seed)).standard_normal((SIZE, SIZE))
     fx, fy = np.fft.fftfreq(SIZE, 1 / SIZE)[None, :], np.fft.fftfreq(SIZE, 1 / SIZE)[:, None]
     weight = np.exp(-((fx / cells_x) ** 2) - (fy / cells_y) ** 2)

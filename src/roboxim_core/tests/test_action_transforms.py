@@ -310,13 +310,13 @@ def test_any_rate_fits_every_rate_and_limits_may_differ():
     ActionSemantics(max_translation_m=0.01).require_compatible(ActionSemantics(), mine="a", theirs="b")
 
 
-def test_what_is_no_rotation_is_refused():
+def test_numbers_that_are_not_a_rotation_are_refused():
     context = ActionContext(pose_commanded=Pose())
     for rotation, numbers in (
         ("quaternion_xyzw", [0, 0, 0, 0]), ("rotation_6d", [0, 0, 0, 1, 0, 0]), ("rotation_6d", [1, 0, 0, 2, 0, 0]),
     ):  # fmt: skip
         transform = ActionTransform.between(ActionSemantics(rotation=rotation), ActionSemantics())
-        with pytest.raises(InvalidRequestError, match=f"no {rotation}"):
+        with pytest.raises(InvalidRequestError, match=f"not a valid {rotation}"):
             transform.apply([0, 0, 0, *numbers, 1], context)
     with pytest.raises(InvalidRequestError, match="7 finite numbers"):
         ActionTransform.between(ActionSemantics(), ActionSemantics(frame="tool")).apply([0] * 6, context)

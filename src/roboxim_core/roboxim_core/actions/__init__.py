@@ -1,8 +1,8 @@
-"""Actions: what they mean (`semantics`), how one meaning becomes another (`transforms`), what is refused (`chunks`).
+"""Actions: their meaning (`semantics`), conversion between meanings (`transforms`), validation of chunks (`chunks`).
 
 The default meaning: end-effector delta in the robot's base frame, ``[dx, dy, dz, droll, dpitch, dyaw, gripper]``, where
 droll, dpitch, dyaw are the extrinsic XYZ Euler angles of ``R_next R_commanded^T`` and the gripper is absolute,
-1 = open, 0 = closed, linear in the total opening. A mismatch is refused before the first step.
+1 = open, 0 = closed, linear in the total opening. A run refuses mismatching semantics before the first step.
 """
 
 from roboxim_core.actions.chunks import ACTION_SIZE, ActionArray, check_chunk, hold_action

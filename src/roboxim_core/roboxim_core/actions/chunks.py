@@ -1,7 +1,7 @@
-"""Checks of action chunks: what a policy returns is either an array of finite numbers or refused by name.
+"""Validation of action chunks: a policy's answer must be an array of finite numbers.
 
-Nothing is cast that is not a real number already: booleans, strings, complex numbers, masked arrays and objects are
-refused, wherever they hide in a list.
+Only real numbers are accepted. Booleans, strings, complex numbers, masked arrays and objects are refused, at any depth
+of a list; none of them is cast.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, printable
 
 ACTION_SIZE = 7
-"""Size of an action of the default semantics."""
+"""Number of components of an action of the default semantics."""
 ActionArray = npt.NDArray[np.float32]
 """One action, shape (D,), or a chunk of them, shape (horizon, D); D is 7 by default."""
 MAX_ROWS = 1_000_000
-"""Most actions in a chunk where no horizon limits them."""
+"""Largest number of actions in a chunk if no horizon limits it."""
 
 
 def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX_ROWS) -> ActionArray:
-    """Check a chunk of actions at the door.
+    """Validate a chunk of actions.
 
     Args:
         actions: Array-like of integers or floats, shape (horizon, size) or (size,).
-        size: Numbers of an action; none: any, but all the same.
+        size: Number of components of an action; None: any, but equal for all actions.
         most: Largest horizon.
 
     Returns:
         float32 array of shape (horizon, size).
 
     Raises:
-        InvalidRequestError: With code ``INVALID_ACTION``, whatever is wrong: not numbers, a wrong shape, too many
-            actions, a NaN or an infinity (also of a number that float32 cannot hold).
+        InvalidRequestError: With code ``INVALID_ACTION``, if the values are not numbers, the shape is wrong, there are
+            too many actions, or a value is NaN or infinite (also after the conversion to float32).
     """
     try:
         raw = _numbers(actions, most)
     except InvalidRequestError:
         raise
-    except (Exception, SystemExit) as error:  # an object may raise anything when it is asked for its array
+    except (Exception, SystemExit) as error:  # conversion to an array runs foreign code, which may raise anything
         raise _invalid(f"actions are not numbers: {type(error).__name__}: {printable(error)}") from None
     shown = f"(horizon, {'n' if size is None else size})"
     if raw.ndim not in (1, 2) or raw.size == 0 or (size is not None and raw.shape[-1] != size):
@@ -57,7 +57,7 @@ def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX
 
 
 def _numbers(actions: Any, most: int) -> npt.NDArray[Any]:
-    """Return an array of integers or floats that are exactly what was given."""
+    """Return the given integers or floats as an array, without casting other types."""
     if isinstance(actions, list | tuple):
         _require_numbers(actions, most, depth=2)
     elif isinstance(actions, np.ma.MaskedArray):
@@ -69,7 +69,7 @@ def _numbers(actions: Any, most: int) -> npt.NDArray[Any]:
 
 
 def _require_numbers(values: list[Any] | tuple[Any, ...], most: int, *, depth: int) -> None:
-    """Refuse a list that NumPy would cast: with booleans, strings, masked parts, or too deep or too long."""
+    """Refuse a list that NumPy would cast (booleans, strings, masked parts) or that is too deep or too long."""
     if len(values) > max(most, 1024):
         raise _invalid(f"actions have a horizon of at most {most}, got {len(values)}")
     for value in values:
@@ -93,7 +93,7 @@ def _invalid(message: str) -> InvalidRequestError:
 
 
 def hold_action(gripper: float) -> ActionArray:
-    """Return the action of the default semantics that stays: zero delta, gripper as given, 1 = open."""
+    """Return the hold action of the default semantics: zero delta, gripper as given, 1 = open."""
     action = np.zeros(ACTION_SIZE, dtype=np.float32)
     action[6] = gripper
     return action

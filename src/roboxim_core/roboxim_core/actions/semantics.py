@@ -1,7 +1,7 @@
-"""What an action means, as a value that travels with every dataset, policy and evaluation.
+"""The meaning of an action, as a value that every dataset, policy and evaluation carries.
 
-Every field is a closed set of values or a number. `roboxim_core.actions.transforms` converts actions of one meaning
-into those of another.
+Every field is a number or a member of a closed enumeration. `roboxim_core.actions.transforms` converts actions between
+meanings.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class _Closed(StrEnum):
 
 
 class ControlMode(_Closed):
-    """What an action commands."""
+    """Quantity that an action commands."""
 
     END_EFFECTOR_DELTA = "end_effector_delta"
-    """Motion of the tool centre point in a tick."""
+    """Motion of the tool centre point during the tick."""
     END_EFFECTOR_ABSOLUTE = "end_effector_absolute"
     """Pose of the tool centre point at the end of the tick, in the robot's base."""
     JOINT_POSITION = "joint_position"
@@ -34,16 +34,16 @@ class ControlMode(_Closed):
     JOINT_VELOCITY = "joint_velocity"
     """Arm joint velocities during the tick [rad/s]."""
     JOINT_DELTA = "joint_delta"
-    """Motion of the arm joints in the tick [rad]."""
+    """Motion of the arm joints during the tick [rad]."""
 
     @property
     def is_joint_space(self) -> bool:
-        """Whether the arm's joints are commanded rather than the tool centre point."""
+        """Whether actions command the arm's joints rather than the tool centre point."""
         return self in (ControlMode.JOINT_POSITION, ControlMode.JOINT_VELOCITY, ControlMode.JOINT_DELTA)
 
     @property
     def is_relative(self) -> bool:
-        """Whether the target depends on where the arm is."""
+        """Whether the target depends on the arm's state before the action."""
         return self not in (ControlMode.END_EFFECTOR_ABSOLUTE, ControlMode.JOINT_POSITION)
 
 
@@ -59,7 +59,7 @@ class ReferenceFrame(_Closed):
 
 
 class GripperConvention(_Closed):
-    """Polarity and range of the gripper's number, the last of an action; linear in the total opening."""
+    """Polarity and range of the gripper component, the last one of an action; linear in the total opening."""
 
     ABSOLUTE_OPEN_1_CLOSED_0 = "absolute_open_1_closed_0"
     ABSOLUTE_OPEN_0_CLOSED_1 = "absolute_open_0_closed_1"
@@ -68,20 +68,20 @@ class GripperConvention(_Closed):
 
     @property
     def open_value(self) -> float:
-        """The number that opens."""
+        """The value of a fully open gripper."""
         return _GRIPPER[self][0]
 
     @property
     def closed_value(self) -> float:
-        """The number that closes."""
+        """The value of a closed gripper."""
         return _GRIPPER[self][1]
 
     def opening(self, value: float) -> float:
-        """Return the opening, 1 = open, that a number means. Numbers beyond the range are not clipped."""
+        """Return the opening, 1 = open, for a value of this convention. Values outside the range are not clipped."""
         return (value - self.closed_value) / (self.open_value - self.closed_value)
 
     def number(self, opening: float) -> float:
-        """Return the number that means an opening, 1 = open."""
+        """Return the value of this convention for an opening, 1 = open."""
         return self.closed_value + opening * (self.open_value - self.closed_value)
 
 
@@ -94,7 +94,7 @@ _GRIPPER = {
 
 
 class DeltaBase(_Closed):
-    """What a relative action adds to."""
+    """State that a relative action is added to."""
 
     COMMANDED = "commanded"
     """The commanded pose or joints: the arm's lag and injected noise do not accumulate."""
@@ -106,34 +106,34 @@ class DeltaBase(_Closed):
 
 @dataclass(frozen=True, kw_only=True)
 class ActionSemantics:
-    """Meaning of an action vector. The default is the only one that the simulator executes.
+    """Meaning of an action vector. The simulator executes only the default.
 
-    Strings are taken for the enumerations' values. A field that the control mode does not use becomes ``none``, so that
-    equal meanings are equal values.
+    Strings are converted to the enumerations. A field that the control mode does not use becomes ``none``, so that
+    equal meanings compare equal.
     """
 
     control: ControlMode = ControlMode.END_EFFECTOR_DELTA
     """What is commanded."""
     frame: ReferenceFrame = ReferenceFrame.ROBOT_BASE
-    """Frame that a motion of the tool centre point is expressed in."""
+    """Frame in which a motion or pose of the tool centre point is expressed."""
     rotation: RotationRepresentation = RotationRepresentation.EULER_XYZ_EXTRINSIC
-    """Representation of its rotation."""
+    """Representation of the rotation."""
     gripper: GripperConvention = GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0
-    """Polarity and range of the gripper's number."""
+    """Polarity and range of the gripper component."""
     delta_base: DeltaBase = DeltaBase.COMMANDED
-    """What a relative action adds to."""
+    """State that a relative action is added to."""
     rate_hz: float = DEFAULT_RATE_HZ
-    """Control rate [Hz]; must divide the physics rate. 0 (`ANY_RATE`): whatever rate the run has."""
+    """Control rate [Hz]; must divide the physics rate. 0 (`ANY_RATE`): the rate of the run."""
     max_translation_m: float = 0.05
-    """Largest translation per tick, as a distance [m]; more is clipped and counted."""
+    """Largest translation per tick, as a distance [m]; larger ones are clipped and counted."""
     max_rotation_rad: float = 0.25
-    """Largest rotation per tick, as an angle [rad]; more is clipped and counted."""
+    """Largest rotation per tick, as an angle [rad]; larger ones are clipped and counted."""
 
     def __post_init__(self) -> None:
         """Check the values, and set fields that the control mode does not use to ``none``.
 
         Raises:
-            InvalidRequestError: On an unknown value, a combination without meaning, or a number out of range.
+            InvalidRequestError: On an unknown value, a meaningless combination, or a number out of range.
         """
         for name, kind in _ENUMERATIONS.items():
             try:
@@ -161,10 +161,10 @@ class ActionSemantics:
                 raise InvalidRequestError(f"{name}: must be {'> 0' if positive else '>= 0'} and finite, got {value}")
 
     def dimension(self, robot_joints: int = 0) -> int:
-        """Return the count of an action's numbers.
+        """Return the number of components of an action.
 
         Args:
-            robot_joints: Arm joints of the robot; needed in joint space only.
+            robot_joints: Number of arm joints; needed in joint space only.
 
         Raises:
             InvalidRequestError: In joint space without a number of joints.
@@ -176,10 +176,10 @@ class ActionSemantics:
         return 3 + self.rotation.size + 1
 
     def component_names(self, joint_names: Sequence[str] = ()) -> tuple[str, ...]:
-        """Return the names of an action's numbers, e.g. ``dx`` or ``panda_joint1.velocity``.
+        """Return the names of an action's components, e.g. ``dx`` or ``panda_joint1.velocity``.
 
         Args:
-            joint_names: Arm joints of the robot; needed in joint space only.
+            joint_names: Names of the arm joints; needed in joint space only.
         """
         if self.control.is_joint_space:
             self.dimension(len(joint_names))
@@ -189,7 +189,10 @@ class ActionSemantics:
         return (*(f"{prefix}{name}" for name in ("x", "y", "z", *self.rotation.component_names)), "gripper")
 
     def differing(self, other: ActionSemantics) -> tuple[str, ...]:
-        """Return the fields that give an action another meaning; limits may differ, and `ANY_RATE` fits every rate."""
+        """Return the names of the fields that make the meanings differ.
+
+        Limits may differ, and `ANY_RATE` matches every rate.
+        """
         names = [name for name in _ENUMERATIONS if getattr(self, name) != getattr(other, name)]
         if self.rate_hz != other.rate_hz and ANY_RATE not in (self.rate_hz, other.rate_hz):
             names.append("rate_hz")
@@ -199,9 +202,9 @@ class ActionSemantics:
         """Refuse a mismatch of meaning or rate; the limits may differ.
 
         Args:
-            other: The other side's semantics.
-            mine: What this one belongs to, for the message, e.g. ``"policy 'bc'"``.
-            theirs: What the other belongs to.
+            other: The semantics to compare with.
+            mine: Owner of these semantics, for the message, e.g. ``"policy 'bc'"``.
+            theirs: Owner of the other semantics, for the message.
 
         Raises:
             EvaluationError: With code ``SEMANTICS_MISMATCH``, naming every differing field and whether a transform
@@ -232,7 +235,7 @@ def _shown(value: StrEnum | float) -> str:
 
 def _advice(source: ActionSemantics, target: ActionSemantics) -> str:
     if "rate_hz" in source.differing(target):
-        return "no transform exists: an action of one rate is none of another; run both at the same rate"
+        return "no transform exists between different rates; run both at the same rate"
     crosses = source.control.is_joint_space != target.control.is_joint_space
     return (
         f"a transform exists{' that needs the kinematics of the robot' if crosses else ''}: convert the actions with "

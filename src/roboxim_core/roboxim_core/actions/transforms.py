@@ -1,11 +1,11 @@
 """Transforms between actions of different meaning.
 
-An action of any meaning, together with the arm's commanded and measured state, names a *target*: a pose of the tool
-centre point or arm joint positions, and an opening of the gripper. A transform reads the target out of one meaning and
-writes it in the other. What that needs, and what is lost:
+An action of any meaning, together with the arm's commanded and measured state, defines a *target*: a pose of the tool
+centre point or arm joint positions, and an opening of the gripper. A transform computes the target from an action of
+one meaning and expresses it in the other. Requirements and invertibility:
 
 ==================================  ===============================  =========================================
-from, to                            needs                            invertible
+from, to                            requires                         invertible
 ==================================  ===============================  =========================================
 end effector to end effector        poses that a delta adds to       yes, up to rounding
 joint space to joint space          joints that a delta adds to      yes, up to rounding
@@ -14,9 +14,9 @@ end effector to joint space         the same, and kinematics (IK)    by FK, to t
 different rates                     -                                no transform exists
 ==================================  ===============================  =========================================
 
-So every transform that needs no kinematics is invertible: its inverse gives an action of the same meaning, with the
-same numbers where these are the representation's canonical ones (Euler angles within +-pi, a quaternion of norm 1).
-Numbers are not clipped, neither at the gripper's range nor at the limits per tick.
+Every transform that requires no kinematics is invertible: its inverse returns an equivalent action, with the same
+numbers if the original ones were canonical (Euler angles within +-pi, a quaternion of norm 1). Numbers are not clipped,
+neither to the gripper's range nor to the limits per tick.
 """
 
 from __future__ import annotations
@@ -41,20 +41,24 @@ T = TypeVar("T")
 
 
 class Kinematics(Protocol):
-    """What a transform between joint space and end effector needs of a robot; `ArmKinematics` has it."""
+    """Kinematics that a transform between joint space and end effector requires; `ArmKinematics` implements it."""
 
     def fk(self, joints: npt.ArrayLike) -> Pose:
-        """Return the pose of the tool centre point in the base for arm joints [rad]."""
+        """Return the pose of the tool centre point in the base for arm joint positions [rad]."""
         ...
 
     def reach(self, pose: Pose, near: npt.ArrayLike) -> Floats:
-        """Return arm joints [rad] that reach a pose in the base, close to ``near``; `InvalidRequestError` if none."""
+        """Return arm joint positions [rad], close to ``near``, that reach a pose in the base.
+
+        Raises:
+            InvalidRequestError: If there are none.
+        """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActionContext:
-    """Where the arm is before an action. What a transform does not need may be left out."""
+    """State of the arm before an action. Fields that a transform does not need may be None."""
 
     pose_commanded: Pose | None = None
     """Commanded pose of the tool centre point in the base."""
@@ -76,7 +80,7 @@ class ActionContext:
         Args:
             state: The state.
             pose_base_in_world: Pose of the robot's base.
-            kinematics: The robot's kinematics; none: transforms between joint space and end effector are refused.
+            kinematics: The robot's kinematics; None: transforms between joint space and end effector are refused.
         """
         to_base = pose_base_in_world.inverse()
         return ActionContext(
@@ -88,7 +92,7 @@ class ActionContext:
         )
 
     def after(self, target: Target) -> ActionContext:
-        """Return the context after a target was commanded. What will be measured then is not known."""
+        """Return the context after a target was commanded. It has no measured state, which is not known yet."""
         return replace(
             self,
             pose_commanded=target.pose,
@@ -100,30 +104,30 @@ class ActionContext:
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What an action asks for at the end of its tick."""
+    """State that an action commands for the end of its tick."""
 
     pose: Pose | None = None
-    """Pose of the tool centre point in the base; none: in joint space."""
+    """Pose of the tool centre point in the base; None in joint space."""
     joints: Joints | None = None
-    """Arm joint positions [rad]; none: not in joint space."""
+    """Arm joint positions [rad]; None outside joint space."""
     opening: float = 1.0
     """Opening of the gripper, 1 = open, 0 = closed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTransform:
-    """Converts actions. Made by `between`; `then` joins two, `inverse` turns one round."""
+    """Converter of actions. `between` makes one, `then` chains two, `inverse` reverses one."""
 
     steps: tuple[ActionSemantics, ...]
-    """Meanings that an action takes on, first to last; at least two."""
+    """Meanings that an action passes through, first to last; at least two."""
 
     @staticmethod
     def between(source: ActionSemantics, target: ActionSemantics) -> ActionTransform:
         """Return the transform from one meaning to another.
 
         Args:
-            source: Meaning of the actions that there are.
-            target: Meaning that is wanted.
+            source: Meaning of the input actions.
+            target: Meaning of the output actions.
 
         Raises:
             EvaluationError: With code ``SEMANTICS_MISMATCH`` when the rates differ.
@@ -140,27 +144,27 @@ class ActionTransform:
 
     @property
     def source(self) -> ActionSemantics:
-        """Meaning of what goes in."""
+        """Meaning of the input actions."""
         return self.steps[0]
 
     @property
     def target(self) -> ActionSemantics:
-        """Meaning of what comes out."""
+        """Meaning of the output actions."""
         return self.steps[-1]
 
     @property
     def needs_kinematics(self) -> bool:
-        """Whether the robot's kinematics must be in the context."""
+        """Whether the context must contain the robot's kinematics."""
         return len({step.control.is_joint_space for step in self.steps}) > 1
 
     @property
     def invertible(self) -> bool:
-        """Whether `inverse` gives every action its meaning back, up to rounding."""
+        """Whether `inverse` restores the target of every action, up to rounding."""
         return not self.needs_kinematics
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Fields of the context that it reads."""
+        """Names of the context's fields that the transform reads."""
         needed = {
             f"{'joints' if step.control.is_joint_space else 'pose'}_{step.delta_base}"
             for step in (self.source, self.target)
@@ -173,7 +177,7 @@ class ActionTransform:
         return tuple(sorted(needed))
 
     def inverse(self) -> ActionTransform:
-        """Return the transform back, for the same context. See `invertible`."""
+        """Return the inverse transform, for the same context. See `invertible`."""
         return ActionTransform(steps=self.steps[::-1])
 
     def then(self, other: ActionTransform) -> ActionTransform:
@@ -190,29 +194,29 @@ class ActionTransform:
 
         Args:
             action: Shape (D,), of the source's meaning.
-            context: Where the arm is before the action.
+            context: State of the arm before the action.
 
         Returns:
-            float64, shape (D',), of the target's meaning.
+            float64, shape (D',), in the target's meaning.
 
         Raises:
-            InvalidRequestError: When the context lacks something (naming it), the action has a wrong shape, its
-                numbers are no rotation, or a pose cannot be reached.
+            InvalidRequestError: When the context lacks a field (the message names it), the action has a wrong shape,
+                its numbers do not describe a rotation, or a pose cannot be reached.
         """
         return self._convert(action, context)[0]
 
     def apply_chunk(self, actions: npt.ArrayLike, context: ActionContext) -> Floats:
-        """Convert actions that follow one another; each adds to what the one before it commanded.
+        """Convert consecutive actions; each one starts from the state that the previous one commanded.
 
         Args:
             actions: Shape (horizon, D).
-            context: Where the arm is before the first action.
+            context: State of the arm before the first action.
 
         Returns:
             float64, shape (horizon, D').
 
         Raises:
-            InvalidRequestError: As `apply`; also when a later row adds to a measurement, which is not known yet.
+            InvalidRequestError: As `apply`; also when a later row adds to a measured state, which is not known yet.
         """
         rows = []
         for action in np.atleast_2d(np.asarray(actions, dtype=float)):
@@ -231,20 +235,21 @@ class ActionTransform:
         target = target_of(action, self.source, context)
         for before, after in itertools.pairwise(self.steps):
             if after.control.is_joint_space != before.control.is_joint_space:
-                target = _cross(target, after.control.is_joint_space, context)
+                target = _change_space(target, after.control.is_joint_space, context)
         return action_of(target, self.target, context), target
 
 
 def target_of(action: npt.ArrayLike, semantics: ActionSemantics, context: ActionContext) -> Target:
-    """Return what an action asks for.
+    """Return the target that an action commands.
 
     Args:
         action: Shape (D,).
         semantics: Its meaning; a joint velocity needs a rate.
-        context: Where the arm is; a relative action needs what its ``delta_base`` names.
+        context: State of the arm; a relative action requires the state that its ``delta_base`` names.
 
     Raises:
-        InvalidRequestError: On a wrong shape, numbers that are no rotation, or a context that lacks something.
+        InvalidRequestError: On a wrong shape, numbers that do not describe a rotation, or a missing field of the
+            context.
     """
     row = np.asarray(action, dtype=float)
     base_joints, base_pose = _bases(semantics, context)
@@ -270,15 +275,15 @@ def target_of(action: npt.ArrayLike, semantics: ActionSemantics, context: Action
 
 
 def action_of(target: Target, semantics: ActionSemantics, context: ActionContext) -> Floats:
-    """Return the action of a meaning that asks for a target; the inverse of `target_of` for the same context.
+    """Return the action that commands a target; the inverse of `target_of` for the same context.
 
     Args:
-        target: What is asked for; of joint space if the semantics are.
+        target: The target; in joint space if the semantics are.
         semantics: Meaning of the action.
-        context: Where the arm is.
+        context: State of the arm before the action.
 
     Raises:
-        InvalidRequestError: When target or context lacks what the meaning needs.
+        InvalidRequestError: When the target or the context lacks a required field.
     """
     base_joints, base_pose = _bases(semantics, context)
     gripper = semantics.gripper.number(target.opening)
@@ -302,7 +307,7 @@ def action_of(target: Target, semantics: ActionSemantics, context: ActionContext
 
 
 def _bases(semantics: ActionSemantics, context: ActionContext) -> tuple[Joints | None, Pose | None]:
-    """Return the joints or the pose that a relative action adds to; neither for an absolute one."""
+    """Return the joint positions or the pose that a relative action is added to; (None, None) for an absolute one."""
     if not semantics.control.is_relative:
         return None, None
     measured = semantics.delta_base == DeltaBase.MEASURED
@@ -313,8 +318,8 @@ def _bases(semantics: ActionSemantics, context: ActionContext) -> tuple[Joints |
     return None, _present(pose, f"pose_{semantics.delta_base}")
 
 
-def _cross(target: Target, into_joint_space: bool, context: ActionContext) -> Target:
-    """Return a target with the joints that reach its pose, or with the pose that its joints reach."""
+def _change_space(target: Target, into_joint_space: bool, context: ActionContext) -> Target:
+    """Convert a target to joint space by inverse kinematics, or out of it by forward kinematics."""
     kinematics = _present(context.kinematics, "kinematics")
     if not into_joint_space:
         return replace(target, pose=kinematics.fk(_present(target.joints, "joints of the target")))

@@ -1,11 +1,11 @@
-"""The one episode loop, for generating and for evaluating alike, over small ports.
+"""The episode loop, shared by generation and evaluation, over small ports.
 
-``generate`` is this loop with the expert as actor and "keep if successful"; ``evaluate`` is it with a policy and "keep
-all". The ports are served by ROS clients in the evaluator node and by the cores themselves in tests and in the
-benchmark of the graph's overhead; the loop cannot tell the difference.
+``generate`` runs this loop with the expert as actor and keeps successful episodes; ``evaluate`` runs it with a policy
+and keeps all. ROS clients implement the ports in the evaluator node. In tests and in the benchmark of the graph's
+overhead the cores implement them directly.
 
-A tick is: observe, act, tick the sim, judge, and wait until the recorder has the tick. A policy's fault fails the
-episode by reason; a fault of the simulator or the recorder is raised and halts the run.
+A tick has five steps: observe, act, tick the sim, judge, and wait until the recorder has the tick. A policy fault
+fails the episode with a reason; a fault of the simulator or the recorder is raised and halts the run.
 """
 
 from roboxim_core.episode.ports import ActorPort, JudgePort, Ports, RecorderPort, ScenePort, SimPort

@@ -1,4 +1,4 @@
-"""The sides of the episode loop: small protocols that ROS clients serve in the graph and the cores in tests."""
+"""Ports of the episode loop: small protocols that ROS clients implement in the graph, and the cores in tests."""
 
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ from roboxim_core.verdicts import Verdict
 
 
 class ScenePort(Protocol):
-    """Draws tasks and scenes."""
+    """Source of tasks and scenes."""
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
-        """Draw the episode of a seed path; `TaskError` when a reset is not feasible."""
+        """Draw the episode of a seed path.
+
+        Raises:
+            TaskError: When the reset is not feasible.
+        """
         ...
 
 
@@ -27,19 +31,19 @@ class SimPort(Protocol):
     """The simulator."""
 
     def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world and settle: tick 0."""
+        """Rebuild the world, let it settle, and return tick 0."""
         ...
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
-        """Execute an action; returns tick ``seq``."""
+        """Execute an action and return tick ``seq``."""
         ...
 
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
-        """Return the whole observation of a tick; a missing part is an error by name, never an older frame."""
+        """Return the complete observation of a tick; raise an error naming missing parts, never use older frames."""
         ...
 
     def release(self, episode_id: str) -> None:
-        """Give the lease back."""
+        """Release the episode's lease of the sim."""
         ...
 
     @property
@@ -52,7 +56,7 @@ class ActorPort(Protocol):
     """The policy. Its faults are raised as `PolicyError`."""
 
     def describe(self) -> PolicyDescription:
-        """Say what it is."""
+        """Return the policy's description."""
         ...
 
     def reset(self, start: EpisodeStart) -> None:
@@ -68,11 +72,11 @@ class JudgePort(Protocol):
     """The judge."""
 
     def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
-        """Start a fold with tick 0."""
+        """Start a new verdict with tick 0."""
         ...
 
     def judge(self, state: StateRecord) -> Verdict:
-        """Fold the next tick."""
+        """Update the verdict with the next tick."""
         ...
 
 
@@ -80,11 +84,11 @@ class RecorderPort(Protocol):
     """The recorder."""
 
     def open(self, info: EpisodeInfo) -> None:
-        """Open the episode's bag; called before tick 0 is made."""
+        """Open the episode's bag; called before the scene is loaded."""
         ...
 
     def step(self, step: EpisodeStep) -> None:
-        """Add a tick; returns when the bag has it as a whole."""
+        """Add a tick; return when all its messages are in the bag."""
         ...
 
     def close(self, result: EpisodeResult, keep: str) -> str:
@@ -98,7 +102,7 @@ class RecorderPort(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Ports:
-    """The five sides of the loop."""
+    """The ports and the clock that the loop uses."""
 
     scenes: ScenePort
     """Draws tasks and scenes."""

@@ -1,4 +1,4 @@
-"""The values that the episode loop takes, sends to the recorder, and returns."""
+"""Values that the episode loop receives, sends to the recorder, and returns."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LIMITS = {
     "noise_translation_m": 1.0,
     "noise_rotation_rad": 1.0,
 }
-"""Field of a run's configuration to its largest value."""
+"""Largest values of the fields of a run's configuration, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """How episodes are run."""
+    """Configuration of a run of episodes."""
 
     run_seed: int = 0
     """Seed of the run."""
@@ -42,31 +42,31 @@ class RunConfig:
     task_config: str = ""
     """Task configuration as YAML text; empty: the task node's default."""
     cameras: tuple[str, ...] = ()
-    """Names of the cameras to keep of the scene; empty: all."""
+    """Names of the scene's cameras to keep; empty: all."""
     image_width: int = 0
     """Overrides the cameras' width [px]; 0: as configured."""
     image_height: int = 0
     """Overrides the cameras' height [px]; 0: as configured."""
     depth: bool = False
-    """Whether the cameras also give depth."""
+    """Whether the cameras also publish depth."""
     segmentation: bool = False
-    """Whether the cameras also give segmentation."""
+    """Whether the cameras also publish segmentation."""
     rate_hz: float = 0.0
-    """Control rate [Hz]; 0: as the scene has it."""
+    """Control rate [Hz]; 0: the scene's rate."""
     window: int = 0
-    """Observations per request; 0: what the policy wants."""
+    """Observations per request; 0: the policy's window."""
     execute: int = 0
     """Actions executed per request; 0: the policy's horizon."""
     max_steps: int = 0
-    """Actions after which an episode has failed; 0: as the skill is configured."""
+    """Number of actions after which an episode has failed; 0: the skill's limit."""
     stop_on_success: bool = True
     """Whether to stop at the first success."""
     settle_ticks: int = 0
-    """Hold actions after the end, before the final verdict; recorded, not exported; 0: those of one second."""
+    """Number of hold actions between the end and the final verdict; recorded, not exported; 0: one second of them."""
     keep: str = "all"
     """``successful`` (sets other episodes apart), ``all`` (keeps every episode) or ``none`` (records nothing)."""
     max_attempts: int = 1
-    """Attempts per index until an episode is kept."""
+    """Largest number of attempts per index until an episode is kept."""
     policy_timeout_s: float = 30.0
     """Longest wait for a policy's answer [s]."""
     noise_translation_m: float = 0.0
@@ -99,14 +99,14 @@ class RunConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Draw:
-    """What the task node drew for an episode."""
+    """Task and scene that the task node drew for an episode."""
 
     task: TaskSpec
     """The task."""
     scene: SceneSpec
     """The scene."""
     max_steps: int
-    """Actions after which the skill has failed."""
+    """Number of actions after which the skill has failed."""
     config_json: str = "{}"
     """Resolved task configuration."""
 
@@ -132,17 +132,17 @@ class EpisodeInfo:
     semantics: ActionSemantics
     """Meaning of the actions."""
     actor: str
-    """Name of the policy that acts."""
+    """Name of the acting policy."""
     actor_version: str = ""
-    """Its version; empty: it has none."""
+    """Version of the policy; empty: none."""
     actor_privileged: bool = False
-    """Whether it sees task, scene and state, as no policy under test may."""
+    """Whether the policy receives task, scene and state; a policy under test must not."""
     renderer: str = ""
     """Renderer and device."""
     rerendered_from: str = ""
     """Id of the episode whose images were rendered again; empty: the images were recorded live."""
     config_json: str = "{}"
-    """Resolved configuration of the run and of the task, for people; what readers need has a field of its own."""
+    """Resolved configuration of the run and of the task, for people; programs read the other fields."""
     versions: dict[str, str] = field(default_factory=dict)
     """Package to version."""
     models: dict[str, str] = field(default_factory=dict)
@@ -153,26 +153,26 @@ class EpisodeInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeStep:
-    """What the loop adds to a tick."""
+    """Data that the loop adds to a tick."""
 
     episode_id: str
     """Episode."""
     seq: int
-    """Tick that this step led to."""
+    """Tick at the end of this step."""
     stamp_ns: int
     """Its stamp [ns]."""
     action_label: tuple[float, ...] = ()
-    """What an imitator should have output."""
+    """Action that imitation learning uses as the label, shape (7,); empty at tick 0."""
     action_executed: tuple[float, ...] = ()
-    """What the controller integrated."""
+    """Action that the controller integrated, shape (7,); empty at tick 0."""
     phase: str = "act"
     """``start``, ``act`` or ``settle``."""
     disturbance: bool = False
-    """Whether noise was injected."""
+    """Whether noise was injected into the action."""
     verdict: Verdict = Verdict()
     """Verdict at this tick."""
     inference_s: float = 0.0
-    """Wall time of the policy's request that this action came from [s]; 0 in bags."""
+    """Wall time of the policy request that returned this action [s]; 0 in bags."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,27 +188,27 @@ class EpisodeResult:
     outcome: str = "failure"
     """``success``, ``failure`` (not solved) or ``error`` (a misbehaving policy)."""
     reason: str = ""
-    """Snake-case reason when not a success."""
+    """Reason in snake_case; empty on success."""
     message: str = ""
     """Details for a person."""
     steps: int = 0
-    """Actions taken, without settling."""
+    """Number of executed actions, settling excluded."""
     last_seq: int = 0
     """Last tick, settling included."""
     success_ever: bool = False
-    """Whether it was solved at any tick."""
+    """Whether the task was solved at any tick."""
     recovered: bool = False
-    """Whether the actor had to try again, e.g. needed a second grasp: solved, but not at the first try."""
+    """Whether the actor needed more than one try, e.g. a second grasp; a success is then not a first-try success."""
     verdict: Verdict = Verdict()
     """Final verdict."""
     clipped: int = 0
-    """Actions that were clipped."""
+    """Number of clipped actions."""
     instruction: str = ""
     """The instruction."""
     skill: str = ""
     """The skill."""
     bag: str = ""
-    """Bag, relative to the output folder; empty: none."""
+    """Path of the bag, relative to the output folder; empty: none."""
     wall_s: float = 0.0
     """Wall time of the episode [s]; 0 in bags."""
     inference_s: float = 0.0

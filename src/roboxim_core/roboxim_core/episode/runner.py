@@ -1,4 +1,4 @@
-"""The loop itself: `EpisodeRunner` runs episodes over the ports."""
+"""The episode loop: `EpisodeRunner` runs episodes over the ports."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
 LEFT_WORKSPACE = "left_workspace"
 SETTLE_S = 1.0
-"""Default time for which an episode holds still between its end and the final verdict."""
+"""Default time for which the robot holds still between the end of an episode and the final verdict."""
 
 
 def episode_id(seed: SeedPath) -> str:
-    """Return the id of an episode: unique in a run, stable over re-runs, usable as a file name."""
+    """Return the id of an episode: unique in a run, equal in repeated runs, usable as a file name."""
     return f"{seed.purpose}-{seed.run_seed}-{seed.index:05d}-{seed.attempt}"
 
 
@@ -36,7 +36,7 @@ def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDesc
     """Apply a run's cameras, sizes and rate to a scene.
 
     Raises:
-        InvalidRequestError: When a wanted camera is not in the scene.
+        InvalidRequestError: When a requested camera is not in the scene.
     """
     wanted = {camera.name: camera for camera in description.cameras}
     names = config.cameras or tuple(camera.name for camera in scene.cameras)
@@ -95,16 +95,16 @@ class EpisodeRunner:
         versions: dict[str, str] | None = None,
         library: ModelLibrary | None = None,
     ) -> None:
-        """Prepare a run: ask the actor what it is.
+        """Prepare a run: ask the actor for its description.
 
         Args:
-            ports: The five sides.
-            config: How to run.
-            versions: Package to version, for the bags.
-            library: Robots and objects, whose hashes go into the bags; none: no hashes.
+            ports: The ports of the loop.
+            config: Configuration of the run.
+            versions: Package name to version, for the bags.
+            library: Robots and objects, whose hashes are recorded in the bags; None: no hashes.
 
         Raises:
-            RoboximError: When the actor cannot be asked.
+            RoboximError: When the actor does not describe itself.
         """
         self.ports = ports
         self.config = config
@@ -112,14 +112,14 @@ class EpisodeRunner:
         self._library = library
         self.description = ports.actor.describe()
         self.progress: tuple[str, int] = ("", 0)
-        """Id and tick of the running episode, for whoever watches."""
+        """Id and tick of the running episode, for progress displays."""
 
     def run_index(self, index: int, *, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
         """Run one index until an episode is kept or the attempts are used up.
 
         Args:
             index: Index in the run.
-            cancelled: Asked before every tick.
+            cancelled: Called before every tick; True cancels the episode.
 
         Returns:
             The last attempt's result.
@@ -135,7 +135,7 @@ class EpisodeRunner:
         return result
 
     def run_attempt(self, seed: SeedPath, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
-        """Run one episode. Same contract as `run_index`."""
+        """Run one episode. Returns and raises as `run_index` does."""
         started = self.ports.clock()
         try:
             draw = self.ports.scenes.draw(seed, self.config.task_config)
@@ -171,7 +171,7 @@ class EpisodeRunner:
 
 
 def _infeasible(seed: SeedPath, message: str, task: TaskSpec | None = None) -> EpisodeResult:
-    """Return the result of an episode that did not begin; without a task, none was drawn."""
+    """Return the result of an episode that did not begin; None as the task means that none was drawn."""
     return EpisodeResult(
         episode_id=episode_id(seed), index=seed.index, attempt=seed.attempt, outcome="error",
         reason="reset_infeasible", message=message,
@@ -234,7 +234,7 @@ class _Episode:
 
     def _after_settling(self, outcome: str, reason: str) -> tuple[str, str]:
         """Return the final outcome and reason after the settle phase."""
-        if reason == LEFT_WORKSPACE:  # this failure is final, wherever the objects come to rest afterwards
+        if reason == LEFT_WORKSPACE:  # this failure is final, whatever happens to the objects afterwards
             return outcome, reason
         if self.verdict.success:
             return "success", ""
@@ -243,7 +243,7 @@ class _Episode:
         return outcome, self.verdict.reason or reason
 
     def _act_until_end(self) -> tuple[str, str, str]:
-        """Act until success, failure, the limit or a fault of the policy; return outcome, reason, message."""
+        """Act until success, failure, the action limit or a policy fault; return outcome, reason, message."""
         start = EpisodeStart(
             episode_id=self.info.episode_id, instruction=self.info.task.instruction,
             seed=self.seed.derived_seed("policy"),
@@ -312,7 +312,7 @@ class _Episode:
         self._record("act", tuple(float(value) for value in label), disturbance=noisy)
 
     def _settle(self) -> None:
-        """Hold still, so that success is judged of a world at rest."""
+        """Hold still, so that the judge sees a world at rest."""
         for _ in range(self.config.settle_ticks or ticks(SETTLE_S, self.info.scene.control_rate_hz)):
             hold = hold_action(self.state.robot.gripper_command)
             self._advance(hold)

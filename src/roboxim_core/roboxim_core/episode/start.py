@@ -1,8 +1,8 @@
 """Check at tick 0 that an episode may begin: the settled scene must match the drawn one.
 
 Most infeasible scenes are refused when they are drawn, before anything is simulated. Two checks need the simulator:
-whether every object rests where it was put, and whether the skill's judge already sees success. Both apply to every
-scene, whatever skill, object or file it comes from.
+whether every object rests where it was placed, and whether the skill's judge already sees success. Both apply to every
+scene, independent of its skill, objects and source.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from roboxim_core.state import EntityState, StateRecord
 from roboxim_core.verdicts import Verdict
 
 MOVED_M, TURNED_RAD = 0.002, math.radians(2.0)
-"""What is further from where it was put does not rest there."""
+"""Largest displacement [m] and turn [rad] of an object that counts as resting where it was placed."""
 DROPPED_M = 0.01
-"""How far an object may sink while settling: its initial height above a support is seldom exact [m]."""
+"""Largest sinking of an object while settling [m]; its initial height above a support is seldom exact."""
 JOINT = 0.01
-"""How far a joint may be from where it was put [m or rad]."""
+"""Largest deviation of a joint from its initial position [m or rad]."""
 SPEED_M_S, SPIN_RAD_S = 0.01, 0.2
-"""What moves faster is not at rest."""
+"""Largest linear and angular speed of an object that counts as resting."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """A promise that tick 0 breaks."""
+    """A constraint that tick 0 violates."""
 
     constraint: str
-    """Its name, e.g. ``target_unsettled``."""
+    """Name of the constraint, e.g. ``target_unsettled``."""
     message: str
-    """What was found, and what to do."""
+    """Message: the violation, and how to fix it."""
 
 
 def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Refusal | None:
-    """Return the constraint that tick 0 violates; none: the episode may begin.
+    """Return the constraint that tick 0 violates; None: the episode may begin.
 
-    Non-obvious: a scene that must begin in motion sets ``settle_steps: 0``; tick 0 is then the drawn scene, at rest.
+    Note: a scene that must begin in motion sets ``settle_steps: 0``; tick 0 is then the drawn scene, at rest.
 
     Args:
         scene: The scene as drawn.
@@ -50,7 +50,7 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
         if entity.name in specs and (found := _unrest(specs[entity.name], entity)):
             return Refusal(
                 constraint=f"{entity.name}_unsettled",
-                message=f"'{entity.name}' {found}; put its model ({specs[entity.name].model}) where it rests, see "
+                message=f"'{entity.name}' {found}; place its model ({specs[entity.name].model}) where it rests, see "
                 "`roboxim assets check`, or give the scene `settle_steps: 0` if it must begin in motion",
             )
     if verdict.failed:
@@ -61,13 +61,13 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
     if verdict.solved:
         return Refusal(
             constraint="not_solved_already",
-            message="all that the task demands holds before the first action; change `reset` or `parameters`",
+            message="every condition of the task holds before the first action; change `reset` or `parameters`",
         )
     return None
 
 
 def _unrest(spec: EntitySpec, entity: EntityState) -> str:
-    """Describe how an object fails to rest where it was put; empty if it rests."""
+    """Describe how an object fails to rest where it was placed; empty if it rests."""
     x, y, z = (now - put for now, put in zip(entity.pose.position, spec.pose.position, strict=True))
     turned_rad = distance(spec.pose, entity.pose)[1]
     if math.hypot(x, y) > MOVED_M or not -DROPPED_M <= z <= MOVED_M or turned_rad > TURNED_RAD:

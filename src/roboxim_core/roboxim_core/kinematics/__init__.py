@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of an arm, and the delta controller that turns actions into joint targets."""
+"""Forward and inverse kinematics of an arm, and the delta controller that converts actions to joint targets."""
 
 from roboxim_core.kinematics.arm import ArmKinematics, IkResult
 from roboxim_core.kinematics.delta import ControllerState, DeltaController, DeltaStep, delta_between

@@ -1,7 +1,7 @@
-"""Kinematics of a robot model with Pinocchio; its inverse kinematics in the native kernel.
+"""Kinematics of a robot model with Pinocchio; the inverse kinematics run in the native kernel.
 
-The inverse kinematics here follow a moving target from tick to tick: start at the present joints, stay near them. It is
-local and deterministic on purpose; searching for solutions of distant poses is the planner's job.
+The inverse kinematics follow a moving target from tick to tick: they start at the present joints and stay near them.
+They are local and deterministic on purpose; the planner searches for solutions of distant poses.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_ITERATIONS = 30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IkResult:
-    """What the local inverse kinematics found."""
+    """Result of the local inverse kinematics."""
 
     joints: Array
     """Arm joint positions [rad]."""
@@ -40,8 +40,8 @@ class IkResult:
 class ArmKinematics:
     """An arm with its gripper. Poses are in the robot's base frame. Not thread-safe: make one per thread.
 
-    Non-obvious: Pinocchio orders joints depth first; ``joint_names`` of the model may differ, so every vector goes
-    through index maps.
+    Note: Pinocchio orders joints depth first, and ``joint_names`` of the model may have another order, so every vector
+    is reordered by index maps.
     """
 
     def __init__(self, model: RobotModel) -> None:
@@ -70,12 +70,12 @@ class ArmKinematics:
         self.upper = np.array(model.limits.upper)
         self.velocity = np.array(model.limits.velocity)
         self._order = np.argsort(self._arm)
-        """Places of the joints in the model's order, from the base to the tip."""
+        """Indices into the model's joints that sort them from the base to the tip."""
         self._native = self._native_arm()
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """All links, base first."""
+        """Names of all links, base first."""
         return tuple(self._frames)
 
     def fk(self, joints: npt.ArrayLike) -> Pose:
@@ -107,12 +107,12 @@ class ArmKinematics:
         return np.asarray(full[:, self._arm])
 
     def within_limits(self, joints: npt.ArrayLike, margin: float = 0.0) -> bool:
-        """Tell whether joints are inside their limits by a margin [rad]."""
+        """Return whether all joints are inside their limits by a margin [rad]."""
         q = np.asarray(joints, dtype=float)
         return bool(np.all(q >= self.lower + margin) and np.all(q <= self.upper - margin))
 
     def reach(self, pose: Pose, near: npt.ArrayLike) -> Array:
-        """Return arm joints that reach a pose, close to others.
+        """Return arm joint positions that reach a pose, close to given ones.
 
         Args:
             pose: Pose of the tool centre point in the base.
@@ -145,9 +145,10 @@ class ArmKinematics:
         Args:
             target: Pose of the tool centre point in the base.
             seed: Arm joint positions to start at, shape (n,) [rad].
-            posture: Joint positions that the redundancy moves towards; none: it stays.
-            posture_gain: Share of the way to the posture per call.
-            max_step: Largest change of each joint from the seed, shape (n,) [rad]; none: the limits alone.
+            posture: Joint positions that the redundant degrees of freedom move towards, shape (n,) [rad]; None: they
+                do not move.
+            posture_gain: Fraction of the distance to the posture that is covered per call.
+            max_step: Largest change of each joint from the seed, shape (n,) [rad]; None: only the joint limits apply.
 
         Returns:
             The closest configuration found within a fixed number of iterations.
@@ -182,7 +183,7 @@ class ArmKinematics:
         return pin.updateFramePlacement(self._pin, self._data, self._tcp)
 
     def _native_arm(self) -> Arm:
-        """Return the arm in the native kernel, its joints from the base to the tip."""
+        """Return the native kernel's model of the arm, with joints ordered from the base to the tip."""
         ids = [self._pin.getJointId(self.model.joint_names[k]) for k in self._order]
         pin.computeJointJacobians(self._pin, self._data, pin.neutral(self._pin))
         pin.updateFramePlacements(self._pin, self._data)
@@ -208,7 +209,7 @@ class ArmKinematics:
         )
 
     def _moves_with(self, joint: int, ids: list[int]) -> int:
-        """Return the place of the arm joint that moves a joint of Pinocchio's, -1: none."""
+        """Return the index in ``ids`` of the arm joint that moves a Pinocchio joint; -1 if none does."""
         while joint > 0 and joint not in ids:
             joint = self._pin.parents[joint]
         return ids.index(joint) if joint > 0 else -1

@@ -1,8 +1,8 @@
-"""The delta controller: how an action becomes joint targets, for policies, the expert's roll-out and replay alike.
+"""The delta controller: converts actions to joint targets, for policies, the expert's roll-out and replay.
 
-Deltas integrate on the *commanded* pose, never on the measured one: integrating on a measurement adds the arm's lag to
-every step and makes replay drift. The controller is a pure function of its state and the action. Its result holds the
-action after clipping; stepping with that action again gives the same bits, so replay is exact.
+Deltas are added to the *commanded* pose, never to the measured one, which would add the arm's lag to every step and let
+replay drift. The controller is a pure function of its state and the action. Its result contains the action after
+clipping; stepping with that action again gives the same bits, so replay is exact.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inve
 from roboxim_core.specs import WorkspaceSpec
 
 _SLACK = 1.0 + 1e-6
-"""A clipped action, rounded to float32, must pass the limit that clipped it."""
+"""Tolerance factor of the limits, so that a clipped action, rounded to float32, passes the limit that clipped it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerState:
-    """What the next action integrates on."""
+    """Commanded state that the next action is added to."""
 
     pose: Pose
     """Commanded pose of the tool centre point in the robot's base."""
@@ -40,24 +40,26 @@ class ControllerState:
 
 @dataclass(frozen=True, kw_only=True)
 class DeltaStep:
-    """What one action leads to."""
+    """Result of one action."""
 
     state: ControllerState
-    """The next state: the joint target of the tick is its ``joints``."""
+    """The next state; its ``joints`` are the joint target of the tick."""
     action_executed: tuple[float, ...]
     """The action after clipping, 7 float32 values; stepping with it again gives the same bits."""
     clipped: bool
-    """Whether the action was beyond a limit."""
+    """Whether the action exceeded a limit."""
     left_workspace: bool
     """Whether the pose would have left the workspace and was moved back to its border."""
     unreached: bool
-    """Whether the arm cannot reach the pose in this tick; then the commanded pose is what it does reach."""
+    """Whether the arm cannot reach the pose in this tick; the commanded pose is then the one that it does reach."""
 
 
 class DeltaController:
-    """Turns actions into commanded poses and joint targets. Bit-deterministic; not thread-safe (see `ArmKinematics`).
+    """Converter of actions to commanded poses and joint targets.
 
-    Non-obvious: a commanded pose that starts outside the workspace is not pulled in, it only cannot get farther out.
+    Bit-deterministic; not thread-safe (see `ArmKinematics`).
+
+    Note: a commanded pose that starts outside the workspace is not moved inside; it only cannot move farther out.
     """
 
     def __init__(
@@ -72,9 +74,9 @@ class DeltaController:
 
         Args:
             arm: Kinematics.
-            workspace: Box in the world that the commanded tool centre point stays in; none: the default.
-            pose_base_in_world: Where the robot stands.
-            semantics: Rate and limits; none: the default.
+            workspace: Box in the world that the commanded tool centre point stays in; None: the default.
+            pose_base_in_world: Pose of the robot's base.
+            semantics: Rate and limits; None: the default.
         """
         self.arm = arm
         self.workspace = workspace or WorkspaceSpec()
@@ -84,7 +86,7 @@ class DeltaController:
         self._max_joint_step = arm.velocity / self.semantics.rate_hz
 
     def start(self, joints: npt.ArrayLike, gripper: float = 1.0) -> ControllerState:
-        """Return the state of an arm that stands still.
+        """Return the controller's state for an arm at rest.
 
         Args:
             joints: Arm joint positions, shape (n,) [rad].
@@ -98,7 +100,7 @@ class DeltaController:
         """Integrate one action.
 
         Args:
-            state: Where the command is.
+            state: The commanded state before the action.
             action: 7 numbers, see `roboxim_core.actions`.
 
         Raises:
@@ -131,12 +133,12 @@ class DeltaController:
     def rollout(
         self, joints: npt.ArrayLike, actions: Iterable[npt.ArrayLike], gripper: float = 1.0
     ) -> tuple[DeltaStep, ...]:
-        """Integrate actions one after the other from an arm that stands still.
+        """Integrate consecutive actions, starting with an arm at rest.
 
         Args:
             joints: Arm joint positions at the start, shape (n,) [rad].
             actions: The actions.
-            gripper: Opening at the start.
+            gripper: Opening at the start, 1 = open.
         """
         state, steps = self.start(joints, gripper), []
         for action in actions:
@@ -152,7 +154,7 @@ class DeltaController:
         if distance > self.semantics.max_translation_m * _SLACK:
             executed[:3] *= self.semantics.max_translation_m / distance
             clipped = True
-        if abs(roll) + abs(pitch) + abs(yaw) > self.semantics.max_rotation_rad:  # the angle is never more than the sum
+        if abs(roll) + abs(pitch) + abs(yaw) > self.semantics.max_rotation_rad:  # the angle never exceeds the sum
             vector = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_rotvec()
             angle = float(np.linalg.norm(vector))
             if angle > self.semantics.max_rotation_rad * _SLACK or max(map(abs, (roll, pitch, yaw))) > math.pi:
@@ -165,7 +167,7 @@ class DeltaController:
         return executed, clipped
 
     def _keep_inside(self, now: Vec3, then: Vec3) -> tuple[Vec3, bool]:
-        """Return a position in the base, moved to the workspace's border if it would get (farther) out of it."""
+        """Return a position in the base, moved to the workspace's border if it would leave it or move farther out."""
         now_world, then_world = (now, then) if self._base_is_identity else map(self._in_world, (now, then))
         bounds = zip(self.workspace.lower, self.workspace.upper, now_world, then_world, strict=True)
         inside = [min(max(c, min(low, b)), max(high, b)) for low, high, b, c in bounds]
@@ -180,11 +182,11 @@ class DeltaController:
 
 
 def delta_between(commanded: Pose, following: Pose, gripper: float) -> ActionArray:
-    """Return the action that leads from a commanded pose to the next one.
+    """Return the action that moves a commanded pose to the next one.
 
     Args:
         commanded: Commanded pose of the tool centre point in the base.
-        following: Wanted next pose in the base.
+        following: Next pose in the base.
         gripper: Opening, 1 = open.
 
     Returns:
