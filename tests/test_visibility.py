@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboxim_bringup.cores import CoreEyes
+from roboxim_bringup.cores import CoreSegmentation
 from roboxim_core.errors import RoboximError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
@@ -15,7 +15,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, EntitySpec, LookSpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.config import load_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
-from roboxim_tasks.ports import EyesClient
+from roboxim_tasks.ports import SegmentationClient
 from roboxim_tasks.solvable import state_at_rest
 from roboxim_tasks.task_config import VisibleConfig
 from roboxim_tasks.visible import Visibility
@@ -33,23 +33,23 @@ def library():
 
 
 @pytest.fixture(scope="module")
-def eyes(library):
-    made = CoreEyes(library)
+def segmentation(library):
+    made = CoreSegmentation(library)
     yield made
     made.close()
 
 
 @pytest.fixture(scope="module")
-def look(library, eyes):
+def look(library, segmentation):
     arm = ArmKinematics(library.robot("panda"))
 
-    def through(camera, *entities, joints=FOLDED, eyes=eyes):
+    def through(camera, *entities, joints=FOLDED, renderer=segmentation):
         robot = replace(SceneSpec().robot, joint_positions=joints)
         scene = SceneSpec(entities=entities, cameras=(camera,), robot=robot)
         task = TaskSpec(
             skill="pick_up", instruction="", objects={"target": PhysicalObject(entity="target", model="", name="")}
         )
-        (sight,) = Visibility(eyes).look(task, scene, state_at_rest(scene, arm))
+        (sight,) = Visibility(renderer).look(task, scene, state_at_rest(scene, arm))
         return sight
 
     return through
@@ -91,8 +91,8 @@ def test_the_arm_hides_what_is_behind_it(look, library):
 @pytest.mark.parametrize(("model", "height"), [("knife", 0.01), ("mug", 0.045), ("spoon", 0.007), ("button", 0.03)])
 def test_another_renderer_sees_the_same(look, library, model, height):
     camera = replace(ABOVE, fov_y_rad=0.5)
-    thing, tiny = at(0.5, 0.02, height, model=model), CoreEyes(library, "tiny")
-    ours, theirs = look(camera, thing), look(camera, thing, eyes=tiny)
+    thing, tiny = at(0.5, 0.02, height, model=model), CoreSegmentation(library, "tiny")
+    ours, theirs = look(camera, thing), look(camera, thing, renderer=tiny)
     tiny.close()
     assert ours.pixels == pytest.approx(theirs.pixels, rel=0.12)
     assert ours.whole == pytest.approx(theirs.whole, rel=0.12)
@@ -105,15 +105,15 @@ def test_the_ids_of_the_segmentation_are_those_of_the_renderers_world(library):
         assert drawn_entities(scene) == render_world(scene, library).entity_names
 
 
-def test_a_drawn_scene_shows_its_objects_and_the_same_draw_without_eyes_need_not(library, eyes):
+def test_a_drawn_scene_shows_its_objects_and_the_same_draw_without_the_check_need_not(library, segmentation):
     config = load_task_config("place_on")
-    seeing, blind = EpisodeGenerator(library, visibility=Visibility(eyes)), EpisodeGenerator(library)
+    seeing, blind = EpisodeGenerator(library, visibility=Visibility(segmentation)), EpisodeGenerator(library)
     arm = ArmKinematics(library.robot("panda"))
     refused = 0
     for index in range(60):
         seed = SeedPath(run_seed=5, purpose="test", index=index)
         drawn, least = seeing.draw(seed, config), VisibleConfig()
-        sights = Visibility(eyes).look(drawn.task, drawn.scene, state_at_rest(drawn.scene, arm))
+        sights = Visibility(segmentation).look(drawn.task, drawn.scene, state_at_rest(drawn.scene, arm))
         assert {(sight.camera, sight.entity) for sight in sights} == {("workspace", "target"), ("workspace", "support")}
         assert all(sight.share >= least.share and sight.pixels >= least.pixels for sight in sights)
         names = {name for name in seeing.last_reset.rejections if name.endswith("_visible")}
@@ -126,15 +126,15 @@ def test_a_drawn_scene_shows_its_objects_and_the_same_draw_without_eyes_need_not
 
 
 @pytest.mark.ros
-def test_the_sim_node_s_service_sees_what_the_cores_see(graph, library, eyes):
+def test_the_sim_node_s_service_sees_what_the_cores_see(graph, library, segmentation):
     arm = ArmKinematics(library.robot("panda"))
     things = (at(0.5, 0.1), at(0.45, -0.1, 0.045, "mug", "mug"))
     robot = replace(SceneSpec().robot, joint_positions=FOLDED)
     scene = SceneSpec(entities=things, cameras=(replace(ABOVE, segmentation=True),), robot=robot)
     state = state_at_rest(scene, arm)
     with graph.clients() as clients:
-        answer = EyesClient(clients, "raster", 60.0).segment(scene, state)
+        answer = SegmentationClient(clients, "raster", 60.0).segment(scene, state)
         with pytest.raises(RoboximError, match="unknown renderer 'rastr'"):
-            EyesClient(clients, "rastr", 60.0).segment(scene, state)
-    assert np.array_equal(answer["above"], eyes.segment(scene, state)["above"])
+            SegmentationClient(clients, "rastr", 60.0).segment(scene, state)
+    assert np.array_equal(answer["above"], segmentation.segment(scene, state)["above"])
     assert {5, 6} <= set(np.unique(answer["above"]).tolist())

@@ -129,7 +129,7 @@ class CellRunner:
         self._folder = tempfile.TemporaryDirectory()
         self._library = ModelLibrary()
         self._cores = CoreGraph(Path(self._folder.name), renderer="tiny")
-        self._sight = Visibility(self._cores.eyes)
+        self._sight = Visibility(self._cores.segmentation)
         self._world = World(self._library)
 
     def run(self, cell: str, config: str, index: int, *, replay: bool) -> Outcome:

@@ -16,7 +16,7 @@ from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
 
-from roboxim_bringup.cores import CoreEyes, CorePlanner
+from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.actions import ActionArray
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
 from roboxim_core.errors import RoboximError
@@ -49,10 +49,13 @@ class CoreTasks:
     """Draws and judges."""
 
     def __init__(
-        self, library: ModelLibrary, solvability: Solvability | None = None, eyes: CoreEyes | None = None
+        self,
+        library: ModelLibrary,
+        solvability: Solvability | None = None,
+        segmentation: CoreSegmentation | None = None,
     ) -> None:
-        """Draw scenes that can be solved and that eyes can see, if given."""
-        self.generator = EpisodeGenerator(library, solvability, Visibility(eyes) if eyes else None)
+        """Draw scenes that have a solution and whose cameras see the named objects, where the checks are given."""
+        self.generator = EpisodeGenerator(library, solvability, Visibility(segmentation) if segmentation else None)
         self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._judge: Judge | None = None
 
@@ -197,9 +200,9 @@ class CoreGraph:
         library = ModelLibrary()
         self.sim = CoreSim(library, renderer)
         planner = CorePlanner(library)
-        self.eyes = CoreEyes(library)
+        self.segmentation = CoreSegmentation(library)
         solvability = Solvability(library, planner)
-        self.tasks = CoreTasks(library, solvability, self.eyes)
+        self.tasks = CoreTasks(library, solvability, self.segmentation)
         self._actor: ActorPort = CoreActor(policy or Expert(library, planner, solvability=solvability))
         self._recorder = CoreRecorder(self.sim, output_dir)
 
@@ -217,5 +220,5 @@ class CoreGraph:
 
     def __exit__(self, *_: object) -> None:
         """Free everything."""
-        self.eyes.close()
+        self.segmentation.close()
         self.sim.close()

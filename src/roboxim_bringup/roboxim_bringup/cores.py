@@ -20,16 +20,19 @@ from roboxim_tasks.visible import Segmentation
 SAMPLE_PERIOD_S = 0.02
 
 
-class CoreEyes:
-    """The visibility check's renderer port, served by a renderer's core. Belongs to the thread that first looks."""
+class CoreSegmentation:
+    """The visibility check's segmentation port, served by a renderer's core.
+
+    The first call of `segment` makes the renderer; all later calls must come from the same thread.
+    """
 
     def __init__(self, library: ModelLibrary, renderer: str = "raster") -> None:
-        """Use a renderer by name; it is made when it is first needed."""
+        """Use a renderer by name; the first call of `segment` makes it."""
         self._library, self._name = library, renderer
         self._states: StateRenderer | None = None
 
     def segment(self, scene: SceneSpec, state: StateRecord) -> dict[str, Segmentation]:
-        """Return what the cameras of a scene see; see `roboxim_tasks.visible.Eyes`."""
+        """Return what the cameras of a scene see; see `roboxim_tasks.visible.SegmentationPort`."""
         if self._states is None:
             self._states = StateRenderer(make_renderer(self._name), self._library)
         images = self._states.draw(scene, state)

@@ -1,7 +1,7 @@
-"""What may vary, as configuration: a list in order or at random, or a range.
+"""Configuration of a value that varies: a list in order or at random, or a range.
 
-An ordered list is a function of the episode's index, so that any worker draws the same and a retried index stays in its
-cell. A range or a random list draws from the component's own generator.
+An ordered list is a function of the episode's index, so that all workers draw the same value and a retried index stays
+in its cell. A range or a random list draws from the component's own random stream.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ ORDERS = ("random", "in_order")
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """A scalar: one of ``values``, or a number of the range ``lower`` to ``upper``."""
+    """A scalar: one of ``values``, or a number in the range ``lower`` to ``upper``."""
 
     values: tuple[Scalar, ...] = ()
-    """What to choose from; empty: the range."""
+    """Values to choose from; empty: the range."""
     lower: float | None = None
     """Lower end of the range."""
     upper: float | None = None
@@ -33,13 +33,13 @@ class Choice:
     order: str = "random"
     """``random``, or ``in_order``: value ``index % len(values)``."""
     weights: tuple[float, ...] = ()
-    """How often each of ``values`` is drawn relative to the others; empty: all alike."""
+    """Relative frequency of each of ``values``; empty: all equal."""
 
     def __post_init__(self) -> None:
         """Check that there is either a list or a range.
 
         Raises:
-            ConfigError: Saying which is wrong.
+            ConfigError: When both or neither are given, or their values are invalid.
         """
         _check(bool(self.values), self.lower, self.upper, self.order)
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
@@ -64,26 +64,26 @@ class Choice:
 
     @property
     def drawable(self) -> tuple[Scalar, ...]:
-        """The values of the list that are ever drawn: those whose weight is not 0."""
+        """The values of the list that can be drawn: those whose weight is not 0."""
         return tuple(
             v for v, weight in zip(self.values, self.weights or [1.0] * len(self.values), strict=True) if weight
         )
 
     @property
     def ordered(self) -> int:
-        """Number of values that come in order; 0 when they come at random, or when there is but one."""
+        """Number of values that come in order; 0 when they come at random, or when there is only one."""
         return len(self.values) if self.order == "in_order" and len(self.values) > 1 else 0
 
     @property
     def varies(self) -> bool:
-        """Whether another draw may give another value."""
+        """Whether repeated draws may differ."""
         return self.order == "random" and len(self.drawable) != 1
 
     def require_numbers(self, name: str, lower: float = -math.inf, upper: float = math.inf) -> None:
-        """Refuse what is no number, or out of range.
+        """Refuse values that are no numbers, or out of range.
 
         Raises:
-            ConfigError: Naming the key, and the range.
+            ConfigError: When a value is invalid; names the key and the range.
         """
         for value in self.ends:
             if isinstance(value, str | bool) or not lower <= value <= upper:
@@ -92,17 +92,17 @@ class Choice:
                 raise ConfigError(f"{name} must be a number{limits}, got {value!r}")
 
     def require_words(self, name: str, of_what: str) -> None:
-        """Refuse a range, and values that are no words.
+        """Refuse a range, and values that are no text.
 
         Raises:
-            ConfigError: Naming the key, and what the words should be.
+            ConfigError: When a value is invalid; names the key and the expected kind of text.
         """
         wrong = next((value for value in self.ends if not isinstance(value, str)), None)
         if wrong is not None:
             raise ConfigError(f"{name} must be values, {of_what}, not {'a range' if not self.values else repr(wrong)}")
 
     def only(self, allowed: Collection[Scalar]) -> Choice | None:
-        """Return the choice among those values that are allowed; none if there is none."""
+        """Return the choice restricted to allowed values; none if no value is left."""
         kept = [i for i, value in enumerate(self.values) if value in allowed]
         weights = tuple(self.weights[i] for i in kept) if self.weights else ()
         if len(kept) == len(self.values):
@@ -115,7 +115,7 @@ class Choice:
         """Draw a value.
 
         Args:
-            rng: Generator of the component that asks.
+            rng: Random stream of the calling component.
             index: Index of the episode.
         """
         if self.weights:
@@ -131,7 +131,7 @@ class Choice:
         """Draw a value that must be a number.
 
         Raises:
-            ConfigError: When it is none.
+            ConfigError: When the value is no number.
         """
         value = self.draw(rng, index)
         if isinstance(value, str | bool):
@@ -144,7 +144,7 @@ class VectorChoice:
     """A vector: one of ``values``, or uniform in the box ``lower`` to ``upper``."""
 
     values: tuple[tuple[float, ...], ...] = ()
-    """What to choose from; empty: the box."""
+    """Vectors to choose from; empty: the box."""
     lower: tuple[float, ...] | None = None
     """Lower corner of the box."""
     upper: tuple[float, ...] | None = None
@@ -156,7 +156,7 @@ class VectorChoice:
         """Check that there is either a list or a box, all of one length.
 
         Raises:
-            ConfigError: Saying which is wrong.
+            ConfigError: When both or neither are given, or their values are invalid.
         """
         _check(bool(self.values), self.lower, self.upper, self.order)
         vectors = self.values or (self.lower or (), self.upper or ())
@@ -176,16 +176,16 @@ class VectorChoice:
         """Refuse vectors of another length.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When the length differs; names the key.
         """
         if self.size != size:
             raise ConfigError(f"{name} must be vectors of {size} numbers, got {self.size}")
 
     def require_color(self, name: str) -> None:
-        """Refuse what is no colour.
+        """Refuse vectors that are no colours.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When a value is invalid; names the key.
         """
         self.require_size(3, name)
         for vector in self.values or (self.lower or (), self.upper or ()):
@@ -196,7 +196,7 @@ class VectorChoice:
         """Draw a vector of shape (size,).
 
         Args:
-            rng: Generator of the component that asks.
+            rng: Random stream of the calling component.
             index: Index of the episode.
         """
         if self.values:

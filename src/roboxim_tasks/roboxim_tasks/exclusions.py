@@ -1,4 +1,4 @@
-"""Combinations of objects that are never drawn: what matches one, and whether they leave anything to draw."""
+"""Excluded combinations of objects: matching them, and checking that they leave something to draw."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from roboxim_tasks.roles import SPOKEN
 from roboxim_tasks.task_config import ObjectConfig
 
 MODEL = "model"
-"""Key of an excluded combination beside the modifiers."""
+"""Key of an excluded combination besides the modifiers."""
 Combination = Mapping[str, Mapping[str, Scalar]]
 """Role to ``model`` and modifiers."""
 ENOUGH = 20_000
-"""Different draws after which nobody asks whether all of them are excluded."""
+"""Number of different draws above which the check for complete exclusion is skipped."""
 
 
 def taken(name: str, choice: Choice, allowed: Mapping[str, ModifierModel]) -> Choice | None:
-    """Return what a model draws a modifier from; none if it is drawn without it.
+    """Return the choice that a model draws a modifier from; none if the model is drawn without the modifier.
 
     Args:
         name: The modifier.
-        choice: What the task says.
-        allowed: What the model takes.
+        choice: The task's choice.
+        allowed: Values that the model allows.
     """
     mine = choice.only(allowed[name].words(name)) if name in allowed and name in SPOKEN else choice
     return mine if name in allowed or name in PHYSICAL else None
 
 
 def matches(objects: Mapping[str, PhysicalObject], combination: Combination, library: ModelLibrary) -> bool:
-    """Tell whether objects by role are an excluded combination; a role that is not drawn yet is not.
+    """Return whether objects by role are an excluded combination. A role that is not yet drawn never matches.
 
-    Modifiers that an object was drawn without have the values that its model has by default.
+    A modifier that an object was drawn without has its model's default value.
     """
     return all(
         role in objects
@@ -47,7 +47,7 @@ def matches(objects: Mapping[str, PhysicalObject], combination: Combination, lib
 
 
 def all_excluded(objects: Mapping[str, ObjectConfig], exclude: Sequence[Combination], library: ModelLibrary) -> bool:
-    """Tell whether every draw is excluded, as far as that can be told by counting: a value of a range is none."""
+    """Return whether every draw is excluded, as far as counting can show: values of ranges are not counted."""
     kinds: dict[str, set[str]] = {}
     for role, wanted in itertools.chain.from_iterable(combination.items() for combination in exclude):
         kinds.setdefault(role, set()).update(wanted)
@@ -61,7 +61,7 @@ def all_excluded(objects: Mapping[str, ObjectConfig], exclude: Sequence[Combinat
 
 
 def _possible(config: ObjectConfig, kinds: Iterable[str], library: ModelLibrary) -> list[PhysicalObject]:
-    """Return the objects that may fill a role, as far as they differ in some kinds of modifiers."""
+    """Return the objects that may fill a role and differ in the given kinds of modifiers."""
     things = []
     for model in map(str, config.models.drawable):
         allowed = library.object_modifiers(model)

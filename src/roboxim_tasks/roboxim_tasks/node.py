@@ -26,7 +26,7 @@ from roboxim_tasks.config import DEFAULT_TASK, TaskMix, load_task_config, parse_
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.expert import Expert
 from roboxim_tasks.judging import Judge as TaskJudge
-from roboxim_tasks.ports import EyesClient, PlannerClient
+from roboxim_tasks.ports import PlannerClient, SegmentationClient
 from roboxim_tasks.reference import SpeedConfig
 from roboxim_tasks.solvable import Solvability
 from roboxim_tasks.task_config import TaskConfig
@@ -94,8 +94,10 @@ class TaskNode(RoboximNode):
         )
         planner = PlannerClient(self.clients_of_node, self.config.planner_timeout_s)
         solvability = Solvability(self._library, planner, speeds)
-        eyes = EyesClient(self.clients_of_node, self.config.visible_renderer, self.config.render_timeout_s)
-        visibility = Visibility(eyes) if self.config.visible else None
+        segmentation = SegmentationClient(
+            self.clients_of_node, self.config.visible_renderer, self.config.render_timeout_s
+        )
+        visibility = Visibility(segmentation) if self.config.visible else None
         self._generator = EpisodeGenerator(self._library, solvability if self.config.solvable else None, visibility)
         self._expert = Expert(self._library, planner, speeds, direct=self.config.direct, solvability=solvability)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)

@@ -1,4 +1,4 @@
-"""What the tasks need of other rooms, served by their nodes: the planner, and the simulator's renderer."""
+"""Clients of the planner's and the simulator's services."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PERIOD_NS = round(SAMPLE_PERIOD_S * 1e9)
 
 
 class PlannerClient:
-    """Asks ``planner/*``; see `roboxim_tasks.planning.PlannerPort`."""
+    """Client of ``planner/*``; see `roboxim_tasks.planning.PlannerPort`."""
 
     def __init__(self, clients: Clients, timeout_s: float) -> None:
         """Use a set of clients.
@@ -54,7 +54,7 @@ class PlannerClient:
         """Return what is wrong with a joint path, or an empty text.
 
         Raises:
-            PlannerError: When the planner cannot say, e.g. ``STALE_SCENE``.
+            PlannerError: When the planner cannot check the path, e.g. ``STALE_SCENE``.
             UnavailableError: When the planner is not there.
             RequestTimeoutError: When it answers late.
         """
@@ -67,15 +67,15 @@ class PlannerClient:
         return "; ".join([*touching, *answer.violations]) or "the planner refuses the path"
 
 
-class EyesClient:
-    """Asks ``sim/render_state``; see `roboxim_tasks.visible.Eyes`."""
+class SegmentationClient:
+    """Client of ``sim/render_state``; see `roboxim_tasks.visible.SegmentationPort`."""
 
     def __init__(self, clients: Clients, renderer: str, timeout_s: float) -> None:
         """Use a set of clients.
 
         Args:
             clients: The node's clients.
-            renderer: Renderer by name.
+            renderer: Name of the renderer.
             timeout_s: Longest wait for an answer [s].
         """
         self._clients = clients
@@ -83,10 +83,10 @@ class EyesClient:
         self._timeout_s = timeout_s
 
     def segment(self, scene: SceneSpec, state: StateRecord) -> dict[str, Segmentation]:
-        """Return what the cameras of a scene see.
+        """Return the segmentation images of a scene by camera.
 
         Raises:
-            SimError: When the simulator cannot draw it, e.g. ``RENDERER_UNAVAILABLE``.
+            SimError: When the simulator cannot draw the scene, e.g. ``RENDERER_UNAVAILABLE``.
             UnavailableError: When the simulator is not there.
             RequestTimeoutError: When it answers late.
         """
@@ -100,7 +100,7 @@ class EyesClient:
 def _evenly_timed(points: Sequence[Any]) -> Array:
     """Return the positions at multiples of the period and at the end, shape (N, dof) [rad].
 
-    The planner's answer has further points, which a controller needs.
+    Drop the planner's other points, which only a controller needs.
     """
     even = [p for p in points[:-1] if p.time_from_start.nanosec % _PERIOD_NS == 0]
     return np.array([list(point.positions) for point in [*even, points[-1]]])

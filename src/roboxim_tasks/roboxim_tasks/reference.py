@@ -1,7 +1,7 @@
-"""From stages to a reference: one commanded pose per tick.
+"""Reference trajectory of a motion: one commanded pose per tick.
 
-A leg runs at constant speed; a moving average over the ticks of adjoining legs then bounds the acceleration, rounds the
-corner between them and leaves no pause. The average of a path that ends at rest ends exactly at its last pose.
+Each leg runs at constant speed. A moving average over the ticks of adjoining legs then bounds the acceleration and
+rounds the corners between legs, without a pause. If a path ends at rest, its average ends exactly at the last pose.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import Stage
 
 _SHARE_OF_LIMIT = 0.99
-"""Share of the limits per tick that the expert uses, so that rounding never clips an action."""
+"""Share of the action limits per tick that the expert uses, so that rounding errors never clip an action."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedConfig:
-    """How fast the expert moves."""
+    """Speeds of the expert."""
 
     max_tcp_speed_m_s: float = 0.2
     """Largest speed of the tool centre point [m/s]."""
     max_tcp_rot_speed_rad_s: float = 0.8
     """Largest angular speed of the tool [rad/s]."""
     smoothing_s: float = 0.4
-    """Time in which a leg reaches its speed [s]."""
+    """Time that a leg takes to reach its speed [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -42,7 +42,7 @@ class SpeedConfig:
             raise ValueError(f"speeds must be > 0 and smoothing_s >= 0, got {self}")
 
     def within(self, limits: ActionSemantics, rate_hz: float) -> SpeedConfig:
-        """Return speeds at which no action of a control rate [Hz] is beyond the limits per tick."""
+        """Return speeds at which no action exceeds the limits per tick at a control rate [Hz]."""
         return replace(
             self,
             max_tcp_speed_m_s=min(self.max_tcp_speed_m_s, _SHARE_OF_LIMIT * limits.max_translation_m * rate_hz),
@@ -54,26 +54,26 @@ class SpeedConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferencePoint:
-    """What to command at one tick."""
+    """Command of one tick."""
 
     pose: Pose
     """Pose of the tool centre point in the base."""
     opening: float
     """1 = open, 0 = closed."""
     stage: int
-    """Index of the stage that it belongs to."""
+    """Index of the stage."""
     phase: str
-    """``free`` where noise may be injected, else ``fine``."""
+    """``free`` where the actor may inject noise, else ``fine``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """A stage with the way it takes."""
+    """A stage with its path."""
 
     stage: Stage
     """The stage."""
     via: tuple[Pose, ...] = ()
-    """Poses to pass before the stage's own, when the straight line is blocked."""
+    """Poses to pass before the stage's pose where the straight line is blocked."""
 
 
 def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> list[ReferencePoint]:
@@ -86,7 +86,7 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
         rate_hz: Control rate [Hz].
 
     Returns:
-        The poses of tick 1 on; the last one is the last leg's pose.
+        The poses from tick 1 on; the last one is the last leg's pose.
     """
     config = config.within(ActionSemantics(), rate_hz)
     points: list[ReferencePoint] = []
@@ -110,7 +110,7 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
 
 
 def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> tuple[list[Pose], list[int]]:
-    """Sample adjoining legs that all move, or one that stays; return a pose and a leg's index per tick."""
+    """Sample adjoining legs that all move, or one leg that stays; return a pose and the leg's index per tick."""
     if legs[0].stage.pose is None:
         stay = round(legs[0].stage.duration_s * rate_hz)
         return [start] * stay, [0] * stay
@@ -146,7 +146,7 @@ def _duration(begin: Pose, end: Pose, config: SpeedConfig) -> float:
 def _coordinates(poses: Sequence[Pose]) -> tuple[Array, Rotation]:
     """Return positions with rotation vectors relative to the last pose, shape (n, 6), and the last pose's rotation.
 
-    The shortest arc to the last pose is a straight line in these coordinates.
+    In these coordinates the shortest arc to the last pose is a straight line.
     """
     anchor = poses[-1].rotation
     positions = np.array([pose.position for pose in poses])

@@ -1,7 +1,7 @@
-"""Whether the fixed cameras see what an instruction names: shown by segmentation, before anything is simulated.
+"""Check by segmentation that the fixed cameras see the objects that an instruction names, before the simulation.
 
-The named objects are drawn twice in one image pass: in the scene, and alone. A copy of each stands far below the scene
-with a copy of the camera before it, so that the share that is hidden, or out of the picture, can be counted.
+One image pass draws each named object twice: in the scene, and alone. The second one is a copy far below the scene,
+with a copy of the camera in front of it. The difference is the share that is hidden or out of the picture.
 """
 
 from __future__ import annotations
@@ -33,72 +33,72 @@ from roboxim_tasks.solvable import state_at_rest
 from roboxim_tasks.task_config import VisibleConfig
 
 CONSTRAINT = "visible"
-"""Name of the constraint for messages and statistics; the object that is not seen comes before it."""
+"""Name of the constraint for messages and statistics, prefixed by the name of the object that is not seen."""
 SIZE_PX = 128
-"""Longer side of the images that are looked at."""
+"""Longer side of the segmentation images [px]."""
 BELOW_M = 32.0
-"""How far below the scene, and below each other, objects stand alone; further than any camera sees."""
+"""Distance of the copies below the scene and below each other [m]; further than any camera sees."""
 PLAIN = MaterialSpec()
 LOOK = LookSpec(table=PLAIN, floor=PLAIN, wall=PLAIN, lights=(), background="plain")
-"""No shadows and no textures: only the segmentation is looked at."""
+"""No shadows and no textures: the check only reads the segmentation."""
 
 Segmentation = npt.NDArray[np.uint16]
 
 
-class Eyes(Protocol):
-    """Who draws: the simulator's renderer, by its service or called directly."""
+class SegmentationPort(Protocol):
+    """The simulator's renderer, called through its service or directly."""
 
     def segment(self, scene: SceneSpec, state: StateRecord) -> Mapping[str, Segmentation]:
-        """Return what the cameras of a scene see, by camera: ids as `drawn_entities` numbers them, from 1.
+        """Return a segmentation image per camera, with ids from 1 in the order of `drawn_entities`.
 
         Args:
-            scene: Models, look and cameras; every camera asks for its segmentation.
-            state: Where robot and entities are.
+            scene: Models, look and cameras; every camera requests a segmentation image.
+            state: Poses of robot and entities.
 
         Raises:
-            RoboximError: When nothing can be drawn.
+            RoboximError: When the scene cannot be drawn.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """What a camera sees of an object."""
+    """The visible part of an object in a camera's image."""
 
     camera: str
     """The camera."""
     entity: str
     """The object."""
     pixels: int
-    """Pixels of it, in an image whose longer side has `SIZE_PX`."""
+    """Visible pixels of the object, in an image whose longer side has `SIZE_PX`."""
     whole: int
-    """Pixels that it would have with nothing before it, and if the picture went on for a quarter on every side."""
+    """Pixels of the object without occlusion, in a picture extended by a quarter on every side."""
 
     @property
     def share(self) -> float:
-        """Share of the silhouette that is seen."""
+        """Visible share of the silhouette, 0..1."""
         return self.pixels / self.whole if self.whole else 0.0
 
 
 class Visibility:
-    """Looks at drawn scenes through the cameras that are fixed in the world."""
+    """Check of drawn scenes through the cameras that are fixed in the world."""
 
-    def __init__(self, eyes: Eyes) -> None:
-        """Use a renderer."""
-        self._eyes = eyes
+    def __init__(self, renderer: SegmentationPort) -> None:
+        """Use a renderer of segmentation images."""
+        self._renderer = renderer
 
     def refusal(self, task: TaskSpec, scene: SceneSpec, arm: ArmKinematics, config: VisibleConfig) -> str:
         """Return the name of the constraint that a scene breaks, e.g. ``target_visible``, or nothing.
 
         Args:
-            task: The task; every object that its instruction names is to be seen.
-            scene: Its scene, with objects where they come to rest; without fixed cameras nothing is demanded.
+            task: The task; every object that its instruction names must be visible.
+            scene: Its scene, with the objects at rest. A scene without fixed cameras always passes.
             arm: Kinematics of the scene's robot.
-            config: What is to be seen.
+            config: The visibility that the task demands.
 
         Raises:
-            ConfigError: When a camera that must see is not in the scene.
-            RoboximError: When nothing can be drawn.
+            ConfigError: When the scene lacks a camera that the configuration names.
+            RoboximError: When the scene cannot be drawn.
         """
         for sight in self.look(task, scene, state_at_rest(scene, arm), config.cameras):
             if sight.pixels < config.pixels or sight.share < config.share:
@@ -108,17 +108,17 @@ class Visibility:
     def look(
         self, task: TaskSpec, scene: SceneSpec, state: StateRecord, cameras: tuple[str, ...] | None = None
     ) -> list[Sight]:
-        """Return what each camera sees of each object that the instruction names.
+        """Return how each camera sees each object that the instruction names.
 
         Args:
             task: The task.
             scene: Its models and cameras.
-            state: Where robot and objects are.
+            state: Poses of robot and objects.
             cameras: The cameras; none: all that are fixed in the world.
 
         Raises:
             ConfigError: When a camera is not in the scene, or not fixed in the world.
-            RoboximError: When nothing can be drawn.
+            RoboximError: When the scene cannot be drawn.
         """
         views = [_small(camera) for camera in _chosen(scene, cameras)]
         names = [thing.entity for thing in task_objects(task)]
@@ -129,7 +129,7 @@ class Visibility:
         copies = [_copy(view, name, depth) for view in views for name, depth in depths.items()]
         shown = replace(shown, cameras=(*views, *copies))
         ids = {name: number for number, name in enumerate(drawn_entities(shown), start=1)}
-        images = self._eyes.segment(shown, posed)
+        images = self._renderer.segment(shown, posed)
         return [
             Sight(
                 camera=view.name,
@@ -143,7 +143,7 @@ class Visibility:
 
 
 def _chosen(scene: SceneSpec, names: tuple[str, ...] | None) -> list[CameraSpec]:
-    """Return the cameras that must see."""
+    """Return the cameras that must see the objects."""
     fixed = {camera.name: camera for camera in scene.cameras if camera.parent == "world"}
     if names is None:
         return list(fixed.values())
@@ -154,14 +154,14 @@ def _chosen(scene: SceneSpec, names: tuple[str, ...] | None) -> list[CameraSpec]
 
 
 def _small(camera: CameraSpec) -> CameraSpec:
-    """Return a camera as it is looked through: a small picture without the lens' distortion, segmentation alone."""
+    """Return a camera for the check: a small image, without lens distortion, segmentation only."""
     scale = min(1.0, SIZE_PX / max(camera.width, camera.height))
     small = camera.resized(max(16, round(scale * camera.width)), max(16, round(scale * camera.height)))
     return replace(small, depth=False, segmentation=True, distortion=(), noise=CameraNoise(), rate_hz=0.0)
 
 
 def _copy(camera: CameraSpec, entity: str, depth_m: float) -> CameraSpec:
-    """Return the camera that sees an object's copy alone, in a picture that is larger by a quarter on every side."""
+    """Return the camera that sees only an object's copy, in a picture extended by a quarter on every side."""
     (fx, fy, cx, cy), dx, dy = camera.matrix, camera.width // 4, camera.height // 4
     return replace(
         camera,
@@ -175,7 +175,7 @@ def _copy(camera: CameraSpec, entity: str, depth_m: float) -> CameraSpec:
 
 
 def _with_copies(scene: SceneSpec, names: list[str], state: StateRecord) -> tuple[SceneSpec, StateRecord]:
-    """Add the objects' copies. Poses are the state's alone, so that a renderer need not load every draw anew."""
+    """Add the objects' copies. Change poses only in the state, so that a renderer need not reload each draw."""
     bodies = [EntitySpec(name=e.name, model=e.model, modifiers=e.modifiers) for e in scene.entities]
     bodies += [replace(bodies[[e.name for e in bodies].index(name)], name=_alone(name)) for name in names]
     copies = [

@@ -10,8 +10,8 @@ from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.visible import Visibility
 
 
-class Eyes:
-    """See the whole of everything, but of the target in the first so many scenes only a part."""
+class FakeSegmentation:
+    """A renderer that shows every object whole, except for the target in the first `hidden` scenes."""
 
     def __init__(self, hidden=0, of_target=0):
         self.hidden, self.of_target, self.scenes = hidden, of_target, []
@@ -29,23 +29,23 @@ class Eyes:
         return images
 
 
-def generator(library, eyes):
-    return EpisodeGenerator(library, visibility=Visibility(eyes))
+def generator(library, segmentation):
+    return EpisodeGenerator(library, visibility=Visibility(segmentation))
 
 
 @pytest.mark.parametrize(("seen", "config"), [(49, "{}"), (79, "{share: 0.8}"), (69, "{share: 0, pixels: 70}")])
 def test_a_scene_that_hides_the_target_is_drawn_again(library, seed_path, seen, config):
     task = parse_task_config(f"visible: {config}")
-    made = generator(library, Eyes(2, seen))
+    made = generator(library, FakeSegmentation(2, seen))
     drawn = made.draw(seed_path(1), task)
     assert made.last_reset.rejections["target_visible"] == 2
-    assert generator(library, Eyes(2, seen + 1)).draw(seed_path(1), task) != drawn
+    assert generator(library, FakeSegmentation(2, seen + 1)).draw(seed_path(1), task) != drawn
 
 
 def test_a_target_that_is_never_seen_makes_the_reset_infeasible(library, seed_path):
     few = replace(load_task_config("pick_cube"), max_draws=3)
     with pytest.raises(TaskError, match="in 3 draws: constraint target_visible refused most") as error:
-        generator(library, Eyes(3)).draw(seed_path(1), few)
+        generator(library, FakeSegmentation(3)).draw(seed_path(1), few)
     assert error.value.code == ErrorCode.RESET_INFEASIBLE
 
 
@@ -53,10 +53,10 @@ def test_only_cameras_that_are_fixed_in_the_world_must_see(library, seed_path):
     for text in (
         "reset: {cameras: {names: [wrist]}}", "reset: {cameras: {names: []}}", "visible: {cameras: []}",
     ):  # fmt: skip
-        eyes = Eyes(100)
-        assert generator(library, eyes).draw(seed_path(1), parse_task_config(text)).task.instruction
-        assert not eyes.scenes
-    two = Eyes()
+        segmentation = FakeSegmentation(100)
+        assert generator(library, segmentation).draw(seed_path(1), parse_task_config(text)).task.instruction
+        assert not segmentation.scenes
+    two = FakeSegmentation()
     text = "reset: {cameras: {names: [workspace, wrist, workspace_left]}}\n"
     generator(library, two).draw(seed_path(1), parse_task_config(text))
     assert [camera.name for camera in two.scenes[0].cameras][:2] == ["workspace", "workspace_left"]
@@ -69,9 +69,9 @@ def test_only_cameras_that_are_fixed_in_the_world_must_see(library, seed_path):
 
 
 def test_every_object_of_the_instruction_is_looked_for_and_the_picture_stays_small(library, seed_path):
-    eyes = Eyes()
-    generator(library, eyes).draw(seed_path(1), load_task_config("place_on"))
-    (scene,) = eyes.scenes
+    segmentation = FakeSegmentation()
+    generator(library, segmentation).draw(seed_path(1), load_task_config("place_on"))
+    (scene,) = segmentation.scenes
     view, *alone = scene.cameras
     assert {"target alone", "support alone"} <= {entity.name for entity in scene.entities}
     assert len(alone) == 2

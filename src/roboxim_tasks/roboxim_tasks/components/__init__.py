@@ -1,4 +1,4 @@
-"""Reset components: one file each, registered by name. Every module of this folder is one."""
+"""Reset components, registered by name: each module of this folder holds one."""
 
 import importlib
 import pkgutil

@@ -1,4 +1,4 @@
-"""Reset component ``background``: what is behind the table."""
+"""Reset component ``background``: walls and background colour behind the table."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundResetConfig:
-    """How the background varies; what is left out stays as the scene has it. Walls and floor: see ``surfaces``."""
+    """Variation of the background. Omitted keys stay as in the scene. For wall and floor see ``surfaces``."""
 
     kind: Choice | None = None
     """``room`` (walls around) or ``plain`` (no walls)."""
     backdrop: VectorChoice | None = None
-    """sRGB colour of what is beyond everything, each component 0..1."""
+    """sRGB colour behind all surfaces, each component 0..1."""
 
     def __post_init__(self) -> None:
         """Check the names and the colours' length.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When a name is unknown or a colour is invalid; names the key.
         """
         if self.backdrop is not None:
             self.backdrop.require_color("backdrop")

@@ -1,7 +1,7 @@
-"""What a reset component is, and what it works with.
+"""Base class of reset components, and the context that they work with.
 
-A component is a function of a scene, its configuration and its own random stream; the skill's resetter chains
-components. Adding one touches one new file here and one entry in a task's YAML.
+A component is a function of a scene, its configuration and its own random stream. The skill's resetter chains
+components. A new component takes one new file here and one entry in a task's YAML.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from roboxim_tasks.task_config import TaskConfig
 
 @dataclass(frozen=True, kw_only=True)
 class Constraint:
-    """Something that a skill demands of a drawn scene."""
+    """A skill's requirement of a drawn scene."""
 
     name: str
     """Name for messages and statistics, e.g. ``target_reachable``."""
     holds: Callable[[SceneSpec], bool]
-    """Whether a scene meets it."""
+    """Return whether a scene meets the constraint."""
     room: bool = False
-    """Whether it asks for free room, quickly: then distractors are placed so that they leave it."""
+    """Whether the constraint is a quick check of free space: distractors are then placed so that it still holds."""
     each: bool = False
-    """Whether a scene meets it if each object alone does, quickly: then it is asked while objects are placed."""
+    """Whether the check is quick and concerns each object alone: it then runs while objects are being placed."""
 
 
 @dataclass(kw_only=True)
 class ResetContext:
-    """One reset: where its randomness comes from, and what it counts."""
+    """One reset: its source of randomness, its inputs and its counters."""
 
     seed: SeedPath
-    """Address of the episode's randomness."""
+    """Seed path of the episode."""
     config: TaskConfig
     """Task configuration."""
     task: TaskSpec
@@ -52,57 +52,57 @@ class ResetContext:
     arm: ArmKinematics
     """Kinematics of the scene's robot."""
     ordinal: int | None = None
-    """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
+    """Number of the episode in its cell of a mix, the index into ordered lists; none: the seed's index."""
     constraints: Sequence[Constraint] = ()
-    """What the skill demands of the scene; known once the components run."""
+    """The skill's constraints; set before the components run."""
     way_blocked: Callable[[SceneSpec], bool] | None = None
-    """Tells whether distractors collide with the straight lines that would solve the task; none: nothing is planned."""
+    """Return whether distractors collide with straight paths that would solve the task; none: no planning."""
     areas: dict[str, VectorChoice] = field(default_factory=dict)
-    """Entity to where it is to be placed, instead of where the component that places it is configured to."""
+    """Entity to the area it is placed in, which overrides the configuration of the placing component."""
     drawn: dict[str, str] = field(default_factory=dict)
-    """Component to the name of what it has drawn, for those whose results are grouped by it."""
+    """Component to the name of the value it has drawn, for components by which results are grouped."""
     draws: int = 0
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)
-    """Constraint to the number of placements that it refused."""
+    """Constraint to the number of placements that it has refused."""
     _streams: dict[str, np.random.Generator] = field(default_factory=dict)
 
     @property
     def index(self) -> int:
-        """Number that ordered lists go by."""
+        """Index into ordered lists."""
         return self.seed.index if self.ordinal is None else self.ordinal
 
     def rng(self, component: str) -> np.random.Generator:
-        """Return a component's own stream; a second draw goes on where the first ended."""
+        """Return a component's own random stream; repeated calls continue the same stream."""
         if component not in self._streams:
             self._streams[component] = self.seed.rng(component)
         return self._streams[component]
 
     def room_taken(self, scene: SceneSpec) -> str:
-        """Return the name of the first constraint whose room is taken in a scene with all objects, or nothing."""
+        """Return the first constraint whose free space is taken in a scene with all objects, or an empty text."""
         taken = next((c.name for c in self.constraints if c.room and not c.holds(scene)), "")
         return taken or self.newest_refused(scene)
 
     def newest_refused(self, scene: SceneSpec) -> str:
-        """Return the name of a constraint that the object placed last does not meet, or nothing."""
+        """Return the first constraint that the object placed last does not meet, or an empty text."""
         alone = replace(scene, entities=scene.entities[-1:])
         return next((c.name for c in self.constraints if c.each and not c.holds(alone)), "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfig:
-    """A component without configuration."""
+    """Configuration of a component that has no options."""
 
 
 class ResetComponent(ABC):
-    """One property of a scene. Subclasses register under the name that task YAML uses."""
+    """A component that draws one property of a scene. Subclasses register under the name that task YAML uses."""
 
     name: ClassVar[str] = ""
-    """Registered name, and the name of the random stream."""
+    """Name in the registry, in task YAML and of the random stream."""
     Config: ClassVar[type] = NoConfig
-    """Frozen dataclass of its configuration; every field has a default."""
+    """Frozen dataclass of the configuration; every field has a default."""
     places: ClassVar[bool] = False
-    """Whether it places objects: then it is drawn again when a constraint refuses the scene."""
+    """Whether the component places objects: it is then drawn again when a constraint refuses the scene."""
 
     def __init__(self, config: Any) -> None:
         """Keep the configuration, an instance of `Config`."""
@@ -110,7 +110,9 @@ class ResetComponent(ABC):
 
     @classmethod  # noqa: B027
     def check(cls, config: Any, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse, when a task is loaded, a configuration that does not suit it; the message begins with the key.
+        """Refuse a configuration that does not suit the task. Called when a task is loaded.
+
+        The message of an error begins with the key.
 
         Args:
             config: Instance of `Config`.
@@ -118,15 +120,15 @@ class ResetComponent(ABC):
             task: The task's configuration.
 
         Raises:
-            ConfigError: Naming the key and what is allowed.
+            ConfigError: When the configuration does not suit; names the key and the allowed values.
         """
 
     @abstractmethod
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Return the scene with this component's property drawn.
+        """Return the scene with a drawn value of this component's property.
 
         Raises:
-            RejectedError: When the draw breaks a constraint of the component.
+            RejectedError: When the draw violates a constraint of the component.
         """
 
 
@@ -135,7 +137,7 @@ COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")
 
 @COMPONENTS.conformance
 def has_a_configuration_with_defaults(name: str, item: type[ResetComponent]) -> None:
-    """Refuse a component whose name or configuration a task's YAML could not use."""
+    """Refuse a component whose name or configuration cannot be used in a task's YAML."""
     assert issubclass(item, ResetComponent), "it does not derive from ResetComponent"
     assert item.name == name, f"its name is '{item.name}'"
     assert is_dataclass(item.Config), "Config is no dataclass"

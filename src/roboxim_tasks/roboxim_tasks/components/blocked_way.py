@@ -1,4 +1,4 @@
-"""Reset component ``blocked_way``: distractors stand in the way of the tool, so that a straight line is no way."""
+"""Reset component ``blocked_way``: rows of distractors that block the tool's straight path."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from roboxim_tasks.task_config import TaskConfig
 
 TOOL = "tool"
 CONSTRAINT = "way_blocked"
-"""Name of the constraint that the expert's straight lines collide."""
+"""Name of the constraint that the expert's straight paths collide."""
 HAND_RADIUS_M = 0.11
-"""Room that the open hand takes up around the tool centre point [m]."""
+"""Radius around the tool centre point that the open hand takes up [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockedWayConfig:
-    """Which ways are blocked, and how."""
+    """The blocked paths and the rows that block them."""
 
     between: tuple[tuple[str, str], ...] = ((TOOL, "target"),)
-    """Ways from one end to another: roles of the task, or ``tool`` for where the tool centre point starts."""
+    """Paths from one end to another. An end is a role of the task, or ``tool``: the initial tool centre point."""
     row: int = 2
-    """Distractors across each way; further ones stay where the component ``distractors`` has put them."""
+    """Number of distractors across each path; the others stay where the component ``distractors`` has put them."""
     share: Choice = Choice(lower=0.0, upper=1.0)
-    """Where along the way the row stands, 0 = as close to its beginning as there is room, 1 = to its end."""
+    """Position of the row along the free part of the path, 0 = closest to its start, 1 = closest to its end."""
     apart_m: float = 0.03
-    """Free space between the row and both ends of its way [m]."""
+    """Free space between the row and both ends of its path [m]."""
     aside_m: Choice = Choice(lower=-0.02, upper=0.02)
     """Shift of the row's middle along the row [m]."""
     yaw_rad: Choice = Choice(lower=-0.2, upper=0.2)
-    """Rotation of each object against the row [rad]."""
+    """Yaw of each object relative to the row [rad]."""
     gap_m: float = 0.01
     """Free space between the objects of a row, too narrow for the hand [m]."""
 
@@ -48,7 +48,7 @@ class BlockedWayConfig:
         """Check the numbers.
 
         Raises:
-            ConfigError: On no way, an empty row or a distance that is negative.
+            ConfigError: When there is no path, a row is empty or a distance is negative.
         """
         if not self.between or self.row < 1 or min(self.gap_m, self.apart_m) < 0:
             raise ConfigError(
@@ -61,19 +61,19 @@ class BlockedWayConfig:
 
     @property
     def needed(self) -> int:
-        """Distractors that the rows take."""
+        """Number of distractors in all rows."""
         return self.row * len(self.between)
 
 
 @register
 class BlockedWayReset(ResetComponent):
-    """Moves the first distractors into rows across the ways, and shows that the straight lines then collide.
+    """Moves the first distractors into rows across the paths, and checks that straight paths then collide.
 
-    Randomisation: where along the way each row stands, its shift and the yaw of its objects.
+    Randomisation: position of each row along its path, its shift and the yaw of its objects.
 
-    Non-obvious: it comes after ``objects`` and ``distractors``. Where scenes are planned (parameter ``solvable`` of the
-    task node) a scene is refused as ``way_blocked`` unless the expert's straight lines, from its start through every
-    stage, collide with something; that a way around exists is then shown as for every scene.
+    Non-obvious: the component runs after ``objects`` and ``distractors``. Where scenes are planned (parameter
+    ``solvable`` of the task node), ``way_blocked`` refuses a scene unless the expert's straight paths, from its start
+    through every stage, collide. The check ``solvable`` then shows that a detour exists, as in every scene.
     """
 
     name = "blocked_way"
@@ -82,7 +82,7 @@ class BlockedWayReset(ResetComponent):
 
     @classmethod
     def check(cls, config: BlockedWayConfig, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse ways between what is not there, and rows of more distractors than an episode may have."""
+        """Refuse paths between unknown ends, and rows of more distractors than every episode has."""
         ends = (TOOL, *roles, *(distractor_role(number + 1) for number in range(task.distractors.maximum)))
         for end in (end for way in config.between for end in way):
             if end not in ends:
@@ -97,7 +97,7 @@ class BlockedWayReset(ResetComponent):
         """Draw each row.
 
         Raises:
-            RejectedError: When an object has no room, or the direct way is free.
+            RejectedError: When there is no room for an object, or the direct path is free.
         """
         things = task_distractors(context.task)
         moved = {thing.entity for thing in things[: self.config.needed]}
@@ -115,7 +115,7 @@ class BlockedWayReset(ResetComponent):
     def _across(
         self, scene: SceneSpec, row: Sequence[EntitySpec], way: tuple[str, str], context: ResetContext
     ) -> SceneSpec:
-        """Add entities side by side across a way."""
+        """Add entities side by side across a path."""
         rng, index, config = context.rng(self.name), context.index, self.config
         (begin, room_begin), (end, room_end) = (_end(name, scene, context) for name in way)
         length = float(np.linalg.norm(end - begin))
@@ -143,7 +143,7 @@ class BlockedWayReset(ResetComponent):
 
 
 def _end(name: str, scene: SceneSpec, context: ResetContext) -> tuple[Array, float]:
-    """Return where a way begins or ends on the table in the world, and the radius that is taken up there [m]."""
+    """Return the end of a path on the table in the world, and the radius that is taken up there [m]."""
     if name == TOOL:
         tool = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
         return np.array(tool.position[:2]), HAND_RADIUS_M

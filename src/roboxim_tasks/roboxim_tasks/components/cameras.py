@@ -1,4 +1,4 @@
-"""Reset component ``cameras``: which cameras look at the scene, and from where."""
+"""Reset component ``cameras``: the cameras of the scene, their poses and exposures."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
 @dataclass(frozen=True, kw_only=True)
 class CamerasResetConfig:
-    """Which cameras, and how they vary."""
+    """The cameras and their variation."""
 
     names: tuple[str, ...] = ("workspace", "wrist")
     """Names of cameras in ``config/cameras``."""
     views: dict[str, Choice] = field(default_factory=dict)
-    """Camera to the files of ``config/cameras`` that it is drawn from, so that a policy sees one name from many poses;
-    left out: the file of its name."""
+    """Camera to the files of ``config/cameras`` that it is drawn from: a policy then sees one camera name from many
+    poses. A camera that is left out uses the file of its name."""
     shift_m: dict[str, VectorChoice] = field(default_factory=dict)
     """Camera to a shift of its position in the parent frame [m]."""
     turn_rad: dict[str, VectorChoice] = field(default_factory=dict)
     """Camera to a rotation about its own x (tilt), y (pan) and z (roll) axes [rad]."""
     exposure_ev: dict[str, Choice] = field(default_factory=dict)
-    """Camera to an exposure correction [stops], added to the file's."""
+    """Camera to an exposure correction [stops], added to the one in the camera's file."""
 
     def __post_init__(self) -> None:
         """Check the names and lengths.
 
         Raises:
-            ConfigError: When a camera that is not used is to vary, a vector is not of three numbers, or a camera's file
-                is missing or wrong.
+            ConfigError: When an unused camera varies, a vector does not have three numbers, or a camera's file is
+                missing or invalid.
         """
         for key in ("views", "shift_m", "turn_rad", "exposure_ev"):
             for camera, choice in getattr(self, key).items():
@@ -56,9 +56,9 @@ class CamerasResetConfig:
 
 @register
 class CamerasReset(ResetComponent):
-    """Sets up the named cameras, moved by drawn amounts.
+    """Sets up the named cameras with drawn offsets.
 
-    Randomisation: view, shift, turn and exposure of each camera, each camera from a stream of its own.
+    Randomisation: view, shift, turn and exposure of each camera. Each camera has its own random stream.
     """
 
     name = "cameras"
@@ -68,7 +68,7 @@ class CamerasReset(ResetComponent):
         """Draw each camera.
 
         Raises:
-            ConfigError: When a camera is unknown or hangs on a link that the robot lacks.
+            ConfigError: When a camera is unknown, or its parent is a link that the robot lacks.
         """
         return replace(scene, cameras=tuple(self._draw(name, context) for name in self.config.names))
 

@@ -1,4 +1,4 @@
-"""Reset component ``distractors``: where the objects lie that the task is not about."""
+"""Reset component ``distractors``: placement of the objects that the task is not about."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ from roboxim_tasks.roles import task_distractors
 
 TARGET = "target"
 BLOCK = 20
-"""Episodes of which the exact share has a distractor close to the target."""
+"""Number of consecutive episodes in which exactly the configured share has a distractor close to the target."""
 ROOM_M = 0.01
-"""Least width of the ring around a target in which the nearest point of a distractor may be; else it is wide."""
+"""Least width of the ring around a target for the nearest point of a distractor [m]; below it the target is wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NearConfig:
-    """How often a distractor lies close to the target."""
+    """Frequency of distractors close to the target."""
 
     share: float = 0.5
-    """Share of the episodes in which the first distractor does; in the others none does."""
+    """Share of the episodes in which the first distractor lies close to the target; in the others none does."""
     distance_m: float = 0.10
-    """Largest distance from the middle of the target to the nearest point of the distractor [m]; where the target
-    itself and the gap take that up, from the nearest point of the target to the middle of the distractor."""
+    """Largest distance from the middle of the target to the nearest point of the distractor [m].
+
+    If the target and the gap take up that distance, it counts from the nearest point of the target to the middle of the
+    distractor."""
     gap_m: float = 0.03
-    """Free space between the two, so that a finger fits in between [m]."""
+    """Free space between target and distractor, so that a finger fits in between [m]."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: On a number out of range.
+            ConfigError: When a number is out of range.
         """
         if not 0.0 <= self.share <= 1.0 or self.distance_m <= 0 or self.gap_m < 0:
             raise ConfigError(
@@ -54,15 +56,16 @@ class DistractorsResetConfig(PlacementConfig):
     """Where distractors lie."""
 
     near: NearConfig | None = None
-    """How often one lies close to the target; none: as it comes."""
+    """Frequency of distractors close to the target; none: not controlled."""
 
 
 @register
 class DistractorsReset(ResetComponent):
-    """Places distractors between the objects of the task, which they leave where they are.
+    """Places distractors around the objects of the task without moving those.
 
-    Randomisation: position and yaw of each; with ``near``, whether the first is close to the target: exactly the
-    share of every 20 episodes, at random, however often a placement is refused or an episode is tried again.
+    Randomisation: position and yaw of each distractor; with ``near``, whether the first one is close to the target. It
+    is close in exactly the configured share of every 20 episodes, at random. Refused placements and repeated attempts
+    do not change that share.
     """
 
     name = "distractors"
@@ -70,10 +73,10 @@ class DistractorsReset(ResetComponent):
     places = True
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Place each distractor apart from everything.
+        """Place each distractor apart from all other objects.
 
         Raises:
-            RejectedError: When one finds no room, or the objects of the task leave too little themselves.
+            RejectedError: When there is no room for a distractor, or the objects of the task already leave too little.
         """
         if no_room := context.room_taken(scene):
             raise RejectedError(no_room)
@@ -92,7 +95,7 @@ class DistractorsReset(ResetComponent):
         return scene
 
     def _turn(self, context: ResetContext) -> float:
-        """Return the episode's number of [0, 1): in every `BLOCK` episodes one of each `BLOCK`-th of it, at random."""
+        """Return a stratified random number: each `BLOCK` episodes have one in each `BLOCK`-th of [0, 1)."""
         block, place = divmod(context.index, BLOCK)
         rng = replace(context.seed, index=block, attempt=0).rng(f"{self.name}/near")
         return float((rng.permutation(BLOCK)[place] + rng.random()) / BLOCK)
@@ -132,7 +135,7 @@ class DistractorsReset(ResetComponent):
 
 
 def distance_to(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> Callable[[EntitySpec], float]:
-    """Return the function of an object that tells how far it is from a target, as `NearConfig` measures it [m]."""
+    """Return a function that measures an object's distance from a target as `NearConfig` defines it [m]."""
     if _is_wide(target, near, library):
         return lambda entity: nearest_distance(target, centre(entity, library), library)
     middle = centre(target, library)
@@ -140,7 +143,7 @@ def distance_to(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> 
 
 
 def _is_wide(target: EntitySpec, near: NearConfig, library: ModelLibrary) -> bool:
-    """Tell whether a target is too wide for anything to be close to its middle."""
+    """Return whether a target is too wide for an object to be close to its middle."""
     return min(library.entity_model(target).size[:2]) / 2 + near.gap_m + ROOM_M > near.distance_m
 
 

@@ -1,4 +1,4 @@
-"""Reset component ``interaction_area``: in which of several named areas of the table the task takes place."""
+"""Reset component ``interaction_area``: the named area of the table in which the task takes place."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ AREAS = {
 
 @dataclass(frozen=True, kw_only=True)
 class InteractionAreaConfig:
-    """The areas, and which one an episode takes place in."""
+    """The areas, and the choice of one per episode."""
 
     areas: dict[str, VectorChoice] = field(default_factory=lambda: dict(AREAS))
-    """Name to the area: a box, or a list of positions, of x and y in the robot's base frame [m]."""
+    """Area name to a box, or a list of positions, of x and y in the robot's base frame [m]."""
     area: Choice | None = None
-    """Names of those that are used, at random or in order; none: all of them at random."""
+    """Names of the areas to use, at random or in order; none: all areas at random."""
     roles: tuple[str, ...] = ("target",)
-    """Roles of the task whose objects are placed there; the others are where ``objects`` puts them."""
+    """Roles of the task whose objects are placed there; ``objects`` places the other roles in its own area."""
 
     def __post_init__(self) -> None:
         """Check names and positions.
 
         Raises:
-            ConfigError: On an unknown area, or one that is not of x and y.
+            ConfigError: When an area is unknown, or is not given by x and y.
         """
         for name, area in self.areas.items():
             area.require_size(2, f"areas.{name}")
@@ -52,8 +52,8 @@ class InteractionAreaConfig:
 class InteractionAreaReset(ResetComponent):
     """Chooses the area; the component ``objects`` then places the roles' objects there instead of in its own area.
 
-    Randomisation: the area; the position within it comes from the stream of ``objects``, so that datasets with other
-    areas stay paired in the rest. The name is in the task as ``drawn["interaction_area"]``.
+    Randomisation: the area. The position within it comes from the stream of ``objects``, so that datasets with other
+    areas stay paired in everything else. The task records the area's name as ``drawn["interaction_area"]``.
     """
 
     name = "interaction_area"
@@ -61,7 +61,7 @@ class InteractionAreaReset(ResetComponent):
 
     @classmethod
     def check(cls, config: InteractionAreaConfig, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse roles that the task has not."""
+        """Refuse roles that the task's skill lacks."""
         known = (*roles, *(distractor_role(n + 1) for n in range(task.distractors.maximum)))
         for role in config.roles:
             if role not in known:

@@ -1,4 +1,4 @@
-"""Reset component ``joints``: how far the joints of the task's objects are open at the start, e.g. of drawers."""
+"""Reset component ``joints``: initial joint positions of the task's objects, e.g. how far drawers are open."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from roboxim_tasks.roles import task_objects
 
 @dataclass(frozen=True, kw_only=True)
 class JointsResetConfig:
-    """Positions as fractions of the joints' travel, 0 = shut."""
+    """Joint positions as fractions of the travel, 0 = shut, 1 = fully open."""
 
     target: Choice = Choice(values=(0.0,))
-    """Of the joint that the task is about (its argument ``joint``)."""
+    """Position of the joint that the task is about (the task's argument ``joint``)."""
     others: Choice = Choice(values=(0.0,))
-    """Of every other joint."""
+    """Position of every other joint."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: On a fraction beyond 0..1.
+            ConfigError: When a fraction is outside of 0..1.
         """
         for name, choice in (("target", self.target), ("others", self.others)):
             for value in choice.ends:
@@ -34,7 +34,7 @@ class JointsResetConfig:
 
 @register
 class JointsReset(ResetComponent):
-    """Sets the joints of the objects that the instruction speaks of; springs are left as they are."""
+    """Sets the joints of the objects in the instruction; joints with springs keep their positions."""
 
     name = "joints"
     Config = JointsResetConfig

@@ -13,15 +13,15 @@ from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
 MAX_LAMPS = 3
-"""Further lights that every renderer draws."""
+"""Largest number of additional lights, which every renderer can draw."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampsConfig:
-    """Lamps beside the scene's lights; each is drawn on its own. They cast no shadow in `raster`."""
+    """Lamps in addition to the scene's lights; each is drawn separately. They cast no shadow in `raster`."""
 
     number: Choice = Choice(values=(0,))
-    """How many, 0..3; a number of a range is rounded."""
+    """Number of lamps, 0..3; a value drawn from a range is rounded."""
     position: VectorChoice = VectorChoice(lower=(-0.2, -1.2, 0.9), upper=(1.2, 1.2, 1.8))
     """Position in the world [m]."""
     intensity: Choice = Choice(lower=0.3, upper=1.0)
@@ -33,7 +33,7 @@ class LampsConfig:
         """Check numbers and lengths.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When a value is invalid; names the key.
         """
         self.position.require_size(3, "position")
         self.color.require_color("color")
@@ -45,9 +45,9 @@ class LampsConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LightsResetConfig:
-    """How the scene's first light and the surroundings vary, and what lamps there are besides.
+    """Variation of the scene's first light and of the ambient light, and additional lamps.
 
-    What is left out stays as the scene has it.
+    Omitted properties stay as in the scene.
     """
 
     intensity: Choice | None = None
@@ -57,7 +57,7 @@ class LightsResetConfig:
     direction: VectorChoice | None = None
     """Direction that the light travels in, in the world."""
     position: VectorChoice | None = None
-    """Position of the light, where it is a lamp, in the world [m]."""
+    """Position of the light in the world, if it is a lamp [m]."""
     radius: Choice | None = None
     """A lamp's radius [m], a sun's angular radius [rad]."""
     ambient: VectorChoice | None = None
@@ -69,7 +69,7 @@ class LightsResetConfig:
         """Check numbers and lengths.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When a value is invalid; names the key.
         """
         for key in ("color", "direction", "position", "ambient"):
             choice = getattr(self, key)
@@ -87,8 +87,8 @@ class LightsResetConfig:
 class LightsReset(ResetComponent):
     """Draws the main light, the ambient light and further lamps.
 
-    Randomisation: the main light and the surroundings from one stream, the lamps from another, so that adding lamps
-    leaves the main light as it was.
+    Randomisation: the main light and the ambient light share a random stream. The lamps have another one, so that
+    adding lamps leaves the main light unchanged.
     """
 
     name = "lights"

@@ -1,4 +1,4 @@
-"""Reset component ``objects``: where the objects of the task lie."""
+"""Reset component ``objects``: placement of the task's objects."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from roboxim_tasks.task_config import TaskConfig
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsResetConfig(PlacementConfig):
-    """Where the objects of the task lie."""
+    """Placement of the task's objects."""
 
     roles: dict[str, PlacementConfig] = field(default_factory=dict)
-    """Role to where its object lies, if not where the others do."""
+    """Role to its own placement, where it differs from the common one."""
 
 
 @register
 class ObjectsReset(ResetComponent):
-    """Places the objects that the instruction speaks of, in the order of their roles."""
+    """Places the objects in the instruction, in the order of their roles."""
 
     name = "objects"
     Config = ObjectsResetConfig
@@ -31,7 +31,7 @@ class ObjectsReset(ResetComponent):
 
     @classmethod
     def check(cls, config: ObjectsResetConfig, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse places of roles that the skill has not."""
+        """Refuse placements of roles that the skill lacks."""
         for role in config.roles:
             if role not in roles:
                 raise ConfigError(f"roles.{role}: no such role; {one_of(roles, role)}")
@@ -40,7 +40,7 @@ class ObjectsReset(ResetComponent):
         """Place each object apart from the others.
 
         Raises:
-            RejectedError: When one finds no room.
+            RejectedError: When there is no room for an object.
         """
         for thing in task_objects(context.task):
             config: PlacementConfig = self.config.roles.get(thing.entity, self.config)

@@ -16,22 +16,22 @@ MAX_FRICTION = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class BodyConfig:
-    """How the physics of some objects varies; what is left out stays as it is. Each object is drawn on its own."""
+    """Variation of some objects' physics. Omitted properties keep their values. Each object is drawn separately."""
 
     mass: Choice | None = None
     """Factor on the mass of every link, 0.2..5."""
     mass_kg: Choice | None = None
-    """Mass of the whole object instead [kg]; the factor that follows must be within the same bounds."""
+    """Alternative to ``mass``: mass of the whole object [kg]. The resulting factor must be within the same bounds."""
     friction: Choice | None = None
     """Factor on the lateral friction coefficient, 0.2..2."""
     friction_coefficient: Choice | None = None
-    """The coefficient instead; the factor that follows must be within the same bounds."""
+    """Alternative to ``friction``: the coefficient. The resulting factor must be within the same bounds."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
 
         Raises:
-            ConfigError: On a factor out of range, a value that is not positive, or both a factor and a value.
+            ConfigError: When a factor is out of range, a value is not positive, or both a factor and a value are given.
         """
         for kind, value_of in (("mass", "mass_kg"), ("friction", "friction_coefficient")):
             factors, values = getattr(self, kind), getattr(self, value_of)
@@ -51,7 +51,7 @@ class PhysicsResetConfig:
     table_friction: Choice = Choice(lower=0.4, upper=1.0)
     """Lateral friction coefficient of the table, 0..2."""
     objects: BodyConfig = BodyConfig(mass=Choice(lower=0.5, upper=2.0), friction=Choice(lower=0.7, upper=1.25))
-    """The objects that the instruction speaks of."""
+    """The objects in the instruction."""
     distractors: BodyConfig = BodyConfig(mass=Choice(lower=0.5, upper=2.0), friction=Choice(lower=0.7, upper=1.25))
     """The others."""
 
@@ -59,7 +59,7 @@ class PhysicsResetConfig:
         """Check the table's friction.
 
         Raises:
-            ConfigError: When it is out of range.
+            ConfigError: When the friction is out of range.
         """
         for value in self.table_friction.ends:
             if isinstance(value, str | bool) or not 0.0 <= value <= MAX_FRICTION:
@@ -70,11 +70,13 @@ class PhysicsResetConfig:
 class PhysicsReset(ResetComponent):
     """Draws the table's friction, and factors on mass and friction of each object.
 
-    Randomisation: the table from one stream, every object from one of its own, so that one more distractor changes
-    nothing else.
+    Randomisation: the table and each object have separate random streams, so that one more distractor changes nothing
+    else.
 
-    Non-obvious: the factors become the entities' modifiers ``mass`` and ``friction``, so they are in the scene's
-    record; the simulator multiplies the friction of the two bodies that touch. It comes after what places objects.
+    Non-obvious:
+        - The factors become the entities' modifiers ``mass`` and ``friction``, so the scene's record holds them.
+        - The simulator multiplies the friction coefficients of two bodies in contact.
+        - The component runs after the components that place objects.
     """
 
     name = "physics"
@@ -82,10 +84,10 @@ class PhysicsReset(ResetComponent):
     places = True
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
-        """Draw all of it.
+        """Draw the table's friction and every object's factors.
 
         Raises:
-            ConfigError: When a value is out of the bounds of an object's factor.
+            ConfigError: When a value leads to a factor out of bounds.
         """
         rng = context.seed.rng(f"{self.name}/table")
         table = replace(scene.table, friction=self.config.table_friction.draw_number(rng, context.index))

@@ -1,4 +1,4 @@
-"""Reset component ``robot``: joint positions, or the end effector in a volume."""
+"""Reset component ``robot``: the arm's initial joint positions, or the end effector's pose in a volume."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LIMIT_MARGIN_RAD = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class RobotResetConfig:
-    """Where the arm starts."""
+    """Initial configuration of the arm."""
 
     position: VectorChoice = VectorChoice(lower=(0.41, -0.06, 0.26), upper=(0.53, 0.06, 0.38))
     """Position of the tool centre point in the robot's base [m]."""
     yaw_rad: Choice = Choice(lower=0.0, upper=0.0)
-    """Rotation of the tool, which points down, about the vertical; 0: it opens along y [rad]."""
+    """Rotation of the downward-pointing tool about the vertical [rad]; 0: the gripper opens along y."""
     joints: VectorChoice | None = None
     """Arm joint positions, instead of a position and yaw [rad]."""
     gripper_opening: Choice = Choice(values=(1.0,))
@@ -33,7 +33,7 @@ class RobotResetConfig:
         """Check the numbers.
 
         Raises:
-            ConfigError: When positions are not three numbers, or something is none or out of range.
+            ConfigError: When a position is not three numbers, or a value is no number or out of range.
         """
         self.position.require_size(3, "position")
         self.yaw_rad.require_numbers("yaw_rad")
@@ -42,7 +42,7 @@ class RobotResetConfig:
 
 @register
 class RobotReset(ResetComponent):
-    """Starts the arm at drawn joints, or with the tool pointing down somewhere in a volume."""
+    """Starts the arm at drawn joint positions, or with the tool pointing down in a volume."""
 
     name = "robot"
     Config = RobotResetConfig

@@ -15,20 +15,20 @@ from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceConfig:
-    """How a surface varies; what is left out stays as the scene has it."""
+    """Variation of a surface. Omitted properties stay as in the scene."""
 
     color: VectorChoice | None = None
     """sRGB base colour, each component 0..1."""
     texture: Choice | None = None
-    """Names of built-in textures, or paths of images; an empty name is none."""
+    """Names of built-in textures, or paths of images; an empty name: no texture."""
     roughness: Choice | None = None
-    """0 = mirror, 1 = chalk."""
+    """Roughness, 0 = mirror, 1 = chalk."""
 
     def __post_init__(self) -> None:
         """Check colours, names and numbers.
 
         Raises:
-            ConfigError: Naming the key.
+            ConfigError: When a colour, name or number is invalid; names the key.
         """
         if self.color is not None:
             self.color.require_color("color")
@@ -42,7 +42,7 @@ class SurfaceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfacesResetConfig:
-    """How the surfaces vary."""
+    """Variation of the surfaces."""
 
     table: SurfaceConfig = SurfaceConfig()
     """The table's top."""
@@ -63,7 +63,7 @@ def _check_texture(name: str) -> None:
 
 @register
 class SurfacesReset(ResetComponent):
-    """Draws the materials of the surroundings."""
+    """Draws the materials of table, floor and wall."""
 
     name = "surfaces"
     Config = SurfacesResetConfig

@@ -1,4 +1,4 @@
-"""Reset component ``toppled``: the target of the task lies on its side."""
+"""Reset component ``toppled``: lay the task's target on its side."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class ToppledResetConfig:
     yaw_rad: Choice = Choice(lower=-3.141592653589793, upper=3.141592653589793)
     """Rotation about the vertical [rad]."""
     gap_m: float = 0.03
-    """Free space around it [m]."""
+    """Free space around the target [m]."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
 
         Raises:
-            ConfigError: On a yaw that is no number, or a negative gap.
+            ConfigError: When a yaw is no number, or the gap is negative.
         """
         self.yaw_rad.require_numbers("yaw_rad")
         if self.gap_m < 0:
@@ -34,7 +34,7 @@ class ToppledResetConfig:
 
 @register
 class ToppledReset(ResetComponent):
-    """Topples the target where the component ``objects`` has put it: on one of the sides on which its model can lie."""
+    """Topples the target where the component ``objects`` has put it, onto one of its model's ``toppled`` sides."""
 
     name = "toppled"
     Config = ToppledResetConfig
@@ -44,8 +44,8 @@ class ToppledReset(ResetComponent):
         """Draw a side and a yaw.
 
         Raises:
-            RejectedError: When it has no room lying.
-            ConfigError: When its model cannot lie toppled.
+            RejectedError: When there is no room for the toppled target.
+            ConfigError: When its model has no toppled pose.
         """
         target = scene.entity(context.task.objects["target"].entity)
         lying = self._drawn(scene, target, context)

@@ -1,4 +1,4 @@
-"""Skills: one file each, with its four sides; registered by name. Every module of this folder is one, or helps one."""
+"""Skills, registered by name: each module of this folder holds one with its four sides, or shared helpers."""
 
 import importlib
 import pkgutil

@@ -1,6 +1,6 @@
-"""What a skill is: its generator, resetter, executor and evaluator side by side in one file.
+"""Base class of skills: generator, resetter, executor and evaluator side by side in one file.
 
-Adding a skill touches one new file here and one task YAML.
+A new skill takes one new file here and one task YAML.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ from roboxim_tasks.roles import STAY, Role
 
 
 class Skill(ABC):
-    """A skill with its four sides, a method each."""
+    """A skill with its four sides: generator, resetter, executor and evaluator."""
 
     name: ClassVar[str] = ""
     """Registered name."""
     roles: ClassVar[Mapping[str, Role]] = {"target": Role(affordance="graspable")}
-    """Objects that the instruction speaks of, in the order in which they are placed."""
+    """Objects in the instruction, in the order of their placement."""
     templates: ClassVar[tuple[str, ...]] = ()
-    """Instruction templates with roles and parameters in braces; the first is the canonical one, others paraphrase."""
+    """Instruction templates with roles and parameters in braces. The first is canonical, the others paraphrase it."""
     words: ClassVar[tuple[str, ...]] = ()
-    """What else than roles the templates may name; the generator says the words."""
+    """Names in templates besides the roles; the generator supplies their words."""
     components: ClassVar[tuple[str, ...]] = ("robot", "objects", "distractors", "cameras", "lights")
-    """Reset components that it always uses, in order."""
+    """Reset components that the skill always uses, in order."""
     reset: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """Reset component to those of its keys whose defaults this skill changes; a task's configuration goes before."""
+    """Reset component to the keys whose defaults this skill changes; a task's configuration takes precedence."""
     max_steps: ClassVar[int] = 100
-    """Actions after which an episode has failed, at the default control rate; at others it is the same time."""
+    """Actions after which an episode has failed, at the default control rate; other rates keep the same duration."""
     Parameters: ClassVar[type]
     """Frozen dataclass of scalars with defaults: the ``parameters`` of the YAML, the ``arguments`` of the task."""
 
     def check(self, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:  # noqa: B027
-        """Refuse, when a task is loaded, parameters that do not suit its objects.
+        """Refuse parameters that do not suit the objects. Called when a task is loaded.
 
         Args:
             parameters: Instance of `Parameters`.
             models: Role to the models that may fill it.
 
         Raises:
-            ConfigError: Naming the parameter and what is allowed.
+            ConfigError: When a parameter does not suit; names it and the allowed values.
         """
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
-        """Return why models make no sense together, e.g. that one does not fit into another; empty if they do.
+        """Return why models do not go together, e.g. because one does not fit into another; empty if they do.
 
         Args:
             parameters: Instance of `Parameters`.
@@ -64,7 +64,7 @@ class Skill(ABC):
         return ""
 
     def suited(self, models: Mapping[str, ObjectModel], fixed: Mapping[str, str] | None = None) -> dict[str, list[str]]:
-        """Return the models that suit each role together with some models of the other roles.
+        """Return the models of each role that go together with some models of the other roles.
 
         Args:
             models: Model id to model.
@@ -88,19 +88,19 @@ class Skill(ABC):
 
     @abstractmethod
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """Return what a drawn scene must meet: reachable, not solved already (resetter)."""
+        """Return the constraints of a drawn scene, e.g. reachable and not already solved (resetter)."""
 
     @abstractmethod
     def stages(self, scene: ExpertScene) -> Iterable[tuple[Stage, ...]]:
-        """Yield the candidate ways to solve the task, best first, each as stages (executor).
+        """Yield candidate solutions of the task, best first, each as stages (executor).
 
-        Called again when the expert plans anew within an episode, see `roboxim_tasks.script`. The expert times,
-        verifies and executes the first candidate that holds; the others are never made.
+        The expert executes the first candidate that it can verify; later ones are never generated. The expert calls
+        this method again when it replans within an episode, see `roboxim_tasks.script`.
         """
 
     @abstractmethod
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Return the fold that tells whether the task is solved (evaluator).
+        """Return the fold that judges whether the task is solved (evaluator).
 
         Args:
             task: The task.
@@ -113,7 +113,7 @@ SKILLS: Registry[Skill] = Registry("skill")
 
 @SKILLS.conformance
 def says_what_it_is(name: str, item: Skill) -> None:
-    """Refuse a skill whose name, roles, templates or parameters a task could not use."""
+    """Refuse a skill whose name, roles, templates or parameters cannot be used in a task."""
     assert isinstance(item, Skill), "it is no instance of Skill"
     assert item.name == name, f"its name is '{item.name}'"
     assert item.templates, "it has no instruction template"
@@ -124,9 +124,9 @@ def says_what_it_is(name: str, item: Skill) -> None:
 
 @SKILLS.conformance
 def draws_the_same_task_again(name: str, item: Skill) -> None:
-    """Refuse a skill whose task cannot be drawn, or that a second draw gives otherwise.
+    """Refuse a skill whose task cannot be drawn, or whose second draw differs from the first.
 
-    The task is the first one of the configuration's folders that is of the skill; without any, that of all defaults.
+    Draw the first task of the skill in the configuration's folders, or the default task if there is none.
     """
     from roboxim_core.config import config_dirs, load_yaml
     from roboxim_core.models.library import ModelLibrary
@@ -154,7 +154,7 @@ def parameters_of(task: TaskSpec, cls: type[Any]) -> Any:
     """Return a task's arguments as the skill's parameters.
 
     Raises:
-        ConfigError: When an argument is unknown or of a wrong kind.
+        ConfigError: When an argument is unknown or has the wrong type.
     """
     own = {name: value for name, value in task.arguments.items() if name != STAY}
     return from_plain(own, cls, source=f"arguments of task '{task.instruction}'")

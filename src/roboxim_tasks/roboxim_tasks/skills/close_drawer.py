@@ -6,9 +6,10 @@ distractors.
 Success: the drawer is open by less than ``shut_m`` and still, the other drawers have moved by less than 2 cm, and the
 robot does not touch the cabinet, for ``hold_s``.
 
-Non-obvious: the closed fingers push the handle's bar; a drawer runs in its rails, so one point of contact suffices.
-They go 2 mm farther than the drawer, as its friction would hold it wherever the push ends, and dwell there, because
-the reference rounds corners where it does not stop.
+Non-obvious:
+    - The closed fingers push the handle's bar. A drawer runs in rails, so one point of contact suffices.
+    - The fingers go 2 mm farther than the drawer, because its friction would hold it wherever the push ends.
+    - The fingers dwell there, because the reference rounds corners where it does not stop.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from roboxim_tasks.skills.drawers import (
 )
 
 FINGER_M = 0.022
-"""From the middle of the bar to the tool centre point when the leaning fingertips touch the bar [m]."""
+"""Distance from the middle of the bar to the tool centre point when the leaning fingertips touch the bar [m]."""
 STANDOFF_M = 0.015
 OVERSHOOT_M = 0.002
 DWELL_S = 0.2
@@ -54,22 +55,22 @@ DWELL_S = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class CloseDrawerParameters:
-    """Which drawer, and thresholds of success."""
+    """Drawer to close, and thresholds of success."""
 
     drawer: str = "top"
-    """Name of the drawer, as the cabinet's handles say it."""
+    """Name of the drawer, which is the name of its handle."""
     shut_m: float = 0.01
-    """How far it may be open at most [m]."""
+    """Largest opening that counts as shut [m]."""
     hold_s: float = 0.3
-    """How long it must stay shut [s]."""
+    """Time that the drawer must stay shut [s]."""
     joint: str = ""
-    """Name of its joint; follows from the drawer."""
+    """Name of the drawer's joint; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if not 0 < self.shut_m <= 0.03 or self.hold_s < 0:
             raise ConfigError(f"needs 0 < shut_m <= 0.03 and hold_s >= 0, got {self}")
@@ -105,7 +106,7 @@ class CloseDrawer(Skill):
         return generate_drawer_task(context)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The drawer is not shut already, the arm reaches the handle and pushes it; nothing stands where it is."""
+        """Require a drawer that is not shut yet, that the arm can push, and no object in its place."""
         shut_m = parameters_of(context.task, CloseDrawerParameters).shut_m
         return (
             not_there_already(context, "target", lambda position_m: position_m <= shut_m),
@@ -115,7 +116,7 @@ class CloseDrawer(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Go in front of the handle with closed fingers, push, withdraw."""
+        """Approach the front of the handle with closed fingers, push, withdraw."""
         parameters: CloseDrawerParameters = parameters_of(scene.task, CloseDrawerParameters)
         cabinet = scene.task.objects["target"].entity
         model, base, state = scene.model_of(cabinet), scene.pose_of(cabinet), scene.state.entity(cabinet)
@@ -139,7 +140,7 @@ class CloseDrawer(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Shut, still, let go, and no other drawer moved."""
+        """Judge: shut, still, let go, and no other drawer moved."""
         parameters: CloseDrawerParameters = parameters_of(task, CloseDrawerParameters)
         shut = Condition(name="shut", measure=drawer_position(task), most=parameters.shut_m)
         return Conditions(drawer_rests(task, initial, shut), hold_s=parameters.hold_s)

@@ -1,4 +1,4 @@
-"""What the skills that move drawers share: handles, the way that a drawer takes, and where it is."""
+"""Shared parts of the drawer skills: handles, drawer paths and drawer positions."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ CABINET_PLACES: Mapping[str, Any] = {
     "area": {"lower": [0.66, -0.22], "upper": [0.78, 0.22]},
     "yaw_rad": {"lower": math.pi - 0.5, "upper": math.pi + 0.5},
 }
-"""Behind the middle of the table, its front towards the robot."""
+"""Placement of the cabinet: behind the middle of the table, its front towards the robot."""
 
 
 def generate_drawer_task(context: GenerationContext) -> TaskSpec:
-    """Draw a task about the configured drawer, and note the name of its joint.
+    """Draw a task about the configured drawer, and record the name of its joint.
 
     Raises:
         ConfigError: When the object has no such drawer.
@@ -53,7 +53,7 @@ def handle_of(model: ObjectModel, drawer: str) -> Handle:
     """Return the handle of a drawer.
 
     Raises:
-        ConfigError: When there is none of that name.
+        ConfigError: When no handle has that name.
     """
     for handle in model.handles:
         if handle.name == drawer:
@@ -69,7 +69,7 @@ def joint_of(model: ObjectModel, handle: Handle) -> JointModel:
 
 
 def link_pose(model: ObjectModel, base: Pose, joints: Mapping[str, float], link: str) -> Pose:
-    """Return a link's pose in the frame that the object's base pose is given in."""
+    """Return a link's pose in the frame of the object's base pose."""
     return base @ object_link_poses(model, dict(joints))[link]
 
 
@@ -82,7 +82,7 @@ def opening_axis(model: ObjectModel, handle: Handle, base: Pose) -> Array:
 
 
 def handle_grasps(model: ObjectModel, handle: Handle, base: Pose, joints: Mapping[str, float]) -> Iterator[Pose]:
-    """Yield poses of the tool that grasp a handle, best first: as annotated, then pitched a little otherwise."""
+    """Yield tool poses that grasp a handle, best first: as annotated, then with slightly different pitches."""
     link = link_pose(model, base, joints, handle.link)
     for pitch in PITCHES:
         for grasp in handle.grasps:
@@ -97,12 +97,12 @@ def moved_by(pose: Pose, vector: Array) -> Pose:
 
 
 def way_clear(context: ResetContext, role: str, open_m: float = 0.0) -> Constraint:
-    """Return the constraint that nothing stands where a drawer moves.
+    """Return the constraint that no object stands in a drawer's path.
 
     Args:
         context: The reset.
         role: Role of the cabinet.
-        open_m: How far it will be opened, from where it is at the start [m].
+        open_m: Distance by which the drawer will be opened, from its initial position [m].
     """
     entity = context.task.objects[role].entity
     joint = str(context.task.arguments["joint"])
@@ -123,12 +123,12 @@ def way_clear(context: ResetContext, role: str, open_m: float = 0.0) -> Constrai
 
 
 def not_there_already(context: ResetContext, role: str, there: Callable[[float], bool]) -> Constraint:
-    """Return the constraint that a drawer is not where it is to be moved to.
+    """Return the constraint that a drawer is not yet at its goal.
 
     Args:
         context: The reset.
         role: Role of the cabinet.
-        there: Whether a position of the drawer is such a place, 0 = shut [m].
+        there: Returns whether a position of the drawer is at the goal, 0 = shut [m].
     """
     entity = context.task.objects[role].entity
     joint = str(context.task.arguments["joint"])
@@ -143,8 +143,8 @@ def handle_reachable(context: ResetContext, role: str, position_m: float, before
     Args:
         context: The reset.
         role: Role of the cabinet.
-        position_m: Where the drawer is moved to, 0 = shut [m].
-        before_m: How far in front of the handle the tool begins [m].
+        position_m: Goal position of the drawer, 0 = shut [m].
+        before_m: Initial distance of the tool in front of the handle [m].
     """
     entity = context.task.objects[role].entity
     joint = str(context.task.arguments["joint"])
@@ -165,7 +165,7 @@ def handle_reachable(context: ResetContext, role: str, position_m: float, before
 
 
 def drawer_rests(task: TaskSpec, initial: StateRecord, goal: Condition) -> tuple[Condition, ...]:
-    """Return the conditions of a drawer that was moved: where it should be, still, let go, the others where they were.
+    """Return the conditions of a moved drawer: at its goal, still and let go, the other drawers not moved.
 
     Args:
         task: The task.
@@ -183,7 +183,7 @@ def drawer_rests(task: TaskSpec, initial: StateRecord, goal: Condition) -> tuple
 
 
 def drawer_position(task: TaskSpec) -> Measure:
-    """How far the task's drawer is open [m]."""
+    """Measure the opening of the task's drawer [m]."""
     return joint_position(task.objects["target"].entity, str(task.arguments["joint"]), "drawer_m")
 
 
@@ -211,7 +211,7 @@ def _joint_speed(cabinet: str, joint: str, initial: StateRecord) -> Measure:
 
 
 def _swept(model: ObjectModel, handle: Handle, spec: EntitySpec, positions: Sequence[float]) -> tuple[Array, float]:
-    """Return the rectangle on the table that a drawer sweeps, shape (4, 2), and the lowest height in it [m]."""
+    """Return the rectangle on the table that a drawer sweeps, shape (4, 2), and its lowest height [m]."""
     link = next(link for link in model.links if link.name == handle.link)
     points = []
     for position in positions:

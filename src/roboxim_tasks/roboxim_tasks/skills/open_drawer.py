@@ -6,8 +6,11 @@ in front of it.
 Success: the drawer is open by more than ``open_m`` and still, the other drawers have moved by less than 2 cm, and the
 robot does not touch the cabinet, for ``hold_s``.
 
-Non-obvious: the hand comes down at 62 degrees: steeper it would hit the handle above, flatter joint 6 is at its limit.
-The expert pulls 2 cm farther than is asked. A scene in which something stands in the drawer's way is refused.
+Non-obvious:
+    - The hand approaches at 62 degrees: a steeper hand would hit the handle above, a flatter one needs joint 6 beyond
+      its limit.
+    - The expert pulls 2 cm farther than required.
+    - A scene with an object in the drawer's path is refused.
 """
 
 from __future__ import annotations
@@ -49,22 +52,22 @@ GRASP_OPENING = 0.6
 
 @dataclass(frozen=True, kw_only=True)
 class OpenDrawerParameters:
-    """Which drawer, and thresholds of success."""
+    """Drawer to open, and thresholds of success."""
 
     drawer: str = "top"
-    """Name of the drawer, as the cabinet's handles say it."""
+    """Name of the drawer, which is the name of its handle."""
     open_m: float = 0.10
-    """How far it must be open [m]."""
+    """Opening that the drawer must exceed [m]."""
     hold_s: float = 0.3
-    """How long it must stay open [s]."""
+    """Time that the drawer must stay open [s]."""
     joint: str = ""
-    """Name of its joint; follows from the drawer."""
+    """Name of the drawer's joint; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if self.open_m <= 0 or self.hold_s < 0:
             raise ConfigError(f"needs open_m > 0 and hold_s >= 0, got {self}")
@@ -97,7 +100,7 @@ class OpenDrawer(Skill):
         return generate_drawer_task(context)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The drawer is not open already, the arm reaches the handle and pulls it; nothing stands in its way."""
+        """Require a drawer that is not open yet, that the arm can pull, and an empty path."""
         open_m = parameters_of(context.task, OpenDrawerParameters).open_m
         goal_m = open_m + OVERSHOOT_M
         return (
@@ -130,7 +133,7 @@ class OpenDrawer(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Open far enough, still, let go, and no other drawer moved."""
+        """Judge: open far enough, still, let go, and no other drawer moved."""
         parameters: OpenDrawerParameters = parameters_of(task, OpenDrawerParameters)
         opened = Condition(name="opened", measure=drawer_position(task), least=above(parameters.open_m))
         return Conditions(drawer_rests(task, initial, opened), hold_s=parameters.hold_s)

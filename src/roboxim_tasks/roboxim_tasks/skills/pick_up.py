@@ -3,10 +3,10 @@
 Randomisation: which object and colour; where it lies and at what yaw; where the end effector starts; distractors that
 do not fit the instruction.
 
-Success: the object is more than ``lift_m`` above where it lay, pressed by at least two links of the robot, off the
-table, for ``hold_s`` without a break.
+Success: the object is more than ``lift_m`` above its initial height, pressed by at least two links of the robot and off
+the table, for ``hold_s`` without a break.
 
-Non-obvious: heights are measured from tick 0, so a task is never solved at its start. Force is that of the tick's last
+Non-obvious: heights are relative to tick 0, so a task is never solved at its start. Forces are those of the tick's last
 physics step, so a finger that only brushed the object within the tick does not count.
 """
 
@@ -42,17 +42,17 @@ class PickUpParameters:
     """Thresholds of success."""
 
     lift_m: float = 0.05
-    """Height above where the object lay [m]."""
+    """Height above the object's initial height [m]."""
     finger_force_n: float = 0.05
-    """Normal force of each finger [N]."""
+    """Normal force that each finger must exceed [N]."""
     hold_s: float = 0.5
-    """How long it must stay lifted [s]."""
+    """Time that the object must stay lifted [s]."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if not 0 < self.lift_m <= 0.1 or self.finger_force_n < 0 or self.hold_s < 0:
             raise ConfigError(f"needs 0 < lift_m <= 0.1, finger_force_n >= 0 and hold_s >= 0, got {self}")
@@ -69,11 +69,11 @@ class PickUp(Skill):
     Parameters = PickUpParameters
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches one grasp from above to lifted, and does not start at an object."""
+        """Require that the arm can execute one grasp from approach to lift, and does not start at an object."""
         return (graspable(context, "target", lift_m=LIFT_M), start_clear(context))
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Go above the object, down, close, up; one candidate per grasp, least rotation first."""
+        """Approach from above, descend, close, lift; one candidate per grasp, least rotation first."""
         entity = scene.task.objects["target"].entity
         for grasp in [None] if scene.held == entity else grasps_of(scene, entity):
             script = Script(scene)
@@ -82,7 +82,7 @@ class PickUp(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Lifted, grasped and off the table, and nothing else lifted."""
+        """Judge: lifted, grasped and off the table, and nothing else lifted."""
         parameters: PickUpParameters = parameters_of(task, PickUpParameters)
         target = task.objects["target"].entity
         others = [entity.name for entity in initial.entities if entity.name != target]

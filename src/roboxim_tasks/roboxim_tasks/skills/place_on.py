@@ -5,9 +5,9 @@ Randomisation: which objects and colours; where both lie and at what yaw; where 
 Success: the object touches the support and not the table, its origin is above the support's surface, it was set down
 and not dropped, the hand has left it, and it lies still for ``hold_s``.
 
-Non-obvious: the generator puts the shape of the support's surface into the task's arguments, so that a bag is judged
-without the models. An object longer than the surface is let go above the support's
-highest point, because a rim may be in its way.
+Non-obvious: the generator writes the shape of the support's surface into the task's arguments, so that a bag can be
+judged without the models. The gripper releases an object that is longer than the surface above the support's highest
+point, because a rim may be in its way.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, reg
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 
 SURFACE_SHARE = 0.9
-"""How far from the middle of the surface the origin may be, as a share of the way to the edge: what is wholly on the
-surface is within, what hangs half over its edge is not."""
+"""Largest distance of the object's origin from the middle of the surface, as a share of the distance to the edge.
+
+An object that is wholly on the surface is within, one that hangs over the edge by half is not."""
 LONGEST = 2.4
-"""Longest side of an object that makes sense on a support, over the longest side of its surface or of its rim."""
+"""Largest ratio of an object's longest side to the longest side of the support's surface or rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +47,11 @@ class PlaceOnParameters:
     """Thresholds of success."""
 
     within_m: float = 0.0
-    """Largest distance from the middle of the surface [m]; 0: anywhere above it."""
+    """Largest distance of the origin from the middle of the surface [m]; 0: anywhere above the surface."""
     drop_m: float = DROP_M
-    """Largest free fall, besides the height of a rim round the surface: what is wide is let go above it [m]."""
+    """Largest free fall [m]; the height of a rim is added, because wide objects are released above it."""
     hold_s: float = 0.3
-    """How long it must lie still [s]."""
+    """Time that the object must lie still [s]."""
     surface_x_m: float = 0.0
     """Middle of the surface in the support's base [m]; set by the generator."""
     surface_y_m: float = 0.0
@@ -60,9 +61,9 @@ class PlaceOnParameters:
     half_x_m: float = 0.0
     """Half of the surface's extent along x [m]; set by the generator."""
     half_y_m: float = 0.0
-    """Half of its extent along y [m]; set by the generator."""
+    """Half of the surface's extent along y [m]; set by the generator."""
     round: bool = False
-    """Whether the surface is a disc, not a rectangle; set by the generator."""
+    """Whether the surface is a disc instead of a rectangle; set by the generator."""
     rim_m: float = 0.0
     """Height of the support's highest point above the surface [m]; set by the generator."""
 
@@ -70,7 +71,7 @@ class PlaceOnParameters:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if self.within_m < 0 or self.drop_m <= 0 or self.hold_s < 0:
             raise ConfigError(f"needs within_m >= 0, drop_m > 0 and hold_s >= 0, got {self}")
@@ -91,7 +92,7 @@ class PlaceOn(Skill):
     Parameters = PlaceOnParameters
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
-        """Tell of a target that is so long that it tips off the support, or off its rim."""
+        """Return that a target is so long that it would tip off the support or its rim; else an empty text."""
         target, support = models["target"], models["support"]
         room_m = max(max(region.size[:2]) for region in support.regions if region.kind in ("surface", "interior"))
         if max(target.size[:2]) > LONGEST * room_m:
@@ -99,18 +100,18 @@ class PlaceOn(Skill):
         return ""
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task and note the shape of its support's surface."""
+        """Draw a task and record the shape of the support's surface."""
         task = generate_task(context)
         support = task.objects["support"]
         surface = surface_arguments(context.library.object(support.model, support.modifiers))
         return replace(task, arguments=task.arguments | surface)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the target, and a target's grasp above the support."""
+        """Require that the arm reaches the target, and a grasp of the target above the support."""
         return (graspable(context, "target"), above_reachable(context, "support"), start_clear(context))
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Pick it up, put it in the middle of the surface; the yaw that it has first."""
+        """Pick up the object and put it in the middle of the surface; its present yaw comes first."""
         target, support = (scene.task.objects[role].entity for role in ("target", "support"))
         model, base = scene.model_of(target), scene.model_of(support)
         surface = region_of(base, "surface")
@@ -123,7 +124,7 @@ class PlaceOn(Skill):
         return put(scene, target, goals, onto=support)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """On the support, above its surface, set down, let go and at rest."""
+        """Judge: on the support, above its surface, set down, let go and at rest."""
         parameters: PlaceOnParameters = parameters_of(task, PlaceOnParameters)
         return Conditions(placed_on(task, initial, parameters), hold_s=parameters.hold_s)
 
@@ -133,7 +134,7 @@ def placed_on(task: TaskSpec, initial: StateRecord, parameters: PlaceOnParameter
     target, support = (task.objects[role].entity for role in ("target", "support"))
 
     def from_middle(state: StateRecord) -> Array:
-        """Return the target's origin seen from the middle of the surface, along the surface's sides, shape (2,) [m]."""
+        """Return the target's origin relative to the surface's middle, along the surface's sides, shape (2,) [m]."""
         base = state.entity(support).pose.inverse()
         x, y, _ = base.apply(state.entity(target).pose.position)
         dx, dy = x - parameters.surface_x_m, y - parameters.surface_y_m
@@ -156,7 +157,7 @@ def placed_on(task: TaskSpec, initial: StateRecord, parameters: PlaceOnParameter
 
 
 def surface_arguments(model: ObjectModel) -> dict[str, Scalar]:
-    """Return where a support's surface is and its shape, as scalars."""
+    """Return the position and shape of a support's surface as scalars."""
     surface = region_of(model, "surface")
     middle = object_link_poses(model, {})[surface.link or model.links[0].name] @ surface.pose
     along = middle.rotation.apply([1.0, 0.0, 0.0])

@@ -1,14 +1,16 @@
-"""Place an object to the left of, to the right of, in front of or behind another one: four skills, one each.
+"""Place an object to the left of, to the right of, in front of or behind another one: one skill per relation.
 
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
-Success: from the reference the object lies more than ``along_m`` in the direction, less than ``lateral_ratio`` of that
-to the side, no farther than ``farthest_m``, on the table, set down and not dropped, let go and at rest for ``hold_s``;
-the reference has moved by less than ``reference_shift_m``.
+Success, for ``hold_s``:
+    - Seen from the reference, the object lies more than ``along_m`` and at most ``farthest_m`` in the direction, and
+      less than ``lateral_ratio`` of that to the side.
+    - The object was set down on the table and not dropped, the robot has let go of it, and it is at rest.
+    - The reference has moved by less than ``reference_shift_m``.
 
 Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, in front of = towards the base.
-With ``viewpoint: facing`` they are those of a person across the table who looks at the robot. The generator puts the
-direction in the world into the task's arguments, so that a bag is judged without the scene.
+With ``viewpoint: facing`` they are those of a person across the table who looks at the robot. The generator writes the
+direction in the world into the task's arguments, so that a bag can be judged without the scene.
 """
 
 from __future__ import annotations
@@ -44,21 +46,21 @@ SLOPES = (0.0, 0.25, -0.25, 0.45, -0.45)
 FREE_GAP_M = 0.012
 GOALS = 10
 WIDE_M = 0.12
-"""An object whose shorter side is longer than this is put down with a side along the direction first: it needs least
-room."""
+"""Length of the shorter side above which the expert first tries to align a side with the direction, which needs the
+least room [m]."""
 BORDER_M = 0.05
 NEAREST_M, FARTHEST_M = 0.32, 0.74
-"""Distances from the robot's axis at which it puts things down from above at any yaw."""
+"""Smallest and largest distance from the robot's axis at which it places objects from above at any yaw [m]."""
 FARTHEST_X_M, FARTHEST_Y_M = 0.72, 0.32
-"""What the workspace camera sees of the table, in front of the robot and to its sides."""
+"""Area of the table in the workspace camera's view, in front of the robot and to its sides."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RelationParameters:
-    """Thresholds of success, and what the words mean."""
+    """Viewpoint of the directions, and thresholds of success."""
 
     viewpoint: str = "robot"
-    """Who sees left and right: ``robot``, or ``facing``: a person across the table who looks at it."""
+    """Viewpoint of left and right: ``robot``, or ``facing``, a person across the table who looks at the robot."""
     along_m: float = 0.03
     """Smallest distance from the reference in the direction [m]."""
     lateral_ratio: float = 0.7
@@ -66,11 +68,11 @@ class RelationParameters:
     farthest_m: float = 0.35
     """Largest distance in the direction [m]."""
     reference_shift_m: float = 0.03
-    """How far the reference may be moved [m]."""
+    """Largest displacement of the reference [m]."""
     drop_m: float = DROP_M
     """Largest free fall [m]."""
     hold_s: float = 0.3
-    """How long it must lie still [s]."""
+    """Time that the object must lie still [s]."""
     direction_x: float = 0.0
     """The direction in the world; set by the generator."""
     direction_y: float = 0.0
@@ -80,7 +82,7 @@ class RelationParameters:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When the viewpoint is unknown or a threshold is out of range.
         """
         if self.viewpoint not in VIEWPOINTS:
             raise ConfigError(f"unknown viewpoint; {one_of(VIEWPOINTS, self.viewpoint)}")
@@ -98,7 +100,7 @@ class PlaceRelation(Skill):
     Parameters = RelationParameters
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task, and the direction in the world that its words mean."""
+        """Draw a task, and record the direction in the world."""
         task = generate_task(context)
         robot = named("scenes", context.config.scene, SceneSpec).robot.pose
         sign = 1.0 if task.arguments["viewpoint"] == "robot" else -1.0
@@ -106,7 +108,7 @@ class PlaceRelation(Skill):
         return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The target is not there already, and there is a free place that the arm reaches."""
+        """Require that the relation does not hold yet, and that the arm reaches a free place where it would."""
         target, reference = (context.task.objects[role].entity for role in ("target", "reference"))
         parameters: RelationParameters = parameters_of(context.task, RelationParameters)
         direction = np.array([parameters.direction_x, parameters.direction_y])
@@ -119,7 +121,7 @@ class PlaceRelation(Skill):
         last: dict[tuple[Pose, Pose], Pose] = {}
 
         def free(scene: SceneSpec) -> bool:
-            """Tell whether a place is left: the one that was found before, unless a new distractor has taken it."""
+            """Return whether there is a free place; keep the one found before unless a new distractor has taken it."""
             key = scene.entity(target).pose, scene.entity(reference).pose
             if key in last and not _taken(scene, target, last[key], context.library):
                 return True
@@ -139,7 +141,7 @@ class PlaceRelation(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Pick it up, put it on a free place in the direction, the nearest comfortable one first."""
+        """Pick up the object and place it at a free place in the direction, the nearest comfortable one first."""
         target, reference = (scene.task.objects[role].entity for role in ("target", "reference"))
         parameters: RelationParameters = parameters_of(scene.task, RelationParameters)
         direction = np.array([parameters.direction_x, parameters.direction_y])
@@ -148,7 +150,7 @@ class PlaceRelation(Skill):
         return put(scene, target, [scene.in_base(goal) for goal in goals])
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """In the direction, on the table, let go and at rest, the reference where it was."""
+        """Judge: in the direction, on the table, let go and at rest, the reference not moved."""
         parameters: RelationParameters = parameters_of(task, RelationParameters)
         target, reference = (task.objects[role].entity for role in ("target", "reference"))
         direction = np.array([parameters.direction_x, parameters.direction_y])
@@ -182,7 +184,7 @@ def free_goals(
 ) -> Iterator[Pose]:
     """Yield up to `GOALS` poses of the target in the world that satisfy the relation and touch nothing, best first.
 
-    Only places at which the arm is comfortable.
+    All are at comfortable places, see `comfortable`.
     """
     spec, other = scene.entity(target), scene.entity(reference)
     model, other_model = library.entity_model(spec), library.entity_model(other)
@@ -215,12 +217,12 @@ def _room_without(scene: SceneSpec, target: str, library: ModelLibrary) -> Room:
 
 
 def _taken(scene: SceneSpec, target: str, goal: Pose, library: ModelLibrary) -> bool:
-    """Tell whether something else is where the target is to go."""
+    """Return whether another object occupies the target's goal."""
     return bool(_room_without(scene, target, library).refusal(replace(scene.entity(target), pose=goal)))
 
 
 def aligning_yaws(model: ObjectModel, pose: Pose, direction: Array) -> tuple[float, ...]:
-    """Return the turns that put a wide object's shorter or longer side along a direction, none of others [rad]."""
+    """Return the turns that align a wide object's shorter or longer side with a direction [rad]; none for others."""
     if min(model.size[:2]) <= WIDE_M:
         return ()
     x, y, _ = pose.rotation.apply((1.0, 0.0, 0.0) if model.size[0] <= model.size[1] else (0.0, 1.0, 0.0))
@@ -229,7 +231,7 @@ def aligning_yaws(model: ObjectModel, pose: Pose, direction: Array) -> tuple[flo
 
 
 def comfortable(scene: SceneSpec, goal: Pose) -> bool:
-    """Tell whether a place is in the workspace, and neither so near to the robot nor so far that a grasp may not do."""
+    """Return whether a place is in the workspace, neither too near to the robot nor too far for any grasp."""
     lower, upper = (np.array(corner[:2]) for corner in (scene.workspace.lower, scene.workspace.upper))
     xy = np.array(goal.position[:2])
     inside = bool(np.all(xy >= lower + BORDER_M) and np.all(xy <= upper - BORDER_M))
@@ -238,7 +240,7 @@ def comfortable(scene: SceneSpec, goal: Pose) -> bool:
 
 
 def half_extent(model: ObjectModel, rotation: Rotation, direction: Array) -> float:
-    """Return how far an upright object reaches from its origin in a horizontal direction [m]."""
+    """Return the extent of an upright object from its origin in a horizontal direction [m]."""
     x, y, _ = rotation.inv().apply((*direction, 0.0))
     return float(abs(x) * model.size[0] + abs(y) * model.size[1]) / 2
 

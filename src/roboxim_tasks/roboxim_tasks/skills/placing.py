@@ -1,4 +1,4 @@
-"""What the skills that put something somewhere share: goals on surfaces and in containers, and when it lies there."""
+"""Shared parts of the placing skills: goals on surfaces and in containers, and conditions of success."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def region_of(model: ObjectModel, kind: str, name: str = "") -> Region:
     """Return a model's best region of a kind.
 
     Raises:
-        ConfigError: When it has none of that kind and name.
+        ConfigError: When the model has no region of that kind and name.
     """
     found = [region for region in model.regions if region.kind == kind]
     for region in found:
@@ -48,17 +48,17 @@ def region_pose(scene: ExpertScene, entity: str, region: Region) -> Pose:
 
 
 def fits(model: ObjectModel, region: Region) -> bool:
-    """Tell whether an object lies within a region at every yaw."""
+    """Return whether an object fits into a region at every yaw."""
     return math.hypot(*model.size[:2]) <= min(region.size[:2])
 
 
 def upright(pose: Pose, position: Sequence[float], yaw_rad: float) -> Pose:
-    """Return a pose at a position, turned about the vertical by an angle from another pose."""
+    """Return a pose turned about the vertical by an angle and moved to a position."""
     return Pose.from_arrays(position, Rotation.from_euler("z", yaw_rad) * pose.rotation)
 
 
 def levelled(pose: Pose) -> Pose:
-    """Return a pose turned as little as possible so that its most upright axis is vertical: what sagged in the hand."""
+    """Return a pose turned minimally until its most upright axis is vertical; corrects sag in the hand."""
     axes = pose.quaternion.matrix().T
     up = max(axes, key=lambda axis: abs(axis[2]))
     up = up * np.sign(up[2])
@@ -71,14 +71,14 @@ def levelled(pose: Pose) -> Pose:
 def put(
     scene: ExpertScene, target: str, goals: Iterable[Pose], *, onto: str = TABLE, drops_m: Sequence[float] = (0.002,)
 ) -> Iterator[tuple[Stage, ...]]:
-    """Yield the ways to pick up an entity and put it at one of some poses.
+    """Yield candidates that pick up an entity and put it at one of several poses.
 
     Args:
         scene: The scene.
-        target: What to move.
+        target: Entity to move.
         goals: Poses of the entity in the base, best first.
-        onto: What it may touch when it gets there.
-        drops_m: Heights above the pose at which it is let go, best first [m].
+        onto: Entity that the target may touch at the goal.
+        drops_m: Heights above the goal at which the gripper releases the target, best first [m].
     """
     wanted = [levelled(goal) for goal in goals] if scene.lifted else list(goals)
     grasps: list[Grasp | None] = [None] if scene.held == target else list(grasps_of(scene, target))
@@ -94,14 +94,17 @@ def put(
 def lies_still(
     target: str, initial: StateRecord, conditions: Sequence[Condition], reference: str = "", drop_m: float = DROP_M
 ) -> tuple[Condition, ...]:
-    """Return the conditions that an object was put somewhere.
+    """Return the conditions of a placed object.
 
-    Nothing fell off the table, the skill's own conditions hold, the object was not dropped, it is let go and at rest.
+    - Nothing fell off the table.
+    - The skill's own conditions hold.
+    - The object was not dropped.
+    - The robot has let go of it, and it is at rest.
 
     Args:
         target: The object.
         initial: State of tick 0.
-        conditions: The skill's own.
+        conditions: The skill's own conditions.
         reference: Another object that must not fall off the table; empty: none.
         drop_m: Largest free fall of the object [m].
     """
@@ -113,5 +116,5 @@ def lies_still(
 
 
 def raised(pose: Pose, height_m: float) -> Pose:
-    """Return a pose at a height in its parent frame."""
+    """Return a pose with another height in its parent frame [m]."""
     return replace(pose, position=(*pose.position[:2], height_m))

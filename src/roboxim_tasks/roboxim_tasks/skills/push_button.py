@@ -2,13 +2,14 @@
 
 Randomisation: the button's place, yaw and colour; where the end effector starts; distractors, other buttons among them.
 
-Success: the button has been pressed in by more than ``travel_m`` in any physics step, in a tick in which fingers
-touched it and no other part of the robot did, and no other button has been pressed.
+Success: in some physics step the button was pressed in by more than ``travel_m``, in a tick in which only fingers of
+the robot touched it, and no other button has been pressed.
 
-Non-obvious: a button is pressed with a finger, its tip or a side of it. A hand or an arm that leans on the button does
-not count, because that is how an arm that flails hits it. The press is latched, because a button springs back at once.
-It need not be pressed when the episode ends. The expert dwells at the bottom, because the reference rounds corners
-where it does not stop.
+Non-obvious:
+    - Only a finger may press the button, with its tip or a side. A hand or an arm that leans on the button does not
+      count, because a flailing arm hits it like that.
+    - The press is latched, because a button springs back at once: it need not be pressed when the episode ends.
+    - The expert dwells at the bottom, because the reference rounds corners where it does not stop.
 """
 
 from __future__ import annotations
@@ -46,17 +47,17 @@ class PushButtonParameters:
     """Thresholds of success."""
 
     travel_m: float = 0.006
-    """How far it must be pressed in [m]."""
+    """Travel that the press must exceed [m]."""
     joint: str = ""
-    """Name of its joint; follows from the button's model."""
+    """Name of the button's joint; set by the generator."""
     fingers: str = ""
-    """Names of the robot's fingers, separated by blanks; set by the generator."""
+    """Names of the robot's finger links, separated by blanks; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if not 0 < self.travel_m <= 0.01:
             raise ConfigError(f"needs 0 < travel_m <= 0.01, got {self}")
@@ -73,7 +74,7 @@ class PushButton(Skill):
     Parameters = PushButtonParameters
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task and note the names of the button's joint and of the robot's fingers."""
+        """Draw a task and record the names of the button's joint and of the robot's fingers."""
         task = generate_task(context)
         target = task.objects["target"]
         (point, *_) = context.library.object(target.model, target.modifiers).press_points
@@ -82,7 +83,7 @@ class PushButton(Skill):
         return replace(task, arguments=task.arguments | {"joint": point.joint, "fingers": fingers})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the button and presses it."""
+        """Require that the arm can reach the button and press it."""
         entity = context.task.objects["target"].entity
 
         def reachable(scene: SceneSpec) -> bool:
@@ -94,7 +95,7 @@ class PushButton(Skill):
         return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Go above it with closed fingers, press, withdraw; the yaw that the tool has first."""
+        """Approach from above with closed fingers, press, withdraw; the tool's present yaw comes first."""
         entity = scene.task.objects["target"].entity
         face = button_face(scene.model_of(entity), scene.pose_of(entity))
         touching = fingers_touch(scene, entity)
@@ -111,7 +112,7 @@ class PushButton(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Pressed by a finger at some time, and no other button."""
+        """Judge: pressed by a finger at some time, and no other button pressed."""
         parameters: PushButtonParameters = parameters_of(task, PushButtonParameters)
         target = task.objects["target"].entity
         return Conditions(
@@ -139,13 +140,13 @@ def button_face(model: ObjectModel, base: Pose) -> Pose:
 
 
 def pressed_pose(face: Pose, yaw_rad: float) -> Pose:
-    """Return the pose of the tool that has pressed the button in, its x axis at a heading in the base."""
+    """Return the tool's pose at the pressed button, with its x axis at a heading in the base."""
     x, y, z = face.apply((0.0, 0.0, -DEPTH_M)).tolist()
     return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))
 
 
 def _finger_travel(target: str, parameters: PushButtonParameters) -> Measure:
-    """Farthest that a button has been pressed in so far in ticks in which only fingers of the robot touched it."""
+    """Measure a button's largest travel so far, over the ticks in which only fingers of the robot touched it."""
     fingers = set(parameters.fingers.split())
     best = [0.0]
 
@@ -159,7 +160,7 @@ def _finger_travel(target: str, parameters: PushButtonParameters) -> Measure:
 
 
 def _others_travel(target: str, joint: str, initial: StateRecord) -> Measure:
-    """Farthest that any other button has been pressed in so far [m]."""
+    """Measure the largest travel of any other button so far [m]."""
     others = [e.name for e in initial.entities if e.name != target and joint in e.joint_names]
     measures = [joint_highest_ever(name, joint) for name in others]
     return Measure(

@@ -3,12 +3,14 @@
 Randomisation: which object and colour; where it stands and at what yaw; where the end effector starts; distractors.
 
 Success: the object has moved by at least ``least_m`` in the direction and by less than ``lateral_ratio`` of that to the
-side, it stands as upright as before, on the table, still, and the hand has left it, for ``hold_s``. It must not have
-been lifted at any time, nor have moved while it was gripped or off the table.
+side. It stands still on the table, as upright as before, and the hand has left it, for ``hold_s``. It must never have
+been lifted, nor have moved while it was gripped or off the table.
 
-Non-obvious: directions are those of the robot's base, seen from the robot: left = +y, forward = away from its base. The
-gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away; it leans back
-from what is taller than the fingers are long. A drawn scene has room for the object on its way.
+Non-obvious:
+    - Directions are those of the robot's base, seen from the robot: left = +y, forward = away from its base.
+    - The gripper pushes with the flat sides of both fingers, a little apart, so that the object does not turn away.
+    - The gripper leans back from an object that is taller than the fingers are long.
+    - A drawn scene has room for the object along its path.
 """
 
 from __future__ import annotations
@@ -48,9 +50,9 @@ WAY_M = 0.11
 STANDOFF_M = 0.02
 BACK_OFF_M = 0.03
 FINGER_M = 0.014
-"""From the tool centre point to what touches the object first: the flat sides of two fingers [m]."""
+"""Distance from the tool centre point to the first contact, the flat sides of two fingers [m]."""
 FINGERS_M = 0.026
-"""The same when the tool is turned by 90 degrees: the back of a finger of the closed gripper [m]."""
+"""The same distance with the tool turned by 90 degrees, to the back of a finger of the closed gripper [m]."""
 HEIGHT_M = 0.02
 LIFTED_M = 0.03
 TILTED_RAD = 0.35
@@ -59,23 +61,23 @@ SPREAD = 0.6
 """Opening between the fingers as a fraction of the object's width."""
 OPENING_M = 0.08
 PALM_M = 0.035
-"""Height above the tool centre point from which on the palm would hit the object, if the tool were upright [m]."""
+"""Height above the tool centre point above which the palm of an upright tool would hit the object [m]."""
 LEANS = (0.0, math.radians(35), math.radians(45), math.radians(25))
-"""Angles by which the hand leans back from the object, best first [rad]."""
+"""Angles at which the hand leans back from the object, best first [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PushObjectParameters:
-    """Where to, and thresholds of success."""
+    """Direction of the push, and thresholds of success."""
 
     direction: str = "to the left"
     """``to the left``, ``to the right``, ``forward`` or ``back``, seen from the robot."""
     least_m: float = 0.08
-    """Smallest way in the direction [m]."""
+    """Smallest displacement in the direction [m]."""
     lateral_ratio: float = 0.4
-    """Largest way to the side, as a fraction of the way in the direction."""
+    """Largest displacement to the side, as a fraction of the one in the direction."""
     hold_s: float = 0.3
-    """How long it must stand still [s]."""
+    """Time that the object must stand still [s]."""
     direction_x: float = 0.0
     """The direction in the world; set by the generator."""
     direction_y: float = 0.0
@@ -85,7 +87,7 @@ class PushObjectParameters:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a value makes no sense.
+            ConfigError: When the direction is unknown or a number is out of range.
         """
         if self.direction not in DIRECTIONS:
             raise ConfigError(f"unknown direction '{self.direction}'; {one_of(DIRECTIONS, self.direction)}")
@@ -105,14 +107,14 @@ class PushObject(Skill):
     Parameters = PushObjectParameters
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task, and the direction in the world that its words mean."""
+        """Draw a task, and note the direction in the world."""
         task = generate_task(context, words={"direction": context.parameters.direction})
         robot = named("scenes", context.config.scene, SceneSpec).robot.pose
         x, y, _ = robot.rotation.apply((*DIRECTIONS[str(task.arguments["direction"])], 0.0))
         return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The object's way is free and on the table, and the arm reaches from behind it to the way's end."""
+        """Require a free path on the table for the object, and an arm that reaches from behind it to the path's end."""
         entity = context.task.objects["target"].entity
         parameters: PushObjectParameters = parameters_of(context.task, PushObjectParameters)
         direction = np.array([parameters.direction_x, parameters.direction_y, 0.0])
@@ -144,7 +146,7 @@ class PushObject(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Go down behind it, push, back off, rise."""
+        """Descend behind the object, push, withdraw, rise."""
         entity = scene.task.objects["target"].entity
         parameters: PushObjectParameters = parameters_of(scene.task, PushObjectParameters)
         in_world = np.array([parameters.direction_x, parameters.direction_y, 0.0])
@@ -165,7 +167,7 @@ class PushObject(Skill):
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Far enough in the direction, never lifted, upright, on the table, let go and at rest."""
+        """Judge: far enough in the direction, never lifted, upright, on the table, let go and at rest."""
         parameters: PushObjectParameters = parameters_of(task, PushObjectParameters)
         entity = task.objects["target"].entity
         direction = np.array([parameters.direction_x, parameters.direction_y])
@@ -202,7 +204,7 @@ class PushObject(Skill):
 
 
 def way_m(model: ObjectModel, pose: Pose, direction: Array) -> float:
-    """Return how far to push [m]: farther if the object will turn its flat side to the fingers.
+    """Return the distance to push [m]; it is longer if the object will turn its flat side to the fingers.
 
     Args:
         model: The object.
@@ -213,7 +215,7 @@ def way_m(model: ObjectModel, pose: Pose, direction: Array) -> float:
 
 
 def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[tuple[Pose, float]]:
-    """Yield poses of the tool from which to push an object, with the gripper's opening, best first.
+    """Yield tool poses from which to push an object, each with the gripper's opening, best first.
 
     Args:
         model: The object.
@@ -236,10 +238,10 @@ def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[
 
 
 def extent(model: ObjectModel, pose: Pose, direction: Array) -> float:
-    """Return how far an object reaches from its origin in a direction [m], by its collision shapes.
+    """Return the extent of an object's collision shapes from its origin in a direction [m].
 
     Args:
-        model: The object; only its base link counts.
+        model: The object; only its base link is considered.
         pose: Its pose.
         direction: Unit vector in the frame of the pose, shape (3,).
     """

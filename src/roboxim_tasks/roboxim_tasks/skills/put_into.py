@@ -2,12 +2,13 @@
 
 Randomisation: which objects and colours; where both lie and at what yaw; where the end effector starts; distractors.
 
-Success: the object's origin is inside the container's interior, it does not touch the table, it fell by no more than
-``drop_m``, the hand has left it, and it lies still for ``hold_s``.
+Success: the object's origin is inside the container's interior, the object does not touch the table, it fell by no more
+than ``drop_m``, the hand has left it, and it lies still for ``hold_s``.
 
-Non-obvious: where the interior is, and how it moves with a drawer, follows from the container; the generator puts it
-into the task's arguments. What does not fit into the interior at every yaw is never drawn. A drawer must be open at the
-start: the reset component ``joints`` does that.
+Non-obvious:
+    - The generator writes the interior's pose and size, and its motion with a drawer, into the task's arguments.
+    - Objects that do not fit into the interior at every yaw are never drawn.
+    - A drawer must be open at the start: the reset component ``joints`` opens it.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raise
 
 DROPS_M = (0.01, 0.03, 0.05)
 RIM_M = 0.01
-"""How far the origin of what is inside may be above the rim [m]."""
+"""Largest height of the origin of an object inside above the rim [m]."""
 OPEN_SHARE = 0.5
-"""Share of its travel by which a drawer must be open to put something into it."""
+"""Share of its travel by which a drawer must be open for putting an object into it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PutIntoParameters:
-    """Thresholds of success, and where the container's interior is."""
+    """Thresholds of success, and geometry of the container's interior."""
 
     drop_m: float = 0.15
-    """Largest free fall [m]: from a hand's width above the rim down to the floor is still putting."""
+    """Largest free fall [m]: a fall from a hand's width above the rim down to the floor is allowed."""
     hold_s: float = 0.3
-    """How long it must lie still [s]."""
+    """Time that the object must lie still [s]."""
     drawer: str = ""
-    """Which interior, where the container has several, e.g. ``top``."""
+    """Name of the interior, where the container has several, e.g. ``top``."""
     floor_x_m: float = 0.0
     """Middle of the interior's floor in the container's base, with all joints at 0 [m]; set by the generator."""
     floor_y_m: float = 0.0
@@ -57,15 +58,15 @@ class PutIntoParameters:
     floor_z_m: float = 0.0
     """As ``floor_x_m``."""
     depth_m: float = 0.0
-    """Height of its rim above its floor [m]; set by the generator."""
+    """Height of the interior's rim above its floor [m]; set by the generator."""
     half_x_m: float = 0.0
-    """Half of its extent along the container's x [m]; set by the generator."""
+    """Half of the interior's extent along the container's x [m]; set by the generator."""
     half_y_m: float = 0.0
-    """Half of its extent along the container's y [m]; set by the generator."""
+    """Half of the interior's extent along the container's y [m]; set by the generator."""
     joint: str = ""
-    """Joint that the interior moves with; empty: none; set by the generator."""
+    """Joint that moves the interior; empty: none; set by the generator."""
     axis_x: float = 0.0
-    """How the interior moves in the container's base when the joint does; set by the generator."""
+    """Motion of the interior in the container's base per unit of the joint's position; set by the generator."""
     axis_y: float = 0.0
     """As ``axis_x``."""
     axis_z: float = 0.0
@@ -75,7 +76,7 @@ class PutIntoParameters:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a threshold makes no sense.
+            ConfigError: When a threshold is out of range.
         """
         if self.hold_s < 0:
             raise ConfigError(f"needs hold_s >= 0, got {self}")
@@ -102,7 +103,7 @@ class PutInto(Skill):
             region_of(model, "interior", parameters.drawer)
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
-        """Tell of a target that does not fit into the interior at every yaw, or stands out of it."""
+        """Return why a target does not fit: too long for the interior at every yaw, or standing out of it."""
         target, container = models["target"], models["container"]
         interior = region_of(container, "interior", parameters.drawer)
         if not fits(target, interior):
@@ -112,7 +113,7 @@ class PutInto(Skill):
         return ""
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a target that fits into the container, and note where the interior is."""
+        """Draw a target that fits into the container, and record the interior's geometry."""
         drawer = context.parameters.drawer
         task = generate_task(context)
         container = task.objects["container"]
@@ -126,7 +127,7 @@ class PutInto(Skill):
         return replace(task, arguments=task.arguments | interior, instruction=instruction)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches the target, and into the container."""
+        """Require that the arm reaches the target, and into the container."""
         parameters: PutIntoParameters = parameters_of(context.task, PutIntoParameters)
         container = context.task.objects["container"].entity
 
@@ -151,7 +152,7 @@ class PutInto(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Pick it up, lower it into the middle, let go as low as the hand fits."""
+        """Pick up the object, lower it into the middle, let go as low as the hand fits."""
         target, container = (scene.task.objects[role].entity for role in ("target", "container"))
         parameters: PutIntoParameters = parameters_of(scene.task, PutIntoParameters)
         floor = region_pose(scene, container, region_of(scene.model_of(container), "interior", parameters.drawer))
@@ -160,7 +161,7 @@ class PutInto(Skill):
         return put(scene, target, goals, onto=container, drops_m=DROPS_M)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Inside, off the table, let go and at rest."""
+        """Judge: inside, off the table, let go and at rest."""
         parameters: PutIntoParameters = parameters_of(task, PutIntoParameters)
         target, container = (task.objects[role].entity for role in ("target", "container"))
 
@@ -184,7 +185,7 @@ class PutInto(Skill):
 
 
 def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:
-    """Return where a container's interior is, as scalars: its floor, size, and the sliding joint that it moves with."""
+    """Return the geometry of a container's interior as scalars: floor, size, and the sliding joint that moves it."""
     interior = region_of(model, "interior", name)
     link = interior.link or model.links[0].name
     here = object_link_poses(model, {})[link] @ interior.pose
@@ -206,6 +207,6 @@ def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:
 
 
 def floor_of(parameters: PutIntoParameters, joint_m: float) -> Array:
-    """Return the middle of the interior's floor in the container's base, at a position of its joint [m]."""
+    """Return the middle of the interior's floor in the container's base [m], at a position of its joint [m]."""
     floor = np.array([parameters.floor_x_m, parameters.floor_y_m, parameters.floor_z_m])
     return floor + joint_m * np.array([parameters.axis_x, parameters.axis_y, parameters.axis_z])

@@ -2,11 +2,13 @@
 
 Randomisation: which object and colour; where it lies and at what yaw; where the end effector starts; distractors.
 
-Success: the object has been turned by the angle within ``tolerance_deg``, its origin is within ``shift_m`` of where it
-was, it was set down on the table and not dropped, it lies still, and the hand has left it, for ``hold_s``.
+Success, for ``hold_s``:
+    - The object has been turned by the angle within ``tolerance_deg``.
+    - Its origin is within ``shift_m`` of its initial position.
+    - It was set down on the table and not dropped, it lies still, and the hand has left it.
 
-Non-obvious: the rotation is accumulated over the ticks, so a turn by 270 degrees in the other direction is none by 90.
-The expert lifts the object first: one that is turned on the table wanders.
+Non-obvious: the rotation accumulates over the ticks, so 270 degrees in the other direction do not count as 90. The
+expert lifts the object first, because an object that is turned on the table drifts.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, reg
 from roboxim_tasks.skills.placing import lies_still
 
 DIRECTIONS = {"clockwise": -1.0, "counter-clockwise": 1.0}
-"""Word of the instruction to the sign of the rotation about the upward vertical."""
+"""Direction in the instruction to the sign of the rotation about the upward vertical."""
 LIFTS_M = (0.05, 0.10, 0.15)
 LOWERED_M = 0.002
 STEP_RAD = math.radians(120)
@@ -42,26 +44,26 @@ FREE_GAP_M = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class RotateParameters:
-    """How far, and thresholds of success."""
+    """Rotation to perform, and thresholds of success."""
 
     direction: str = "clockwise"
     """``clockwise`` or ``counter-clockwise``, seen from above."""
     angle_deg: float = 90.0
     """How far [degrees]."""
     tolerance_deg: float = 5.0
-    """How far the rotation may be off [degrees]."""
+    """Largest deviation from the angle [degrees]."""
     shift_m: float = 0.05
-    """How far the object may be moved [m]."""
+    """Largest displacement of the object [m]."""
     drop_m: float = DROP_M
     """Largest free fall [m]."""
     hold_s: float = 0.3
-    """How long it must lie still [s]."""
+    """Time that the object must lie still [s]."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a value makes no sense.
+            ConfigError: When the direction is unknown or a number is out of range.
         """
         if self.direction not in DIRECTIONS:
             raise ConfigError(f"unknown direction '{self.direction}'; {one_of(DIRECTIONS, self.direction)}")
@@ -96,7 +98,7 @@ class Rotate(Skill):
         return generate_task(context, words=words)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches a grasp, and the same grasp after the rotation."""
+        """Require that the arm reaches a grasp, and the same grasp after the rotation."""
         parameters: RotateParameters = parameters_of(context.task, RotateParameters)
         entity = context.task.objects["target"].entity
 
@@ -125,7 +127,7 @@ class Rotate(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Pick it up, turn it, put it down where it was; low lifts first."""
+        """Pick up the object, turn it, put it down at its initial place; low lifts first."""
         parameters: RotateParameters = parameters_of(scene.task, RotateParameters)
         entity = scene.task.objects["target"].entity
         begin = scene.in_base(scene.scene.entity(entity).pose)
@@ -148,7 +150,7 @@ class Rotate(Skill):
                 yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Turned far enough but not too far, where it was, on the table, let go and at rest."""
+        """Judge: turned far enough but not too far, at its initial place, on the table, let go and at rest."""
         parameters: RotateParameters = parameters_of(task, RotateParameters)
         entity, sign = task.objects["target"].entity, DIRECTIONS[parameters.direction]
         turn = turned(entity, initial)
@@ -165,7 +167,7 @@ class Rotate(Skill):
 
 
 def _steps(angle_rad: float) -> list[float]:
-    """Return rotations up to an angle, so small that the shortest way from each to the next has the right direction."""
+    """Return rotations up to an angle in steps so small that the shortest arc of each has the right direction."""
     count = max(1, math.ceil(abs(angle_rad) / STEP_RAD))
     return [angle_rad * step / count for step in range(1, count + 1)]
 

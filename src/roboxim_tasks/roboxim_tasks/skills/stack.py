@@ -1,8 +1,8 @@
-"""Stack an object on one that could be stacked itself.
+"""Stack an object on another graspable one.
 
-Randomisation, success and executor are those of ``place_on``; the support may be grasped and moved too.
+Randomisation and executor are those of ``place_on``. The support may be grasped and moved too.
 
-Success: besides, the base has moved by less than ``base_shift_m``.
+Success: as for ``place_on``, and the base has moved by less than ``base_shift_m``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class StackParameters(PlaceOnParameters):
     """Thresholds of success."""
 
     base_shift_m: float = 0.02
-    """How far the base may be moved [m]."""
+    """Largest displacement of the base [m]."""
 
 
 @register
@@ -38,7 +38,7 @@ class Stack(PlaceOn):
     Parameters = StackParameters
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """As for ``place_on``, and the base has stayed."""
+        """Judge as ``place_on`` does, and require that the base has stayed."""
         parameters: StackParameters = parameters_of(task, StackParameters)
         support = task.objects["support"].entity
         base = stayed(support, initial, parameters.base_shift_m, "base")

@@ -3,12 +3,12 @@
 Randomisation: which object and colour; where it lies, on which side and at what yaw; where the end effector starts;
 distractors.
 
-Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up, it was set down on the table and
+Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up. It was set down on the table and
 not dropped, it stands still, and the hand has left it, for ``hold_s``.
 
-Non-obvious: the tool leans towards the object's foot while it lies and away from it when it stands, by angles that
-together make the right angle; a tool that points straight down at first would have to be level at the end, and the arm
-does not get that low. Upright, the object may have any yaw, so the expert tries several.
+Non-obvious: the tool leans towards the foot of the lying object and away from that of the standing one; the two angles
+add up to a right angle. A tool that first points straight down would have to be level at the end, and the arm cannot
+get that low. The standing object may have any yaw, so the expert tries several.
 """
 
 from __future__ import annotations
@@ -40,10 +40,11 @@ from roboxim_tasks.skills.push_object import extent
 
 YAWS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90))
 LEANS = tuple(math.radians(angle) for angle in (45, 37, 53, 30, 60))
-"""Angles between the tool and the axis of the standing object, best first [rad]; the lying one has the rest of 90."""
+"""Angles between the tool and the axis of the standing object, best first [rad]; with the lying object they add up to
+90 degrees."""
 LEVEL = 0.2
 PALM_M = 0.0355
-"""Room between the tool centre point and the palm, along the tool [m]."""
+"""Distance between the tool centre point and the palm, along the tool [m]."""
 PAD_M = 0.014
 EVEN_M = 0.002
 STEP_M = 0.015
@@ -55,17 +56,17 @@ class TurnUprightParameters:
     """Thresholds of success."""
 
     tilt_deg: float = 10.0
-    """Largest angle between its axis and the vertical [degrees]."""
+    """Largest angle between the object's axis and the vertical [degrees]."""
     drop_m: float = DROP_M
     """Largest free fall [m]."""
     hold_s: float = 0.5
-    """How long it must stand still [s]."""
+    """Time that the object must stand still [s]."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: When a value makes no sense.
+            ConfigError: When a value is out of range.
         """
         if not 0 < self.tilt_deg <= 30 or self.hold_s < 0:
             raise ConfigError(f"needs 0 < tilt_deg <= 30 and hold_s >= 0, got {self}")
@@ -83,7 +84,7 @@ class TurnUpright(Skill):
     Parameters = TurnUprightParameters
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """The arm reaches a grasp of the lying object, and the same grasp of the standing one."""
+        """Require that the arm reaches a grasp of the lying object, and the same grasp of the standing one."""
         entity = context.task.objects["target"].entity
 
         def reachable(scene: SceneSpec) -> bool:
@@ -98,7 +99,7 @@ class TurnUpright(Skill):
         return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Grasp it with a leaning tool, lift it, turn it, put it down; first the ways that the arm seems to reach."""
+        """Grasp the object with a leaning tool, lift, turn, put it down; likely reachable candidates first."""
         entity = scene.task.objects["target"].entity
         model, pose = scene.model_of(entity), scene.pose_of(entity)
         if scene.held == entity:
@@ -120,7 +121,7 @@ class TurnUpright(Skill):
             yield _turn_up(scene, grasp, pose, goal)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
-        """Upright, on the table, let go and at rest."""
+        """Judge: upright, on the table, let go and at rest."""
         parameters: TurnUprightParameters = parameters_of(task, TurnUprightParameters)
         entity = task.objects["target"].entity
         lean = tilt(entity)
@@ -150,18 +151,18 @@ _ARMS: dict[Path, ArmKinematics] = {}
 
 
 def _follows(arm: ArmKinematics, lying: Pose, standing: Pose) -> bool:
-    """Tell whether an arm reaches the tool's poses at the lying and the standing object, from above."""
+    """Return whether an arm reaches the tool's poses at the lying and at the standing object from above."""
     return follows(
         arm, retreated(lying, APPROACH_M), lying, shifted(lying, LIFT_M), shifted(standing, LIFT_M), standing
     )
 
 
 def leaning_grasps(model: ObjectModel, pose: Pose) -> list[Grasp]:
-    """Return grasps with which a toppled object can be put upright, best first; poses are in the object.
+    """Return grasps that can put a toppled object upright, best first; poses are in the object's frame.
 
-    Each is one of the model's, turned about its closing axis so that the tool leans by some 45 degrees both now and
-    when the object stands. The closing axis is level in both poses. A grasp across the object's axis is tried all along
-    it.
+    Each is one of the model's grasps, turned about its closing axis so that the tool leans by some 45 degrees at both
+    the lying and the standing object. The closing axis is level in both poses. Grasps across the object's axis are
+    tried all along it.
 
     Args:
         model: The object.
@@ -194,12 +195,12 @@ def _leaning(model: ObjectModel, down: Vec3) -> tuple[Grasp, ...]:
 
 
 def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
-    """Return poses of the standing object where it lies now, first those at which the tool leans away from the robot.
+    """Return poses of the standing object at its present place, first those where the tool leans away from the robot.
 
     Args:
         model: The object.
         pose: Its pose in the base, lying.
-        grasp: Pose of the tool in the object.
+        grasp: Pose of the tool in the object's frame.
     """
     x, y, _ = pose.position
     lean = grasp.rotation.apply([0.0, 0.0, 1.0])
@@ -209,9 +210,9 @@ def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
 
 
 def _places(model: ObjectModel, grasp: Pose) -> Iterator[tuple[Pose, bool]]:
-    """Yield a grasp at places along the object's axis, from the top, if it is on that; else the grasp alone.
+    """Yield a grasp at places along the object's axis, from the top, if it lies on that axis; else the grasp alone.
 
-    With each goes whether the fingers find even sides: over an edge one may be caught when it lets go.
+    Each comes with whether the fingers touch even sides: over an edge a finger may be caught when it lets go.
     """
     x, y, _ = grasp.position
     if math.hypot(x, y) > 1e-3:
@@ -224,7 +225,7 @@ def _places(model: ObjectModel, grasp: Pose) -> Iterator[tuple[Pose, bool]]:
 
 
 def _width(model: ObjectModel, closing: Array, z: float) -> float:
-    """Return how far an upright object reaches along the closing axis at a height in its frame [m]."""
+    """Return the extent of an upright object along the closing axis at a height in its frame [m]."""
     up = np.array([0.0, 0.0, 1.0])
     reach = 0.0
     for shape in model.links[0].collision:
@@ -241,11 +242,11 @@ def _angle(vector: Array, axis: Array) -> float:
 
 
 def _beyond_palm(model: ObjectModel, grasp: Pose) -> float:
-    """Return by how much an object would reach into the palm [m]."""
+    """Return the depth to which an object would reach into the palm [m]."""
     back = -grasp.rotation.apply([0.0, 0.0, 1.0])
     return extent(model, Pose(), back) - float(np.array(grasp.position) @ back) - PALM_M
 
 
 def _floor(model: ObjectModel, pose: Pose) -> float:
-    """Return the height of what a lying object lies on, in the frame of its pose [m]."""
+    """Return the height of the surface under a lying object, in the frame of its pose [m]."""
     return pose.position[2] - extent(model, pose, np.array([0.0, 0.0, -1.0]))
