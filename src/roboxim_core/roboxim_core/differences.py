@@ -27,15 +27,15 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: C
         ignore: Outermost keys that may differ.
 
     Returns:
-        For example ``seed: 0 there, 1 asked; task_config.skill: "rotate" there, "pick_up" asked``; empty when they
-        are equal.
+        For example ``seed: 0 stored, 1 requested; task_config.skill: "rotate" stored, "pick_up" requested``; empty
+        when they are equal.
     """
     keys = [key for key in dict.fromkeys((*asked, *there)) if key not in ignore and there.get(key) != asked.get(key)]
     found: list[str] = []
     for key in sorted(keys):
         old, new = (_leaves(key, data[key]) if key in data else {} for data in (there, asked))
         inner = [name for name in dict.fromkeys((*new, *old)) if old.get(name, _MISSING) != new.get(name, _MISSING)]
-        found += [f"{name}: {_shown(old, name)} there, {_shown(new, name)} asked" for name in inner] or [
+        found += [f"{name}: {_shown(old, name)} stored, {_shown(new, name)} requested" for name in inner] or [
             f"{key}: the same values in another order or with other comments"
         ]
     more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []

@@ -152,7 +152,7 @@ def test_streams_are_apart_and_repeatable():
     }
     assert len(draws) == 10
     assert path.rng("camera").random() == path.rng("camera").random()
-    # pinned: a change here changes every data set
+    # pinned: a change here changes every dataset
     assert path.rng("camera").integers(1000, size=3).tolist() == [275, 617, 96]
 
 

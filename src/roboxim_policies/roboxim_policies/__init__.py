@@ -1,4 +1,4 @@
-"""The policy side: the base class and server of policies, the shipped ones, and the training of ``bc``."""
+"""Policies: their base class and server, the policies that ship with RoboXim, and the training of ``bc``."""
 
 from roboxim_policies.base import POLICIES, BasePolicy, load_policy
 

@@ -1,4 +1,4 @@
-"""What a user's policy derives from, and how a policy is found by name.
+"""The base class of policies, and the lookup of policies by name.
 
 A policy is one class with one ``act`` method::
 
@@ -44,28 +44,29 @@ POLICIES: Registry[Callable[..., Policy]] = Registry("policy")
 
 
 class BasePolicy(ABC):
-    """A policy of which only `act` must be written.
+    """Base class of policies; subclasses must implement only `act`.
 
-    What it needs is said by class attributes; one whose needs depend on its arguments sets them in its constructor.
+    Class attributes declare what the policy requires. A policy whose requirements depend on its arguments sets them in
+    its constructor.
     """
 
     name: str = ""
     """Name for reports; empty: the class's name."""
     cameras: Sequence[str | CameraRequirement] = ()
-    """Cameras that it looks through: names, or `CameraRequirement` with a size in pixels."""
+    """Cameras whose images the policy needs: names, or `CameraRequirement` with a size in pixels."""
     window: int = 1
-    """Number of observations it wants, newest last."""
+    """Number of observations per request, newest last."""
     horizon: int = 1
     """Largest number of actions that `act` returns."""
     semantics: ActionSemantics = ActionSemantics()
-    """Meaning of its actions; a run with another meaning is refused before its first step."""
+    """Meaning of the actions; a run with another meaning is refused before its first step."""
     privileged: bool = False
-    """Whether it reads the task, the scene and the state record. A policy under test must not."""
+    """Whether the policy reads the task, the scene and the state record. A policy under test must not."""
     version: str = ""
-    """Version or checkpoint, for the record."""
+    """Version or checkpoint, for reports and bags."""
 
     def describe(self) -> PolicyDescription:
-        """Say what the policy needs and what its actions mean, from the attributes.
+        """Return the policy's description, built from the attributes.
 
         Raises:
             InvalidRequestError: On a window or horizon below 1.
@@ -82,7 +83,7 @@ class BasePolicy(ABC):
         )
 
     def reset(self, start: EpisodeStart) -> None:  # noqa: B027 - most policies have nothing to forget
-        """Forget the last episode.
+        """Start an episode: forget the previous one.
 
         Args:
             start: Episode id, instruction and a seed for the policy's own randomness.
@@ -103,7 +104,7 @@ class BasePolicy(ABC):
 
 
 def load_policy(spec: str, **kwargs: Any) -> Policy:
-    """Make a policy.
+    """Load and instantiate a policy.
 
     Args:
         spec: A registered name (``random``), ``module:Class``, or ``path/to/file.py:Class``; the working directory is
@@ -111,9 +112,9 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
         **kwargs: Passed to the class.
 
     Raises:
-        ConfigError: When there is no such policy, or it does not take these arguments; the message says which there
-            are.
-        PolicyError: When its module or its constructor raises, saying where.
+        ConfigError: When there is no such policy, or it does not take these arguments; the message lists the valid
+            ones.
+        PolicyError: When its module or its constructor raises; the message says where.
     """
     make = find_policy(spec)
     require_arguments(spec, make, kwargs)
@@ -128,14 +129,14 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
 
 
 def find_policy(spec: str) -> Callable[..., Policy]:
-    """Return what makes a policy, without making it; the module of ``module:Class`` and the like is imported.
+    """Return the class or factory of a policy without calling it. Imports its module or file, if one is named.
 
     Args:
-        spec: As `load_policy` takes it.
+        spec: See `load_policy`.
 
     Raises:
-        ConfigError: When there is no such policy; the message says which there are.
-        PolicyError: When its module raises, saying where.
+        ConfigError: When there is no such policy; the message lists the known ones.
+        PolicyError: When its module raises; the message says where.
     """
     # The shipped policies register themselves on import.
     importlib.import_module("roboxim_policies.builtin")
@@ -143,10 +144,10 @@ def find_policy(spec: str) -> Callable[..., Policy]:
 
 
 def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping[str, Any]) -> None:
-    """Refuse arguments that a policy does not take, and missing ones.
+    """Refuse missing arguments and arguments that a policy does not take.
 
     Raises:
-        ConfigError: Saying which there are.
+        ConfigError: The message shows the policy's arguments.
     """
     try:
         inspect.signature(make).bind(**arguments)
@@ -166,7 +167,7 @@ def _load_class(spec: str) -> Callable[..., Policy]:
         classes = [key for key, value in vars(module).items() if isinstance(value, type) and hasattr(value, "act")]
         raise ConfigError(f"no policy class '{name}' in '{where}'; {one_of(classes, name)}")
     if isinstance(found, type) and inspect.isabstract(found):
-        raise ConfigError(f"policy '{spec}' is abstract: write its act method")
+        raise ConfigError(f"policy '{spec}' is abstract: implement its act method")
     return found
 
 
@@ -197,7 +198,7 @@ def _import_file(path: Path) -> ModuleType:
 
 @contextmanager
 def _blaming(what: str) -> Iterator[None]:
-    """Turn what a user's code raises, ``SystemExit`` included, into an error that says where it was raised."""
+    """Convert exceptions of a user's code, including ``SystemExit``, to errors that say where they were raised."""
     try:
         yield
     except RoboximError:

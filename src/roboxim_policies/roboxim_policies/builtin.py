@@ -1,6 +1,6 @@
-"""The policies that ship without a network: ``zero``, ``random``, ``replay``; and ``bc`` by name.
+"""The shipped policies without a network, ``zero``, ``random`` and ``replay``, and the registration of ``bc``.
 
-``zero`` and ``random`` are the floor that every evaluation is compared with; ``replay`` repeats recorded actions.
+``zero`` and ``random`` are baselines for every evaluation; ``replay`` repeats recorded actions.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 @POLICIES.register("zero")
 class ZeroPolicy(BasePolicy):
-    """Holds still with an open gripper, at any rate."""
+    """A policy that holds still with an open gripper, at any rate."""
 
     name = "zero"
     semantics = ActionSemantics(rate_hz=ANY_RATE)
 
     def act(self, window: ObservationWindow) -> ActionArray:
-        """Return the action that stays."""
+        """Return the hold action with an open gripper."""
         return hold_action(1.0)
 
 
 @POLICIES.register("random")
 class RandomPolicy(BasePolicy):
-    """Draws every action at random within the action limits, from the episode's seed, at any rate.
+    """A policy that draws every action at random within the action limits, from the episode's seed, at any rate.
 
-    The gripper is a persistent coin: it flips with probability 0.1 a tick, so that it can close around something.
+    The gripper switches between open and closed with probability 0.1 per tick, so that it stays closed long enough to
+    grasp something.
     """
 
     name = "random"
@@ -47,8 +48,8 @@ class RandomPolicy(BasePolicy):
 
         Args:
             distribution: ``gaussian`` (standard deviation ``scale`` times the limit, per axis) or ``uniform`` (within
-                ``scale`` times the limit, per axis); longer than the limit is shortened to it.
-            scale: Part of the limit, 0..1.
+                ``scale`` times the limit, per axis); longer vectors are shortened to the limit.
+            scale: Fraction of the limit, 0..1.
 
         Raises:
             ConfigError: On an unknown distribution or a scale outside 0..1.
@@ -56,13 +57,13 @@ class RandomPolicy(BasePolicy):
         if distribution not in DISTRIBUTIONS:
             raise ConfigError(f"unknown distribution '{distribution}'; {one_of(DISTRIBUTIONS, distribution)}")
         if not 0.0 <= scale <= 1.0:
-            raise ConfigError(f"scale is the part of the action limits to use, 0..1, got {scale}")
+            raise ConfigError(f"scale is the fraction of the action limits, 0..1, got {scale}")
         self._distribution, self._scale = distribution, scale
         self._rng = np.random.default_rng(0)
         self._gripper = 1.0
 
     def reset(self, start: EpisodeStart) -> None:
-        """Start the episode's own stream."""
+        """Start the episode's random stream."""
         self._rng = np.random.default_rng(start.seed)
         self._gripper = 1.0
 
@@ -82,9 +83,9 @@ class RandomPolicy(BasePolicy):
 
 @POLICIES.register("replay")
 class ReplayPolicy(BasePolicy):
-    """Repeats recorded actions, then holds.
+    """A policy that repeats recorded actions, then holds still.
 
-    From its restored scene an episode recorded under the same control rate repeats itself exactly.
+    Started from its restored scene, an episode that was recorded at the same control rate repeats exactly.
     """
 
     name = "replay"
@@ -102,10 +103,10 @@ class ReplayPolicy(BasePolicy):
             source: A ``.npz`` or ``.json`` file of actions, a recorded bag (``.mcap`` or its folder: the executed
                 actions), or the folder of an RLDS export (the labels of one episode).
             actions: The actions themselves, shape (T, 7), instead of a source.
-            episode: Which episode of an RLDS export.
+            episode: Index of the episode in an RLDS export.
 
         Raises:
-            ConfigError: When neither or both are given, or the source holds no actions.
+            ConfigError: When neither or both are given, or the source contains no actions.
         """
         if (source is None) == (actions is None):
             raise ConfigError("replay needs either a source (.npz, .json, .mcap, RLDS export) or actions")
@@ -116,7 +117,7 @@ class ReplayPolicy(BasePolicy):
             self._actions, self.semantics = _checked(actions), ActionSemantics()
 
     def act(self, window: ObservationWindow) -> ActionChunk:
-        """Return the action of the window's tick; after the last one hold and say so."""
+        """Return the action of the window's tick; after the last one, return a hold action with ``done``."""
         if window.seq >= len(self._actions):
             return ActionChunk(actions=hold_action(float(self._actions[-1, -1]))[None], done=True)
         return ActionChunk(
@@ -137,7 +138,7 @@ def bc_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
 
     Args:
         checkpoint: Checkpoint file or the training's folder.
-        execute: Actions executed per request; 0: as the checkpoint says.
+        execute: Actions executed per request; 0: the checkpoint's configuration.
 
     Raises:
         ConfigError: When the checkpoint is missing, damaged or of another version.

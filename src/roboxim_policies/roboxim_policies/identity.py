@@ -1,7 +1,7 @@
-"""What tells a policy from another of the same name: the contents of the files that it is made of.
+"""The identity of a policy: hashes of the files that it consists of.
 
-A result belongs to those contents, not to a name: whoever edits a policy or trains a checkpoint again has another one.
-What ships with RoboXim counts as its version does and has no files here.
+A result belongs to the contents of these files, not to a name: an edited policy or a retrained checkpoint is another
+policy. For shipped policies the version of RoboXim is the identity, so they have no files here.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ INSTALLED = {"site-packages", "dist-packages"}
 def policy_files(
     spec: str, make: Callable[..., Policy], options: Mapping[str, Any], *, exclude: Path | None = None
 ) -> dict[str, str]:
-    """Return what a policy is made of.
+    """Return the files and folders that a policy consists of, with hashes.
 
     These are the Python file of its class, the files beside it (or in the working directory) that it imports, directly
-    or through one another, and every file or folder that an option names, e.g. a checkpoint. What a policy opens under
-    a path of its own is not known here.
+    or indirectly, and every file or folder that an option names, e.g. a checkpoint. Files that a policy opens under
+    hard-coded paths are not detected.
 
     Args:
-        spec: As `load_policy` takes it.
-        make: What `find_policy` gives for it.
-        options: Keyword arguments of its class.
-        exclude: A folder that does not count, e.g. the one that results go to.
+        spec: See `load_policy`.
+        make: Result of `find_policy` for the spec.
+        options: Keyword arguments of the class.
+        exclude: A folder to ignore, e.g. the folder of the results.
 
     Returns:
-        File as a user would name it to its content's hash, 32 hexadecimal digits; a folder has one hash.
+        Path relative to the working directory to the content's hash, 32 hexadecimal digits; a folder has one hash.
 
     Raises:
         OSError: When a file cannot be read.
@@ -57,13 +57,13 @@ def policy_files(
 
 
 def _sources(spec: str, make: Callable[..., Policy]) -> list[Path]:
-    """Return the policy's own Python files: that of its class, and what this imports of files beside it."""
+    """Return the policy's own Python files: the file of its class, and the files beside it that it imports."""
     where = spec.rpartition(":")[0] or make.__module__
     if where.partition(".")[0] == "roboxim_policies":
         return []
     first = Path(where if where.endswith(".py") else sys.modules[where].__file__ or inspect.getfile(make)).resolve()
     root = first.parent
-    while (root / "__init__.py").is_file():  # absolute imports start beside the outermost package
+    while (root / "__init__.py").is_file():  # absolute imports start from the folder of the outermost package
         root = root.parent
     installed = bool(INSTALLED & set(root.parts))
     roots = [root] if installed else [root, Path.cwd()]
@@ -79,7 +79,7 @@ def _sources(spec: str, make: Callable[..., Policy]) -> list[Path]:
 
 
 def _imported(file: Path, roots: list[Path], only: str) -> Iterator[Path]:
-    """Find the files that a file imports, absolutely from the roots (and only of one package) or relatively."""
+    """Find the files that a file imports, relatively or absolutely from the roots (``only``: just this package)."""
     try:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError):
@@ -98,7 +98,7 @@ def _imported(file: Path, roots: list[Path], only: str) -> Iterator[Path]:
 
 
 def _files_of(parts: list[str], roots: list[Path]) -> Iterator[Path]:
-    """Find a module's file, or that of the module that has it, and the ``__init__.py`` of the packages it is in."""
+    """Find the file of a module, or of the module that defines the name, and the ``__init__.py`` of its packages."""
     for root in roots:
         for length in range(1, len(parts) + 1):
             place = root.joinpath(*parts[:length])
@@ -108,7 +108,7 @@ def _files_of(parts: list[str], roots: list[Path]) -> Iterator[Path]:
 
 
 def _shown(path: Path) -> str:
-    """Name a file as seen from the working directory."""
+    """Return a file's path relative to the working directory, if it is inside."""
     path = path.resolve()
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
@@ -122,7 +122,7 @@ def _hash_file(path: Path) -> str:
 
 
 def _hash_folder(path: Path, exclude: Path | None) -> str:
-    """Hash the names and contents of the files under a folder, hidden ones and compiled Python left out."""
+    """Hash the names and contents of the files in a folder, except hidden files and compiled Python."""
     apart = None if exclude is None else exclude.resolve()
     content = hashlib.blake2b(digest_size=16)
     for file in sorted(path.resolve().rglob("*")):

@@ -16,9 +16,9 @@ from roboxim_ros.policy_service import PolicyService
 
 
 class PolicyNode(RoboximNode):
-    """Serves ``describe_policy``, ``reset_policy`` and ``act`` in its namespace.
+    """The node that serves ``describe_policy``, ``reset_policy`` and ``act`` in its namespace.
 
-    Whatever the policy raises is an error in the answer and a traceback in the log; the node lives on.
+    An exception of the policy becomes an error in the answer and a traceback in the log; the node continues.
     """
 
     def __init__(
@@ -30,10 +30,10 @@ class PolicyNode(RoboximNode):
         parameters: dict[str, Any] | None = None,
         **options: Any,
     ) -> None:
-        """Make the policy and serve it.
+        """Load the policy and serve it.
 
         Args:
-            policy: A policy, or what `load_policy` takes: a registered name, ``module:Class``, ``file.py:Class``.
+            policy: A policy, or an argument of `load_policy`: a registered name, ``module:Class``, ``file.py:Class``.
             context: An initialised rclpy context.
             namespace: Namespace of the services, e.g. ``policy`` or ``/w0/policy``.
             parameters: Overrides of parameters, by name.
@@ -41,7 +41,7 @@ class PolicyNode(RoboximNode):
 
         Raises:
             ConfigError: When there is no such policy or it does not take the options.
-            PolicyError: When it does not describe itself.
+            PolicyError: When the policy gives no valid description.
         """
         super().__init__("policy", context=context, namespace=namespace, parameters=parameters)
         made = load_policy(policy, **options) if isinstance(policy, str) else policy
@@ -58,14 +58,14 @@ def serve(
     should_stop: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> int:
-    """Serve a policy in this process until it is told to stop.
+    """Serve a policy in this process until a signal arrives or ``should_stop`` returns True.
 
     Args:
         policy: See `PolicyNode`.
         namespace: Namespace of its services.
-        domain_id: ROS domain; none: as the environment says.
+        domain_id: ROS domain; None: the environment's.
         on_ready: Called with the node once it serves.
-        should_stop: Asked five times a second.
+        should_stop: Called five times per second; True stops the node.
         **options: Keyword arguments of the policy's class.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Actions out of files: ``.npz``, ``.json``, a recorded bag, an RLDS export. Serves the ``replay`` policy."""
+"""Loading of recorded actions for the ``replay`` policy: from ``.npz``, ``.json``, a recorded bag, an RLDS export."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, Action
     """Load an episode's actions and their meaning.
 
     Args:
-        source: ``.npz`` (array ``actions`` or the only one), ``.json`` (a list, or an object with ``actions``), a bag
-            (``.mcap`` file or a folder that holds one), or the folder of an RLDS export.
+        source: ``.npz`` (array ``actions``, or the only array), ``.json`` (a list, or an object with ``actions``), a
+            bag (``.mcap`` file, or a folder with one), or the folder of an RLDS export.
         episode: Index of the episode in an RLDS export.
 
     Returns:
-        Actions of shape (T, 7), and their semantics (the default where the file says nothing).
+        Actions of shape (T, 7), and their semantics (the default if the file does not state them).
 
     Raises:
-        ConfigError: When the source is missing, of no known kind, or holds no valid actions.
+        ConfigError: When the source is missing, of an unknown kind, or contains no valid actions.
     """
     if not source.exists():
         raise ConfigError(f"no such file or folder: {source}")
@@ -78,7 +78,7 @@ def _from_json(source: Path) -> npt.ArrayLike:
 
 
 def _from_bag(source: Path) -> tuple[npt.ArrayLike, ActionSemantics]:
-    """Read the executed actions, without ROS: a bag carries its own message definitions."""
+    """Read the executed actions. This needs no ROS, because a bag contains its message definitions."""
     from rosbags.highlevel import AnyReader
     from rosbags.highlevel.anyreader import AnyReaderError
 
@@ -116,25 +116,25 @@ def _from_rlds(source: Path, episode: int) -> tuple[npt.ArrayLike, ActionSemanti
     try:
         reader = RldsReader(source)
     except RecorderError as error:
-        raise ConfigError(f"{source} holds neither a bag (.mcap) nor an RLDS export: {error}") from None
+        raise ConfigError(f"{source} contains neither a bag (.mcap) nor an RLDS export: {error}") from None
     split = "train" if episode < reader.count("train") else "val"
     index = episode - (reader.count("train") if split == "val" else 0)
     if episode < 0 or index >= reader.count(split):
         raise ConfigError(
             f"{source}: no episode {episode}; there are {reader.count('train') + reader.count('val')}, "
-            "first those of 'train', then those of 'val'"
+            "numbered through 'train', then 'val'"
         )
     found = next(itertools.islice(reader.episodes(split), index, None))
     return found.action, rlds_semantics(found)
 
 
 def rlds_semantics(episode: RldsEpisode) -> ActionSemantics:
-    """Return what an exported episode's actions mean.
+    """Return the action semantics of an exported episode.
 
     Raises:
-        ConfigError: When the export does not say, or says it in another format.
+        ConfigError: When the export does not state them, or states them in another format.
     """
     said = episode.metadata.get("action_semantics")
     if not isinstance(said, str):
-        raise ConfigError("the export does not say what its actions mean (episode_metadata/action_semantics)")
+        raise ConfigError("the export does not state its action semantics (episode_metadata/action_semantics)")
     return from_json(said, ActionSemantics, source="episode_metadata/action_semantics")

@@ -129,9 +129,9 @@ def test_an_interrupted_training_ends_in_the_same_bits(trained, tmp_path):
 
 
 def test_another_configuration_or_data_set_is_not_resumed(trained):
-    with pytest.raises(ConfigError, match=r"of another configuration \(seed: 0 there, 1 asked\); choose"):
+    with pytest.raises(ConfigError, match=r"of another configuration \(seed: 0 stored, 1 requested\); choose"):
         Trainer(data(), replace(CONFIG, seed=1), trained[0])
-    with pytest.raises(ConfigError, match="of another data set; choose"):
+    with pytest.raises(ConfigError, match="of another dataset; choose"):
         Trainer(data(20), CONFIG, trained[0])
     with pytest.raises(ConfigError, match="exists"):
         Trainer(data(), CONFIG, trained[0], resume=False)

@@ -165,7 +165,7 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
         (["--policy", "mine.py:Mien"], "no policy class 'Mien'.*did you mean 'Mine'"),
         (["--policy", "mine.py"], "unknown policy 'mine.py'.*mine.py:CLASS"),
         (["--policy", "random", "--option", "scael=1"], "does not take these arguments.*scale"),
-        (["--policy", "random", "--option", "scale=2"], "scale is the part of the action limits"),
+        (["--policy", "random", "--option", "scale=2"], "scale is the fraction of the action limits"),
         (["--policy", "replay", "--option", "source=absent.npz"], "no such.*absent.npz"),
         (["--policy", "random", "--option", "other.scale=1"], "no policy 'other'"),
         (["--policy", "bc"], "needs --checkpoint"),

@@ -40,7 +40,10 @@ def test_another_configuration_is_refused_by_key(tmp_path):
         folder.append(result(0))  # from now on there is something to lose
     with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 9}) as folder:
         assert folder.config()["episodes"] == 9
-    with pytest.raises(ConfigError, match="seed: 0 there, 1 asked"), RunFolder(tmp_path / "run").opened({"seed": 1}):
+    with (
+        pytest.raises(ConfigError, match="seed: 0 stored, 1 requested"),
+        RunFolder(tmp_path / "run").opened({"seed": 1}),
+    ):
         pass
 
 
@@ -49,7 +52,7 @@ def test_another_command_or_a_folder_without_a_success_is_told_apart(tmp_path):
     with RunFolder(tmp_path / "run").opened({"purpose": "demo", "skill": "rotate"}) as folder:
         folder.append(failed)
     with (
-        pytest.raises(ConfigError, match=r'skill: "rotate" there.*none of its 1 episodes succeeded: remove it'),
+        pytest.raises(ConfigError, match=r'skill: "rotate" stored.*none of its 1 episodes succeeded: remove it'),
         RunFolder(tmp_path / "run").opened({"purpose": "demo", "skill": "pick_up"}),
     ):
         pass

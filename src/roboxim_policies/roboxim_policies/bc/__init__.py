@@ -1,4 +1,4 @@
 """Behaviour cloning: a small network, its training from an RLDS export, and the policy that runs it.
 
-JAX is imported by `network`, `train`, `checkpoint` and `policy` only; `config` and `data` do without.
+Only `network`, `train`, `checkpoint` and `policy` import JAX; `config` and `data` do not.
 """

@@ -1,7 +1,7 @@
-"""Checkpoints: one file, written whole or not at all, without pickles.
+"""Checkpoints: one file, written atomically, without pickles.
 
-A ``.npz`` of the arrays and a JSON text that says all the policy needs: configuration, cameras and their sizes,
-vocabulary, normalisation, action semantics.
+The file is a ``.npz`` with the arrays and a JSON text that describes everything else that the policy needs:
+configuration, cameras and their sizes, vocabulary, normalisation, action semantics.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ Floats = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Statistics:
-    """How inputs and outputs are normalised; measured on the training data."""
+    """Normalisation of inputs and outputs, measured on the training data."""
 
     proprio_mean: Floats
     """Mean of the proprioception."""
     proprio_scale: Floats
     """Its standard deviation."""
     motion_scale: Floats
-    """Root mean square of each component of the motion; 0 for one that never moves."""
+    """Root mean square of each component of the motion; 0 for a component that is always 0."""
     target_mean: Floats
     """Mean of the auxiliary targets."""
     target_scale: Floats
@@ -51,7 +51,7 @@ class Statistics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
-    """A checkpoint as read."""
+    """Content of a checkpoint."""
 
     step: int
     """Steps done."""
@@ -70,7 +70,7 @@ class Checkpoint:
     semantics: ActionSemantics
     """Meaning of the actions."""
     robot: str
-    """Id of the robot model that demonstrated; empty where nothing said so."""
+    """Id of the robot model of the demonstrations; empty: unknown."""
     identity: str
     """Hash of configuration and data."""
     digest: str
@@ -80,7 +80,7 @@ class Checkpoint:
 
     @staticmethod
     def identity_of(config: BCConfig, data: Demonstrations) -> str:
-        """Hash what a training is a function of: its configuration and its data."""
+        """Return the hash of a training's configuration and data, which determine its result."""
         content = hashlib.blake2b(digest_size=8)
         for name, images in sorted(data.images.items()):
             content.update(f"{name}{images.shape}".encode())
@@ -98,22 +98,24 @@ class Checkpoint:
         """
         leaves, structure = jax.tree.flatten(state)
         if [np.shape(leaf) for leaf in leaves] != [array.shape for array in self.arrays]:
-            raise ConfigError("the checkpoint's arrays do not fit its configuration; it is of another version")
+            raise ConfigError(
+                "the checkpoint's arrays do not fit its configuration; another version of RoboXim wrote it"
+            )
         return jax.tree.unflatten(structure, [jax.numpy.asarray(array) for array in self.arrays])
 
 
 def save_checkpoint(
     path: Path, state: Any, *, step: int, config: BCConfig, data: Demonstrations, stats: Statistics
 ) -> None:
-    """Write a checkpoint: to a file beside it, then renamed, so that ``path`` is always whole.
+    """Write a checkpoint to a temporary file and rename it, so that ``path`` is always complete.
 
     Args:
-        path: Where to.
+        path: File to write.
         state: Tree of (weights, optimiser state, averaged weights); the weights are vectors.
-        step: Steps done.
-        config: Configuration.
+        step: Number of completed steps.
+        config: Configuration of the training.
         data: The training data.
-        stats: Its normalisation.
+        stats: Normalisation of the data.
 
     Raises:
         OSError: When the disk is full.

@@ -1,4 +1,4 @@
-"""Reads what a checkpoint says of itself, without JAX: for whoever only asks what it is of."""
+"""Reads the description in a checkpoint without JAX, for callers that do not need the weights."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from roboxim_core.proprioception import STATE_NAMES
 FORMAT = 2
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-"""What reading a damaged checkpoint raises."""
+"""Exceptions that reading a damaged checkpoint raises."""
 
 
 def checkpoint_file(path: Path) -> Path:
-    """Return the file of a checkpoint that is named by itself or by the folder of its training."""
+    """Return the file of a checkpoint, given the file or the folder of its training."""
     return path / "checkpoint.npz" if path.is_dir() else path
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Return what a checkpoint says of itself, as `roboxim_policies.bc.checkpoint.save_checkpoint` has written it.
+    """Return the description in a checkpoint, as written by `roboxim_policies.bc.checkpoint.save_checkpoint`.
 
     Args:
         path: The file, or the folder of a training.

@@ -1,4 +1,4 @@
-"""What can be chosen about behaviour cloning."""
+"""Configuration of behaviour cloning."""
 
 from __future__ import annotations
 
@@ -16,40 +16,41 @@ class BCConfig:
     batch: int = 64
     """Samples per step."""
     learning_rate: float = 1e-3
-    """Peak of the learning rate; linear warm-up, then cosine decay to 2 % of it."""
+    """Peak learning rate; the schedule is a linear warm-up, then a cosine decay to 2 % of the peak."""
     warmup_steps: int = 100
     """Steps of warm-up."""
     weight_decay: float = 1e-4
     """Decoupled weight decay of AdamW."""
     ema_decay: float = 0.995
-    """Decay of the weights' moving average, which is what the policy runs."""
+    """Decay of the weights' moving average; the policy uses the averaged weights."""
     seed: int = 0
     """Seed of initial weights, data order and augmentation."""
     image_sizes: dict[str, int] | None = None
-    """Camera name to the side [px] of the square that the network sees, a multiple of 8; none: 96 for every camera of
-    the data set, 64 for one whose name has ``wrist`` in it. Cameras left out are not used."""
+    """Camera name to the side [px] of the network's square input, a multiple of 8. Cameras left out are not used. None:
+    all cameras of the dataset, with 64 for names that contain ``wrist`` and 96 for others."""
     chunk: int = 8
     """Actions predicted per observation."""
     execute: int = 4
-    """Actions executed before the policy looks again, 1..``chunk``."""
+    """Actions executed per observation, 1..``chunk``."""
     channels: int = 48
-    """Channels of the convolutions; the first has two thirds of it."""
+    """Channels of the convolutions; the first convolution has two thirds of this number."""
     keypoints: int = 32
-    """Points that each camera's features are reduced to."""
+    """Number of points that the features of each camera are reduced to."""
     hidden: int = 256
     """Width of the fully connected layers."""
     word_size: int = 16
     """Length of a word's learned embedding."""
     target_weight: float = 1.0
-    """Weight of the auxiliary task: where the gripper is at its next opening or closing, from the demonstrations' own
-    proprioception."""
+    """Loss weight of the auxiliary task: predict the gripper's pose at its next opening or closing, which is taken from
+    the demonstrations' proprioception."""
     gripper_weight: float = 0.2
-    """Weight of the gripper's cross entropy."""
+    """Loss weight of the gripper's cross entropy."""
     position_noise_m: float = 0.003
-    """Standard deviation of noise on the position input [m]: the images, not the arm, shall say where to go."""
+    """Standard deviation of noise on the position input [m], so that the network relies on images rather than on the
+    arm's position."""
     opening_noise: float = 0.3
-    """Noise on the gripper's opening as an input, relative to how far it is closed: an object that is grasped askew is
-    wider than any in the demonstrations, and must still be known as grasped."""
+    """Noise on the gripper opening as an input, relative to how far the gripper is closed. An object that is grasped
+    askew is wider than any in the demonstrations, and the network must still recognise it as grasped."""
     brightness: float = 0.15
     """Largest relative change of an image's brightness in training."""
     shift_px: int = 0
@@ -61,7 +62,7 @@ class BCConfig:
         """Check the ranges.
 
         Raises:
-            ConfigError: On a value that cannot be trained with.
+            ConfigError: On a value out of range.
         """
         counts = ("steps", "batch", "chunk", "execute", "channels", "keypoints", "hidden", "word_size")
         for name in (*counts, "checkpoint_every"):

@@ -1,6 +1,6 @@
-"""Demonstrations in memory: images at the network's size, proprioception, actions, and what is learned from them.
+"""Demonstrations in memory: images at the network's size, proprioception, actions, and training targets.
 
-The images stay uint8; everything else is small. All arrays run over the steps of all episodes, one after another.
+Images stay uint8; everything else is small. All arrays contain the steps of all episodes, one episode after another.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Ints = npt.NDArray[np.int32]
 Images = npt.NDArray[np.uint8]
 
 IMAGE_KEYS = {"image": "workspace", "wrist_image": "wrist"}
-"""Image key of an export to camera name, where the export does not say itself."""
+"""Image key of an export to camera name, for exports that do not name the camera."""
 PROPRIO_SIZE = 6
-"""What the network gets of the proprioception, see `proprio_features`."""
+"""Number of proprioception features that the network receives, see `proprio_features`."""
 TARGET_SIZE = 5
-"""What the auxiliary task predicts, see `_targets`."""
+"""Number of values that the auxiliary task predicts, see `_targets`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ class Demonstration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Demonstrations:
-    """All steps of a data set, N in all."""
+    """All steps of a dataset, N in total."""
 
     images: dict[str, Images]
     """Camera name to uint8 images, shape (N, side, side, 3)."""
@@ -56,11 +56,11 @@ class Demonstrations:
     actions: Floats
     """Shape (N, 7)."""
     ends: Ints
-    """For each step the index of its episode's last step."""
+    """For each step, the index of its episode's last step."""
     words: Ints
-    """For each step the indices of its instruction's words, padded with 0, shape (N, longest)."""
+    """For each step, the indices of its instruction's words, padded with 0, shape (N, longest)."""
     targets: Floats
-    """For each step what the auxiliary task predicts, shape (N, `TARGET_SIZE`)."""
+    """For each step, the target of the auxiliary task, shape (N, `TARGET_SIZE`)."""
     vocabulary: tuple[str, ...]
     """Words of the instructions; word i has index i + 1, index 0 is padding and unknown words."""
     camera_sizes: dict[str, tuple[int, int]]
@@ -70,7 +70,7 @@ class Demonstrations:
     episodes: int
     """Number of episodes."""
     robot: str = ""
-    """Id of the robot model that demonstrated; empty where the data set does not say."""
+    """Id of the robot model of the demonstrations; empty: unknown."""
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -83,16 +83,16 @@ def split_words(instruction: str) -> list[str]:
 
 
 def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> Ints:
-    """Return the indices of an instruction's known words, padded with 0 to a length."""
+    """Return the indices of an instruction's known words, padded with 0 to a given length."""
     index = {word: i + 1 for i, word in enumerate(vocabulary)}
     known = [index[word] for word in split_words(instruction) if word in index][:length]
     return np.array(known + [0] * (length - len(known)), np.int32)
 
 
 def proprio_features(proprio: Floats) -> Floats:
-    """Reduce proprioception to what the network sees: position, gripper opening, twice the yaw.
+    """Reduce proprioception to the network's features: position, gripper opening, sine and cosine of twice the yaw.
 
-    A parallel gripper is the same after half a turn, hence sine and cosine of twice the angle.
+    The angle is doubled because a parallel gripper is symmetric under half a turn.
 
     Args:
         proprio: Shape (..., 10): `roboxim_core.proprioception.STATE_NAMES`.
@@ -106,7 +106,7 @@ def proprio_features(proprio: Floats) -> Floats:
 
 
 def default_sizes(cameras: Iterable[str]) -> dict[str, int]:
-    """Return the side of the network's input by camera when nothing is configured."""
+    """Return the default side of the network's input [px] by camera."""
     return {name: 64 if "wrist" in name else 96 for name in cameras}
 
 
@@ -117,16 +117,16 @@ def assemble(
     semantics: ActionSemantics,
     robot: str = "",
 ) -> Demonstrations:
-    """Put demonstrations together.
+    """Combine demonstrations.
 
     Args:
-        episodes: At least one, all with the same cameras.
+        episodes: At least one; all must have the same cameras.
         camera_sizes: Camera name to (width, height) before resizing [px].
         semantics: Meaning of the actions.
         robot: Id of the robot model; empty: unknown.
 
     Raises:
-        ConfigError: When there is none.
+        ConfigError: When there are no episodes.
     """
     kept = [episode for episode in episodes if len(episode.actions)]
     if not kept:
@@ -153,10 +153,10 @@ def assemble(
 
 
 def _targets(features: Floats, actions: Floats) -> Floats:
-    """Return, per step, where the gripper is at its next event, relative to where it is now.
+    """Return, for each step, the gripper's pose at its next event, relative to its present pose.
 
-    Events are its openings and closings and the end. A demonstration shows there what it was about: where the object
-    is, where it goes. Predicting that from every earlier image teaches the network to look there.
+    Events are the openings and closings of the gripper and the end of the episode. The gripper's pose at an event shows
+    where the object is or where it goes. Predicting it from every earlier image teaches the network to look there.
 
     Returns:
         Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5).
@@ -180,13 +180,13 @@ def load_rlds(
 
     Args:
         path: Folder of the export.
-        image_sizes: Camera name to the side of the network's input [px]; none: `default_sizes`.
+        image_sizes: Camera name to the side of the network's input [px]; None: `default_sizes`.
         split: ``train`` or ``val``.
-        limit: Read at most so many episodes; 0: all.
-        progress: Called with (episodes read, episodes in all).
+        limit: Largest number of episodes to read; 0: all.
+        progress: Called with (episodes read, total episodes).
 
     Raises:
-        ConfigError: When a camera is not in the export, or episodes differ in their actions' meaning or their robot.
+        ConfigError: When a camera is not in the export, or episodes differ in their action semantics or their robot.
         RecorderError: When the export is missing or damaged.
     """
     reader = RldsReader(path)
@@ -228,7 +228,7 @@ def load_rlds(
 
 
 def _cameras(episode: RldsEpisode) -> dict[str, str]:
-    """Return camera name to image key: as the export says, or by the usual names."""
+    """Return camera name to image key, as named in the export or else by the usual names."""
     said = episode.metadata.get("cameras")
     names = dict(json.loads(said)) if isinstance(said, str) else {}
     return {str(names.get(key, IMAGE_KEYS.get(key, key))): key for key in episode.images}

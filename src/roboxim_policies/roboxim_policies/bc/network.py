@@ -1,9 +1,10 @@
-"""The network of behaviour cloning: small enough for minutes of training on two CPU cores.
+"""The network of behaviour cloning: small enough to train in minutes on two CPU cores.
 
-Each camera's image goes through three convolutions, of which the instruction scales and shifts the channels (FiLM), and
-is reduced to the image coordinates of a few learned points (spatial softmax): where things are, not what all looks
-like. A first head predicts where the gripper will be at its next event, an auxiliary task that makes the points follow
-the object that the instruction names; a second head gets that prediction too and outputs a chunk of actions.
+Each camera's image passes three convolutions whose channels the instruction scales and shifts (FiLM). It is then
+reduced to the image coordinates of a few learned points (spatial softmax), which keep the positions of things and
+little of their appearance. A first head predicts the gripper's pose at its next event. This auxiliary task makes the
+points follow the object that the instruction names. A second head also receives that prediction and outputs a chunk of
+actions.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import PROPRIO_SIZE, TARGET_SIZE
 
 PATCH = 4
-"""Side of the patches that the first layer works on [px]."""
+"""Side of the image patches that are the inputs of the first layer [px]."""
 POINT_VALUES = 2
-"""Learned values per point besides its coordinates."""
+"""Number of learned values per point, in addition to its coordinates."""
 
 
 def _he(rng: np.random.Generator, shape: tuple[int, ...], scale: float = 1.0) -> Array:
-    """Draw weights; with NumPy, because compiling JAX's generator for every shape takes seconds."""
+    """Draw initial weights. Uses NumPy, because compiling JAX's generator for every shape takes seconds."""
     deviation = scale * math.sqrt(2.0 / math.prod(shape[:-1]))
     return jnp.asarray(rng.normal(scale=deviation, size=shape), jnp.float32)
 
@@ -60,10 +61,11 @@ class Dense(eqx.Module):
 
 
 class Encoder(eqx.Module):
-    """An image to points: shape (B, side, side, 3) to (B, (2 + `POINT_VALUES`) * keypoints).
+    """Encoder of an image as points: shape (B, side, side, 3) to (B, (2 + `POINT_VALUES`) * keypoints).
 
-    Non-obvious: the first layer works on patches of 4x4 pixels laid out as channels, which costs a CPU half of a
-    strided convolution. The grid of the last one is coarse, so each of its cells also says where in it the point lies.
+    Note: the first layer works on patches of 4x4 pixels laid out as channels, which takes half the CPU time of a
+    strided convolution. The grid of the last layer is coarse, so each cell also predicts the position of the point
+    inside it.
     """
 
     kernels: list[Array]
@@ -109,18 +111,18 @@ class Encoder(eqx.Module):
 
 
 class Prediction(eqx.Module):
-    """What the network says, all normalised: see `train.Statistics`."""
+    """Output of the network, normalised by `checkpoint.Statistics`."""
 
     motion: Array
     """Translations and rotations, shape (B, chunk, 6)."""
     gripper: Array
     """Logit of "open", shape (B, chunk)."""
     target: Array
-    """Where the gripper is at its next event, shape (B, `TARGET_SIZE`)."""
+    """Relative pose of the gripper at its next event, shape (B, `TARGET_SIZE`)."""
 
 
 class Network(eqx.Module):
-    """Images, proprioception and an instruction's words to a chunk of actions."""
+    """Network from images, proprioception and the instruction's words to a chunk of actions."""
 
     words: Array
     encoders: dict[str, Encoder]
@@ -139,7 +141,7 @@ class Network(eqx.Module):
             config: Sizes.
             cameras: Names of the cameras.
             vocabulary: Number of words.
-            rng: Where the weights come from.
+            rng: Source of the initial weights.
         """
         self.words = jnp.asarray(rng.normal(size=(vocabulary + 1, config.word_size)), jnp.float32)
         self.encoders = {name: Encoder(config, rng=rng) for name in sorted(cameras)}
@@ -153,7 +155,7 @@ class Network(eqx.Module):
         self.chunk = config.chunk
 
     def __call__(self, images: dict[str, Array], proprio: Array, words: Array) -> Prediction:
-        """Predict.
+        """Predict a chunk of actions and the gripper's pose at its next event.
 
         Args:
             images: Camera name to values -0.5..0.5, shape (B, side, side, 3).
@@ -186,8 +188,8 @@ def make_network(
         seed: Seed of the weights.
 
     Returns:
-        The weights as one vector, which an optimiser's step handles in one piece, and the function that makes a
-        network of such a vector.
+        The weights as one vector, so that an optimiser step is a single operation, and a function that makes a network
+        from such a vector.
     """
     network = Network(config, cameras, vocabulary, rng=np.random.default_rng(seed))
     return ravel_pytree(network)

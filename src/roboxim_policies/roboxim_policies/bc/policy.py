@@ -1,4 +1,4 @@
-"""Runs a trained checkpoint behind the policy interface."""
+"""The policy that runs a trained checkpoint."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from roboxim_policies.bc.network import Prediction, make_network
 class BCPolicy(BasePolicy):
     """A behaviour-cloning policy from a checkpoint.
 
-    Non-obvious: it asks for the image sizes of its training data and reduces them itself, the way its training did; an
-    image rendered smaller has other pixels. The network is compiled when it is loaded, so that the first action is not
-    late. Words that the training data never had are ignored.
+    Note: it requires images at the size of its training data and resizes them as the training did, because an image
+    rendered at a smaller size has different pixels. The network is compiled when it is loaded, so that the first action
+    is not late. Words that do not occur in the training data are ignored.
     """
 
     name = "bc"
 
     def __init__(self, checkpoint: str | Path, *, execute: int = 0) -> None:
-        """Load a checkpoint and compile.
+        """Load a checkpoint and compile the network.
 
         Args:
             checkpoint: Checkpoint file, or the folder of a training.
-            execute: Actions executed per request; 0: as it was configured.
+            execute: Actions executed per request; 0: the checkpoint's configuration.
 
         Raises:
             ConfigError: When the checkpoint cannot be used.
@@ -53,7 +53,9 @@ class BCPolicy(BasePolicy):
         weights, network_of = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
         averaged = said.arrays[-1]
         if weights.shape != averaged.shape:
-            raise ConfigError(f"{checkpoint}: its weights do not fit its configuration; it is of another version")
+            raise ConfigError(
+                f"{checkpoint}: its weights do not fit its configuration; another version of RoboXim wrote it"
+            )
         network = network_of(jnp.asarray(averaged))
         self._predict = jax.jit(lambda *inputs: network(*inputs))
         self._words = self._encode("")

@@ -1,7 +1,8 @@
-"""Training of the behaviour-cloning network: deterministic for a seed, interruptible at any step, resumed exactly.
+"""Training of the behaviour-cloning network: deterministic for a seed, interruptible at any step, exactly resumable.
 
-Everything random is a function of (seed, step): the order of the samples and the augmentation. So a checkpoint needs
-the weights, the optimiser's state and the step, and a resumed training ends in the same bits as one that never stopped.
+Everything random (the order of the samples, the augmentation) is a function of (seed, step). A checkpoint therefore
+needs only the weights, the optimiser's state and the step, and a resumed training gives the same bits as an
+uninterrupted one.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ CHECKPOINT = "checkpoint.npz"
 
 @dataclass(frozen=True, kw_only=True)
 class TrainProgress:
-    """How training stands, for a progress bar."""
+    """Progress of a training, for a progress bar."""
 
     step: int
     """Steps done."""
@@ -45,15 +46,15 @@ class TrainProgress:
     parts: dict[str, float]
     """The loss's parts."""
     steps_per_s: float
-    """Speed since this start, without compiling [1/s]."""
+    """Steps per second since this start, compilation excluded [1/s]."""
     eta_s: float
     """Expected time to the end [s]."""
 
 
 def statistics(data: Demonstrations) -> Statistics:
-    """Measure how to normalise inputs and outputs.
+    """Measure the normalisation of inputs and outputs.
 
-    A component of the actions that never moves gets scale 0, so that the policy outputs exactly 0 instead of noise.
+    A component of the actions that is always 0 gets scale 0, so that the policy outputs exactly 0 instead of noise.
     """
     motion = data.actions[:, :6].astype(np.float64)
     scale = np.sqrt(np.mean(motion**2, axis=0))
@@ -67,26 +68,27 @@ def statistics(data: Demonstrations) -> Statistics:
 
 
 class Trainer:
-    """Trains on demonstrations in memory; `run` may be interrupted and called again."""
+    """Trainer on demonstrations in memory; `run` may be interrupted and called again."""
 
     def __init__(self, data: Demonstrations, config: BCConfig, out: Path, *, resume: bool = True) -> None:
-        """Prepare, or go on from the folder's checkpoint.
+        """Prepare a training, or continue from the folder's checkpoint.
 
         Args:
             data: The demonstrations.
             config: Network and training.
             out: Folder for the checkpoint.
-            resume: Whether to go on from a checkpoint that is there.
+            resume: Whether to continue from an existing checkpoint.
 
         Raises:
-            ConfigError: When a checkpoint is there and not to be resumed, or belongs to another configuration or data.
+            ConfigError: When a checkpoint exists and ``resume`` is False, or the checkpoint belongs to another
+                configuration or dataset.
         """
         self.data, self.config, self.out = data, config, out
         self.path = out / CHECKPOINT
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
         weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
-        # State and step are one value, so that an interruption never falls between them.
+        # State and step are one value, so that an interruption cannot separate them.
         self._at: tuple[Any, int] = ((weights, _optimizer(config).init(weights), weights), 0)
         if self.path.exists():
             self._resume(resume)
@@ -98,19 +100,19 @@ class Trainer:
             raise ConfigError(f"{self.path} exists; resume it or choose another folder")
         found = load_checkpoint(self.path)
         if found.identity != self._identity():
-            told = differences(to_plain(found.config), to_plain(self.config), ignore=("checkpoint_every",))
-            other = [f"another configuration ({told})"] if told else []
+            changes = differences(to_plain(found.config), to_plain(self.config), ignore=("checkpoint_every",))
+            other = [f"another configuration ({changes})"] if changes else []
             if found.identity.rpartition("-")[2] != self._identity().rpartition("-")[2]:
-                other.append("another data set")
+                other.append("another dataset")
             raise ConfigError(
                 f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
-                "choose another --out, or ask for the same to go on with it"
+                "choose another --out, or continue with the same configuration and dataset"
             )
         self._at = found.restore(self._at[0]), found.step
 
     @property
     def step(self) -> int:
-        """Steps done."""
+        """Number of completed steps."""
         return self._at[1]
 
     def _identity(self) -> str:
@@ -120,8 +122,8 @@ class Trainer:
         """Train to the end; on any exception (Ctrl-C included) save a checkpoint first.
 
         Args:
-            progress: Called about once a second of work.
-            until: Stop after this step; 0: at the configured end.
+            progress: Called about once per second.
+            until: Stop after this step; 0: run to the configured end.
 
         Returns:
             The checkpoint's path.
@@ -133,7 +135,7 @@ class Trainer:
         try:
             while self.step < last:
                 parts = self._one_step()
-                if self.step == begun + 1:  # the first one compiles
+                if self.step == begun + 1:  # the first step compiles
                     parts["loss"].block_until_ready()
                     started, first = time.monotonic(), self.step
                 recent.append(parts)
@@ -156,7 +158,7 @@ class Trainer:
         return parts
 
     def _batch_indices(self, step: int) -> np.ndarray[Any, Any]:
-        """Return the samples of a step: consecutive pieces of a shuffle per epoch."""
+        """Return the sample indices of a step: consecutive slices of one shuffle per epoch."""
         batch = min(self.config.batch, len(self.data))
         per_epoch = len(self.data) // batch
         epoch, piece = divmod(step, per_epoch)
@@ -180,7 +182,7 @@ class Trainer:
 
 @lru_cache(maxsize=4)
 def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[..., Any]:
-    """Return the compiled training step; one of the same shape is compiled once per process."""
+    """Return the compiled training step, compiled once per shape and process."""
     config = from_json(config_json, BCConfig)
     optimizer = _optimizer(config)
     _, network_of = make_network(config, cameras, vocabulary, config.seed)
@@ -240,7 +242,7 @@ class _Samples(eqx.Module):
         )
 
     def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> Any:
-        """Return a batch's augmented inputs and what is wanted of them."""
+        """Return a batch's augmented inputs and their targets."""
         seen = {}
         for camera, images in self.images.items():
             pixels = images[batch].astype(jnp.float32) / 255.0
@@ -248,7 +250,7 @@ class _Samples(eqx.Module):
             seen[camera] = _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
         last = self.ends[batch][:, None]
         steps = batch[:, None] + jnp.arange(config.chunk)
-        inside = (steps <= last).astype(jnp.float32)  # after its end a demonstration stands still
+        inside = (steps <= last).astype(jnp.float32)  # after the end of a demonstration, the action is to hold still
         steps = jnp.minimum(steps, last)
         where = self.proprio[batch] + self.proprio_noise[batch] * draws["proprio"]
         wanted = (self.motion[steps] * inside[..., None], self.gripper[steps], self.targets[batch])
@@ -256,7 +258,7 @@ class _Samples(eqx.Module):
 
 
 def _augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
-    """Draw a step's augmentation: a function of seed and step."""
+    """Draw a step's augmentation, which is a function of seed and step."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
     draws: dict[str, np.ndarray[Any, Any]] = {"proprio": rng.normal(size=(batch, PROPRIO_SIZE))}
     for camera in cameras:
