@@ -1,9 +1,8 @@
-"""Coal's broad phases: moving shapes by links, made once for a robot, and bodies that rest, made for each scene.
+"""Coal's broad phases: moving shapes by link, built once per robot, and resting bodies, built once per scene.
 
-Pinocchio's own broad phase wants one geometry model with every pair in it; making its data takes longer than planning.
-Here the moving and the resting shapes each have a tree of boxes of their own, and a check is one tree against another.
-A `LinkGroup` owns its geometry model, data and tree together, because Pinocchio's are only valid as long as nobody adds
-geometry to one of them.
+Pinocchio's own broad phase needs one geometry model with every pair; creating its data takes longer than planning.
+Here the moving and the resting shapes have separate trees of boxes, and a check tests one tree against another. A
+`LinkGroup` owns its geometry model, data and tree together: adding geometry to the model would invalidate the others.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ Placed = tuple[coal.CollisionGeometry, Array]
 
 
 class LinkGroup:
-    """Shapes that move with the joints of a robot, and which of them are checked against each other."""
+    """Shapes that move with the joints of a robot, and the pairs among them that are checked."""
 
     def __init__(
         self, model: pin.Model, items: Iterable[pin.GeometryObject], pairs: Iterable[tuple[int, int]] = ()
@@ -31,7 +30,7 @@ class LinkGroup:
         Args:
             model: The robot.
             items: The shapes.
-            pairs: Those of them that may not touch, by index.
+            pairs: Pairs of shapes that may not touch, by index.
         """
         self._model = model
         self._geometry = pin.GeometryModel()
@@ -50,11 +49,11 @@ class LinkGroup:
         self._broad.update(False)
 
     def is_apart_at(self, data: pin.Data, configuration: Array) -> bool:
-        """Tell whether none of its pairs touches at a full configuration; leaves the joints' poses in ``data``."""
+        """Tell whether no pair of the group touches at a full configuration; leaves the joints' poses in ``data``."""
         return not pin.computeCollisions(self._model, data, self._broad, configuration, True)
 
     def is_apart_from(self, other: LinkGroup | BodyGroup) -> bool:
-        """Tell whether nothing of it touches anything of another group, both where they were last placed."""
+        """Tell whether the group touches no shape of another group, both where they were last placed."""
         self._callback.init()
         self._tree.collide(other.tree, self._callback)
         if self._callback.data.result.isCollision():
@@ -68,27 +67,31 @@ class LinkGroup:
 
     @property
     def tree(self) -> coal.DynamicAABBTreeCollisionManager:
-        """Its shapes."""
+        """Tree of the group's shapes."""
         return self._tree
 
     @property
     def flat_tree(self) -> None:
-        """Nothing: see `BodyGroup.flat_tree`."""
+        """Always None: links have no flat meshes; see `BodyGroup.flat_tree`."""
         return None
 
 
 class BodyGroup:
-    """Shapes that rest."""
+    """Resting shapes."""
 
     def __init__(self, placed: Sequence[Placed]) -> None:
-        """Build the trees."""
+        """Build the trees.
+
+        Args:
+            placed: The shapes with their poses in the robot's base.
+        """
         self._objects = [
             coal.CollisionObject(shape, coal.Transform3s(pose[:3, :3], pose[:3, 3])) for shape, pose in placed
         ]
         flat = [item for item, (shape, _) in zip(self._objects, placed, strict=True) if _is_flat_mesh(shape)]
         self.tree = _tree([item for item in self._objects if item not in flat] if flat else self._objects)
         self.flat_tree = _tree(flat) if flat else None
-        """Flat meshes, which coal's `collide` misses; their distance it knows."""
+        """Tree of the flat meshes: coal's `collide` misses them, its `distance` does not. None: there are none."""
 
 
 def _tree(items: list[coal.CollisionObject]) -> coal.DynamicAABBTreeCollisionManager:

@@ -1,9 +1,9 @@
-"""Straight-line motions of the tcp: position linear, rotation along the shortest arc, one speed law for both.
+"""Straight-line motions of the TCP: position linear, rotation along the shortest arc, one speed law for both.
 
-The joint path follows by continuing the inverse kinematics densely along the line; where that ends early, the arm's
-redundancy is searched for a way on. The motion is a smooth spline through it, driven by a one-degree-of-freedom Ruckig
-profile that is stretched in time until every joint limit holds. Stretching is exact: velocity, acceleration and jerk
-fall with the factor, its square and its cube.
+The joint path comes from inverse kinematics at dense places along the line, each started from the one before. Where
+that ends early, the arm's redundancy is searched for a continuation. The motion is a smooth spline through the joint
+path, driven by a one-degree-of-freedom Ruckig profile. The profile is stretched in time until every joint limit holds.
+Stretching is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ _LINE_RESOLUTION_M = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class LinePath:
-    """Joint path of a straight line of the tcp."""
+    """Joint path of a straight line of the TCP."""
 
     joints: Array
     """Arm configurations at evenly spaced places from the start to where the line could be followed, (N, dof) [rad]."""
     fraction: float
-    """Part of the line that they cover, 0..1."""
+    """Fraction of the line that the configurations cover, 0..1."""
     length_m: float
     """Length of the whole line [m]."""
     angle_rad: float
     """Angle that the whole line turns by [rad]."""
     reason: str = ""
-    """Why it ends early; empty when it does not."""
+    """Why the path ends early; empty if it covers the whole line."""
 
     def part(self, count: int) -> float:
-        """Return the part of the line that its first ``count`` configurations cover, 0..1."""
+        """Return the fraction of the line that the first ``count`` configurations cover, 0..1."""
         return self.fraction * (count - 1) / max(1, len(self.joints) - 1)
 
     def cut(self, count: int) -> LinePath:
@@ -62,7 +62,7 @@ def follow_line(robot: PlannerRobot, start: Array, target: Pose) -> LinePath:
     Args:
         robot: The robot.
         start: Arm configuration at the start, shape (dof,) [rad].
-        target: The tcp at the end of the line, in the robot's base.
+        target: The TCP at the end of the line, in the robot's base.
     """
     begin = robot.fk(start)
     length, angle = distance(begin, target)
@@ -86,14 +86,14 @@ def follow_line_widely(
 ) -> LinePath:
     """Follow a straight line, using the arm's redundancy to get past limits, singularities and obstacles.
 
-    At each place along the line many configurations are kept, each reached from one at the place before with the elbow
-    resting or swung a little to either side; the smoothest chain that gets farthest is returned.
+    At each place along the line many configurations are kept. Each is reached from one at the place before, with the
+    elbow unchanged or swung slightly to either side. Of the chains that get farthest the smoothest is returned.
 
     Args:
         robot: The robot.
         start: Arm configuration at the start, shape (dof,) [rad].
-        target: The tcp at the end of the line, in the robot's base.
-        world: What to avoid; none: collisions do not matter.
+        target: The TCP at the end of the line, in the robot's base.
+        world: Robot and obstacles; none: collisions are not checked.
         watch: Called at each place; ends the request by raising.
     """
     begin = robot.fk(start)
@@ -112,7 +112,7 @@ def follow_line_widely(
         k = layer[k].before
     joints = _smoothed(robot, np.array(chain[::-1]), poses, world)
     fraction = (len(joints) - 1) / (len(poses) - 1)
-    reason = "" if fraction == 1.0 else f"no way of the elbow goes on at {100.0 * fraction:.0f} % of the line"
+    reason = "" if fraction == 1.0 else f"no position of the elbow continues at {100.0 * fraction:.0f} % of the line"
     return LinePath(joints=joints, fraction=fraction, length_m=length, angle_rad=angle, reason=reason)
 
 
@@ -146,7 +146,7 @@ def _next_layer(robot: PlannerRobot, layer: list[_Knot], pose: Array, world: Col
 
 
 def _smoothed(robot: PlannerRobot, path: Array, poses: Array, world: CollisionWorld | None) -> Array:
-    """Draw each inner configuration to the middle of its neighbours, the tcp staying where it is."""
+    """Move each inner configuration towards the middle of its neighbours, without moving the TCP."""
     path = path.copy()
     for turn in range(_SMOOTHING):
         for i in range(1 + turn % 2, len(path) - 1, 2):
@@ -158,7 +158,7 @@ def _smoothed(robot: PlannerRobot, path: Array, poses: Array, world: CollisionWo
 
 
 def _near(robot: PlannerRobot, pose: Array, guess: Array) -> tuple[Array, float]:
-    """Return the configuration at a pose (4, 4) that descends from a guess, and by how much it misses it [m]."""
+    """Return the configuration that a descent from a guess reaches for a pose (4, 4), and its position error [m]."""
     guess = np.clip(guess, robot.lower, robot.upper)
     off = 0.0
     for arm in (robot.arm_within_limits, robot.arm):
@@ -198,7 +198,7 @@ def _why(robot: PlannerRobot, joints: Array, jump: float, error: float, fraction
 
 
 class LineMotion:
-    """Timed motion along a joint path whose places the tcp passes at an even spacing."""
+    """Timed motion along a joint path whose configurations are evenly spaced along the TCP's line."""
 
     def __init__(self, joints: Array, limits: MotionLimits, length_m: float, angle_rad: float) -> None:
         """Time the path.
@@ -206,10 +206,10 @@ class LineMotion:
         Args:
             joints: Arm configurations, shape (N, dof), N >= 2 [rad].
             limits: Limits.
-            length_m: Distance that the tcp covers along ``joints`` [m].
+            length_m: Distance that the TCP covers along ``joints`` [m].
             angle_rad: Angle that it turns by [rad].
         """
-        if len(joints) < 4:  # the same parabola or line by four places: its third derivative is asked for
+        if len(joints) < 4:  # the same line or parabola by four places, because its third derivative is needed
             few = make_interp_spline(np.linspace(0.0, 1.0, len(joints)), joints, k=len(joints) - 1)
             joints = few(np.linspace(0.0, 1.0, 4))
         knots = np.linspace(0.0, 1.0, len(joints))
@@ -222,7 +222,7 @@ class LineMotion:
             0.999 * limits.tcp_rot_speed / max(angle_rad, 1e-12),
         )
         acceleration, jerk = float((limits.acceleration / slope).min()), float((limits.jerk / slope).min())
-        for _ in range(5):  # once is enough but for what falls between the samples
+        for _ in range(5):  # one pass is enough, except for peaks between the samples
             self._set_law(*line_profile(1.0, 0.0, 0.0, speed, acceleration, jerk))
             factor = self._excess(limits)
             if factor <= 1.0:
@@ -235,7 +235,7 @@ class LineMotion:
         self._law = [law, *(law.derivative(k) for k in (1, 2, 3))]
 
     def _excess(self, limits: MotionLimits) -> float:
-        """Return by what factor time must be stretched for every limit to hold (<= 1: they hold)."""
+        """Return the factor by which time must be stretched for every limit to hold (<= 1: they hold)."""
         count = max(400, int(2000.0 * self.duration))
         breaks = self._law[0].x
         times = np.unique(np.concatenate([np.linspace(0.0, self.duration, count), breaks, breaks - 1e-9]))
@@ -265,7 +265,7 @@ class LineMotion:
 
 
 def time_line(path: LinePath, limits: MotionLimits) -> Motion:
-    """Return the timed motion along a followed line, or one that stays when it goes nowhere."""
+    """Return the timed motion along a followed line; a line of no length gives a motion that stays."""
     if len(path.joints) < 2 or float(np.abs(path.joints - path.joints[0]).max()) < 1e-9:
         return still(path.joints[0])
     return LineMotion(path.joints, limits, path.fraction * path.length_m, path.fraction * path.angle_rad)

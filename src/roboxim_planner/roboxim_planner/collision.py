@@ -1,6 +1,6 @@
 """Collision checks of states, edges and paths in the native kernel, on the exact convex shapes, also between states.
 
-The kernel's answers are those of coal (a test compares them); coal itself, slower from Python, says what touches.
+The kernel agrees with coal (a test compares them). coal is slower from Python; it is used to report what touches.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ __all__ = ["CollisionWorld", "ContactPair"]
 Array = npt.NDArray[np.float64]
 SEARCH_RESOLUTION_M = 0.01
 EXACT_RESOLUTION_M = 2.5e-4
-SELF_MARGIN_M = 2e-3  # that the arm keeps from itself while searching, where its ends do
-_HALVINGS = 5  # of a blend that is not free
-TOUCH_M = 5e-6  # exact distances of hulls differ by less between the native kernel and coal
+SELF_MARGIN_M = 2e-3  # distance that a search keeps between parts of the arm, where start and goals allow it
+_HALVINGS = 5  # how often a blend that is not free is halved
+TOUCH_M = 5e-6  # the native kernel and coal differ by less in exact distances of hulls
 _PLAIN = ("box", "sphere", "cylinder", "capsule")
 
 
 class CollisionWorld:
-    """The robot among the bodies of one scene. Serves one thread."""
+    """The robot among the bodies of one scene. Not thread-safe."""
 
     def __init__(
         self, robot: PlannerRobot, scene: PlanningScene, *, padding: float = 0.0, upright: Upright | None = None
@@ -42,12 +42,12 @@ class CollisionWorld:
 
         Args:
             robot: The robot.
-            scene: What is around it.
+            scene: The bodies around it.
             padding: Distance from obstacles at or below which the arm counts as touching them [m].
-            upright: What the tool must keep to for a state to count as free; none: nothing.
+            upright: Path constraint on the tool that a free state must satisfy; none: unconstrained.
 
         Raises:
-            InvalidRequestError: On a hull without volume or an allowed contact of an unknown name.
+            InvalidRequestError: On a hull without volume or an unknown name in an allowed contact.
         """
         self.robot = robot
         self.scene = scene
@@ -71,13 +71,14 @@ class CollisionWorld:
         return other
 
     def eased(self, padding: float, states: Array) -> CollisionWorld:
-        """Return the same world with a padding that some states keep: for a pair that is near in one of them, less.
+        """Return the same world with a padding that the given states keep: less for a pair that is near in one of them.
 
-        A path that is free in it touches nothing, because a pair's margin is also the motion below which a state stands
-        for what is around it (but for pairs whose margin is less than the resolution that a check names).
+        A free path in the eased world touches nothing, because a pair's margin is also its resolution: the motion below
+        which a free state stands for its surroundings. Exceptions are pairs with a smaller margin than the resolution
+        that a check asks for.
 
         Args:
-            padding: Distance from obstacles at or below which the arm counts as touching them, where it can be [m].
+            padding: Distance from obstacles at or below which the arm counts as touching, if the states allow it [m].
             states: Arm configurations that touch nothing, shape (N, dof) [rad].
         """
         world = self.padded(padding)
@@ -87,7 +88,7 @@ class CollisionWorld:
         return world
 
     def margins(self, resolution: float) -> native.Margins:
-        """Return what the native kernel is asked for at a resolution [m]."""
+        """Return the margins of a check at a resolution [m]."""
         known = self._margins.get(resolution)
         if known is None:
             if self._eased is None:
@@ -131,7 +132,7 @@ class CollisionWorld:
         return native.World(robot.arm, items, obstacles, _flat(item_pairs), _flat(obstacle_pairs))
 
     def _partners(self, names: list[str], others: list[str]) -> Iterator[tuple[int, list[int]]]:
-        """Yield the index of each name with the indices of the others that it may not touch."""
+        """Yield the index of each name with the indices of the others that it must not touch."""
         found: dict[str, list[int]] = {}
         for i, name in enumerate(names):
             if name not in found:
@@ -140,13 +141,13 @@ class CollisionWorld:
 
     @property
     def coal(self) -> ContactModel:
-        """The same scene in coal; built when first needed."""
+        """The same scene in coal; built on first use."""
         if not self._coal:
             self._coal.append(ContactModel(self.robot, self.scene, self._rules, self._placed))
         return self._coal[0]
 
     def contacts(self, joints: npt.ArrayLike) -> tuple[ContactPair, ...]:
-        """Return every pair that touches at an arm configuration, deepest first, one per pair of names."""
+        """Return the pairs that touch at an arm configuration, deepest first, one per pair of names."""
         return self.coal.contacts(np.asarray(joints, dtype=float), self.padding)
 
     def is_free(self, joints: npt.ArrayLike) -> bool:
@@ -159,7 +160,7 @@ class CollisionWorld:
         Args:
             start: Arm configuration, shape (dof,) [rad].
             end: Arm configuration.
-            resolution: Motion below which a free state stands for what is around it [m].
+            resolution: Motion below which a free state stands for its surroundings [m].
         """
         return self.native.path_is_free(np.array([start, end]), self.margins(resolution))
 
@@ -172,7 +173,7 @@ class CollisionWorld:
         return self.native.path_is_free(path, self.margins(resolution))
 
     def blends(self, path: npt.ArrayLike, largest: float, resolution: float = SEARCH_RESOLUTION_M) -> Array:
-        """Return how far from each inner waypoint of a polyline its corner may be blended, see `timing.blend_points`.
+        """Return the distance from each inner waypoint at which its blend may begin; see `timing.blend_points`.
 
         Args:
             path: Waypoints, shape (N, dof) [rad].
@@ -185,7 +186,7 @@ class CollisionWorld:
         return self.native.blends(path, largest, _HALVINGS, self.margins(resolution))
 
     def first_hit(self, path: npt.ArrayLike, resolution: float = EXACT_RESOLUTION_M) -> float:
-        """Return where a polyline first collides, in units of its points, e.g. 1.5; negative: nowhere."""
+        """Return where a polyline first collides; 1.5 is midway between points 1 and 2; negative: it does not."""
         return self.native.first_hit(path, self.margins(resolution))
 
     def is_proven(self, path: npt.ArrayLike) -> bool:
@@ -199,8 +200,8 @@ class CollisionWorld:
     def first_collision(self, path: npt.ArrayLike) -> int:
         """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1.
 
-        Keeping the resolution's distance proves a path, also between the places looked at. Where a path does not keep
-        it, it is looked at again, as finely as distances are exact.
+        A path that keeps a distance equal to the resolution is proven, also between the checked places. A path that
+        does not is checked again at the resolution at which distances are exact (`TOUCH_M`).
         """
         points = np.asarray(path, dtype=float)
         hit = -1.0
@@ -211,7 +212,7 @@ class CollisionWorld:
         return math.ceil(hit - 1e-9)
 
     def tilt(self, joints: npt.ArrayLike) -> float:
-        """Return by how much the tool is tilted at a state [rad]; 0 where it need not be upright."""
+        """Return the tilt of the tool at a state [rad]; 0 without a constraint."""
         return 0.0 if self.upright is None else self.native.tilt(np.asarray(joints, dtype=float))
 
     def clearance(self, joints: npt.ArrayLike, cap: float = 10.0) -> float:
@@ -219,7 +220,7 @@ class CollisionWorld:
         return self.native.clearance(np.asarray(joints, dtype=float), cap)
 
     def free_states(self, states: Iterable[Array]) -> list[Array]:
-        """Return those of some arm configurations that touch nothing."""
+        """Return the arm configurations that touch nothing, at `SEARCH_RESOLUTION_M`."""
         candidates = np.array(list(states))
         if not len(candidates):
             return []
@@ -244,13 +245,13 @@ def _solid(part: BodyShape) -> tuple[str, Array]:
 
 @lru_cache(maxsize=256)
 def _part_poses(shapes: tuple[BodyShape, ...]) -> Array:
-    """Return where a body's parts are in the body, shape (N, 4, 4)."""
+    """Return the poses of a body's parts in the body's frame, shape (N, 4, 4)."""
     return np.array([pose_matrix(part.pose) for part in shapes])
 
 
 @lru_cache(maxsize=256)
 def _parts(shapes: tuple[BodyShape, ...]) -> tuple[Callable[[Array], native.Obstacle], ...]:
-    """Return what makes obstacles of a body's parts from their poses."""
+    """Return, for each part of a body, a function that turns the part's pose into an obstacle."""
     return tuple(
         partial(native.Obstacle, native.Mesh(np.array(part.vertices)[np.array(part.triangles)]))
         if isinstance(part, TriangleMesh)

@@ -1,4 +1,4 @@
-"""Path constraints: what the tool must keep to all along a motion."""
+"""Path constraints: conditions on the tool that must hold all along a motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Upright:
     tolerance_rad: float
     """Largest angle between the two [rad], in (0, pi]."""
     tool_axis: Vec3 = (0.0, 0.0, 1.0)
-    """Axis in the tcp frame, of any length; z points out of the hand."""
+    """Axis in the TCP frame, of any length; z points out of the hand."""
     world_axis: Vec3 = (0.0, 0.0, -1.0)
     """Direction in the world, of any length; default: straight down."""
 
@@ -28,7 +28,7 @@ class Upright:
             InvalidRequestError: On a tolerance out of range or an axis without a direction.
         """
         if not 0.0 < self.tolerance_rad <= np.pi:
-            raise InvalidRequestError(f"the tolerance of keeping upright must be in (0, pi], got {self.tolerance_rad}")
+            raise InvalidRequestError(f"the upright tolerance must be in (0, pi] rad, got {self.tolerance_rad}")
         for name, axis in (("tool_axis", self.tool_axis), ("world_axis", self.world_axis)):
             if not np.isfinite(axis).all() or float(np.linalg.norm(axis)) < 1e-6:
-                raise InvalidRequestError(f"{name} must be a finite vector that is not zero, got {axis}")
+                raise InvalidRequestError(f"{name} must be a finite, non-zero vector, got {axis}")

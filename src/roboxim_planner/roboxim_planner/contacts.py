@@ -1,4 +1,4 @@
-"""Which bodies touch, and how deep: coal's answer, for error messages and as a witness beside the native kernel."""
+"""Contacts and their penetration by coal, for error messages and as a check independent of the native kernel."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ class ContactPair:
     body_b: str
     """Robot link or body."""
     depth: float
-    """Penetration [m], positive; with padding, by how much they are too near."""
+    """Penetration, positive [m]; with padding, the missing distance."""
     position: Vec3
     """A point of the contact in the world [m]."""
 
     def __str__(self) -> str:
-        """Say it for an error message."""
+        """Format the pair for an error message."""
         if self.depth < 5e-5:
             return f"{self.body_a} and {self.body_b} touch"
         return f"{self.body_a} and {self.body_b} overlap by {1000.0 * self.depth:.1f} mm"
 
 
 class ContactRules:
-    """Which named bodies of a scene are checked against each other."""
+    """Rules that tell which named bodies of a scene are checked against each other."""
 
     def __init__(self, robot: PlannerRobot, scene: PlanningScene) -> None:
         """Read the scene's rules.
 
         Args:
             robot: The robot.
-            scene: Names, held bodies and allowed contacts.
+            scene: The scene, for its names, held bodies and allowed contacts.
 
         Raises:
-            InvalidRequestError: On a body with a link's name, or an allowed contact or touch link of an unknown name.
+            InvalidRequestError: On a body with a link's name, or an unknown name in an allowed contact or touch link.
         """
         links = set(robot.links)
         for name in set(scene.names) & links:
@@ -68,7 +68,7 @@ class ContactRules:
         self._allowed = list(_expand(scene.allowed, links, gripper, set(scene.names)))
 
     def checks(self, a: str, b: str) -> bool:
-        """Tell whether two bodies may not touch; links of the robot among themselves also follow its SRDF."""
+        """Tell whether two bodies are checked; pairs of robot links also follow the SRDF."""
         if not self._touch and not self._allowed:
             return True
         known = self._known.get((a, b))
@@ -85,7 +85,7 @@ class ContactRules:
 
 
 class ContactModel:
-    """The robot among the bodies of one scene, in coal. Serves one thread."""
+    """The robot among the bodies of one scene, in coal. Not thread-safe."""
 
     def __init__(
         self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules, placed: Sequence[PlacedShape]
@@ -94,9 +94,9 @@ class ContactModel:
 
         Args:
             robot: The robot.
-            scene: What is around it.
+            scene: The bodies around it.
             rules: Which pairs are checked.
-            placed: The parts of the scene's bodies.
+            placed: Parts of the scene's bodies.
 
         Raises:
             InvalidRequestError: On a hull without volume.
@@ -116,7 +116,7 @@ class ContactModel:
         self._apart = list(self._groups())
 
     def _groups(self) -> Iterator[tuple[LinkGroup, LinkGroup | BodyGroup]]:
-        """Yield groups of shapes that must keep apart: links from bodies, what is held from bodies and links."""
+        """Yield groups of shapes that must stay apart: links against bodies, held bodies against bodies and links."""
         robot, rules, scene, placed = self._robot, self._rules, self._scene, self._placed
         moving = [i for i in range(robot.whole_shapes) if robot.item_joints[i] >= 0]
         rests: dict[tuple[bool, ...], BodyGroup] = {}
@@ -186,7 +186,7 @@ class ContactModel:
 
 
 class _PairModel:
-    """The same scene as one geometry model with a pair for each two shapes: slow to make, and says what touches."""
+    """The same scene as one geometry model with explicit pairs of shapes: slow to build, but it says what touches."""
 
     def __init__(self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules) -> None:
         self._robot = robot
@@ -244,7 +244,7 @@ class _PairModel:
 
 
 def held_shape(shape: BodyShape) -> coal.CollisionGeometry:
-    """Return a shape as the gripper holds it: a mesh as its convex hull."""
+    """Return the collision shape of a held shape: a mesh becomes its convex hull."""
     if not isinstance(shape, TriangleMesh):
         return make_shape(shape)
     made = coal.Convex(convex_hull(shape.vertices))

@@ -1,4 +1,4 @@
-"""Messages to the planner's values and back: joints, poses, options, trajectories, contacts."""
+"""Converts messages to the planner's values and back: joints, poses, options, trajectories, contacts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TCP = "tcp"
 
 @contextmanager
 def naming(what: str) -> Iterator[None]:
-    """Begin the message of what is wrong with a part of a request by the part's name."""
+    """Prefix the message of an `InvalidRequestError` with the name of the part of the request."""
     try:
         yield
     except InvalidRequestError as error:
@@ -43,10 +43,10 @@ def naming(what: str) -> Iterator[None]:
 
 
 def optional_pose(msg: PoseMsg, *, what: str) -> Pose:
-    """Convert a pose; one whose numbers are all zero is the identity.
+    """Convert a pose; a pose of zeros is the identity.
 
     Raises:
-        InvalidRequestError: When it is not finite or its quaternion not of unit norm; begins with ``what`` it is.
+        InvalidRequestError: If it is not finite or its quaternion is not of unit norm; begins with ``what``.
     """
     p, q = msg.position, msg.orientation
     if not any((p.x, p.y, p.z, q.x, q.y, q.z, q.w)):
@@ -56,10 +56,10 @@ def optional_pose(msg: PoseMsg, *, what: str) -> Pose:
 
 
 def joints_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> Array:
-    """Return arm joints in the model's order from a joint state in any order.
+    """Return arm joint positions in the model's order from a joint state in any order.
 
     Raises:
-        InvalidRequestError: On a wrong number of joints or a name that is unknown, missing or given twice.
+        InvalidRequestError: On a wrong number of joints, or a name that is unknown, missing or given twice.
     """
     positions = list(msg.position)
     names = list(msg.name)
@@ -99,12 +99,12 @@ def pose_in_world(
         msg: ``geometry_msgs/Pose``.
         frame: ``world`` or empty, ``<robot>_base`` or the robot's base link, or ``tcp`` (at the start).
         robot: The robot.
-        robot_pose: Its base in the world.
-        start: Arm configuration at the start, for the frame ``tcp``; none: that frame is unknown here.
-        what: What it is, for messages.
+        robot_pose: Pose of the robot's base in the world.
+        start: Arm configuration at the start, for the frame ``tcp``; none: the request does not know that frame.
+        what: Name of the pose in error messages.
 
     Raises:
-        InvalidRequestError: When it is not finite or its quaternion not of unit norm.
+        InvalidRequestError: If it is not finite or its quaternion is not of unit norm.
         PlannerError: ``UNKNOWN_FRAME``.
     """
     base = f"{robot.description.id}_base"
@@ -121,7 +121,7 @@ def pose_in_world(
 
 
 def options_from_msg(msg: Any) -> MotionOptions:
-    """Convert a ``MotionRequest``'s limits; zero means the default."""
+    """Convert the limits of a ``MotionRequest``; zero means the default."""
     numbers = {
         "velocity_scaling": (msg.max_velocity_scaling_factor, 1.0),
         "acceleration_scaling": (msg.max_acceleration_scaling_factor, 1.0),
@@ -141,7 +141,7 @@ def options_from_msg(msg: Any) -> MotionOptions:
 
 
 def upright_from_msg(msg: Any) -> Upright | None:
-    """Convert ``PathConstraints``; none: there are none."""
+    """Convert ``PathConstraints``; none: the message has no constraint."""
     if msg.tilt_tolerance == 0.0:
         return None
     given = {"tool_axis": _vector(msg.tool_axis), "world_axis": _vector(msg.world_axis)}
@@ -154,10 +154,10 @@ def _vector(msg: Any) -> tuple[float, float, float]:
 
 
 def sample_period(msg: Any) -> float:
-    """Return a ``MotionRequest``'s sampling period [s].
+    """Return the sampling period of a ``MotionRequest`` [s].
 
     Raises:
-        InvalidRequestError: When it is out of range.
+        InvalidRequestError: If it is out of range.
     """
     period = float(msg.sample_period) or 0.01
     if not 0.001 <= period <= 0.1:
@@ -169,7 +169,7 @@ def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s:
     """Return a ``MotionPlan`` message.
 
     Raises:
-        PlannerError: As `Plan.points`.
+        PlannerError: See `Plan.points`.
     """
     samples = plan.points(period_s)
     msg = MotionPlanMsg(fraction=plan.fraction, route=plan.route)
@@ -191,7 +191,7 @@ def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s:
 
 
 def _numbers(row: Array) -> array[float]:
-    """Return what a message takes without looking at every number."""
+    """Return an array that a message accepts without checking every number."""
     return array("d", row.tobytes())
 
 
@@ -201,11 +201,11 @@ def _duration(seconds: float) -> Duration:
 
 
 def trajectory_from_msg(msg: JointTrajectory, robot: RobotModel) -> dict[str, Any]:
-    """Return positions, times, velocities, accelerations of a trajectory; none where it has no such numbers.
+    """Return positions, times, velocities and accelerations of a trajectory; none for those that it does not give.
 
     Raises:
-        InvalidRequestError: When points differ in what they give, a number is not finite, or the joints do not fit
-            the robot.
+        InvalidRequestError: If the points differ in what they give, a number is not finite, or the joints do not match
+            the robot's.
     """
     if not msg.points:
         raise InvalidRequestError("the trajectory has no point")

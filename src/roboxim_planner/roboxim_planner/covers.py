@@ -1,7 +1,7 @@
-"""Spheres that cover a convex shape: a cheap lower bound of its distance from anything.
+"""Spheres that cover a convex shape: a cheap lower bound of its distance from any other shape.
 
-A shape is cut in two across its longest extent, again and again, always the piece with the largest sphere, until there
-are as many pieces as spheres wanted. The pieces together are the shape, so the spheres around them cover it.
+The piece with the largest sphere is cut in two across its longest extent until there are as many pieces as spheres. The
+pieces together are the shape, so the spheres around them cover it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 Array = npt.NDArray[np.float64]
 SPHERES = 8
-"""Per convex shape: the native kernel looks at eight at a time."""
+"""Spheres per convex shape; the native kernel processes eight at a time."""
 _SAFE_M = 1e-7
 
 
@@ -97,7 +97,7 @@ def _corners(points: Array) -> Array:
 
 
 def _ball(points: Array) -> Array:
-    """Return a small sphere around points: the far point pulls the centre less and less (Badoiu and Clarkson, 2003)."""
+    """Return a small sphere around points: step towards the farthest point, ever less (Badoiu and Clarkson, 2003)."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     best_center, best = center, float(np.linalg.norm(points - center, axis=1).max())
     for step in range(1, 60):
@@ -110,7 +110,7 @@ def _ball(points: Array) -> Array:
 
 
 def _halve(points: Array) -> list[Array]:
-    """Cut a polytope across its longest extent; each half as corners, both with those of the cut."""
+    """Cut a polytope across its longest extent; return the corners of each half, both with those of the cut."""
     middle = points.mean(axis=0)
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     height = (points - middle) @ axis

@@ -1,7 +1,7 @@
 """Pictures of a query: the scene with the path through it, and the motion's profiles against their limits.
 
-What is drawn is what the planner checks: convex hulls, not looks. Matplotlib is imported here only and draws without a
-display.
+The pictures show what the planner checks: convex hulls, not visual meshes. Matplotlib is imported only here and draws
+without a display.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _VIEWS = ((24.0, -52.0, "from the front, right"), (90.0, -90.0, "from above"))
 
 
 def draw_scene(query: Query, planner: Planner, answer: Answer | None, path: Path, *, error: str = "") -> Path:
-    """Draw the scene, the robot at the start, along the path and at the end, and what touches.
+    """Draw the scene, the robot at the start, along the path and at the end, and the contacts.
 
     Args:
-        query: What was asked.
+        query: The query.
         planner: Planner of the robot.
-        answer: What was answered; none after an error.
+        answer: The answer; none after an error.
         path: PNG file to write.
-        error: What the planner said instead of a whole answer.
+        error: Error message of the planner; empty: there was no error.
 
     Returns:
         The file.
@@ -69,12 +69,12 @@ def draw_scene(query: Query, planner: Planner, answer: Answer | None, path: Path
 
 
 def draw_profiles(query: Query, planner: Planner, plans: Sequence[Plan], path: Path) -> Path:
-    """Draw joint positions, velocities, accelerations and jerks as fractions of their limits, and the tcp's speed.
+    """Draw joint positions, velocities, accelerations and jerks as fractions of their limits, and the TCP's speed.
 
     Args:
-        query: What was asked; its options give the limits.
+        query: The query; its options give the limits.
         planner: Planner of the robot.
-        plans: Motions, one after the other, at least one.
+        plans: Motions in sequence, at least one.
         path: PNG file to write.
 
     Returns:
@@ -134,7 +134,7 @@ def draw_profiles(query: Query, planner: Planner, plans: Sequence[Plan], path: P
 
 
 class _Picture:
-    """The triangles and lines of a query, made once and put into several views."""
+    """Triangles and lines of a query, computed once and drawn in several views."""
 
     def __init__(self, query: Query, planner: Planner, plans: Sequence[Plan], answer: Answer | None) -> None:
         self._planner = planner
@@ -171,7 +171,7 @@ class _Picture:
             self._note(scene, q)
 
     def _last_scene(self, query: Query, answer: Answer | None) -> PlanningScene:
-        """Return the scene at the end of the motion: a sequence attaches, lets go, moves the gripper."""
+        """Return the scene at the end of the motion: a sequence attaches and releases bodies and moves the gripper."""
         scene = query.scene
         if isinstance(query, SequenceQuery) and answer is not None:
             for stage, plan in zip(query.stages, answer.plans, strict=True):
@@ -180,7 +180,7 @@ class _Picture:
         return scene
 
     def _nearest(self, query: Query) -> Array:
-        """Return the goal configuration, collisions or not, that the failed query would have liked best."""
+        """Return the nearest goal configurations of a failed query, collisions ignored."""
         for goal in self.goals:
             try:
                 return self._planner.inverse_kinematics(goal, query.start, robot_pose=self._base)
@@ -196,7 +196,7 @@ class _Picture:
         self._entries[name] = color
         links = list(robot_triangles(self._planner.robot, q, scene.gripper_opening))
         for triangles, drawn in zip(links, self._first or links, strict=True):
-            if not self._first or np.abs(triangles - drawn).max() > 1e-6:  # a link that has not moved is there already
+            if not self._first or np.abs(triangles - drawn).max() > 1e-6:  # a link that has not moved is drawn already
                 self._add(self._base.apply(triangles.reshape(-1, 3)).reshape(-1, 3, 3), color, alpha)
         self._first = self._first or links
         tcp = self._base @ self._planner.robot.fk(q)
@@ -246,7 +246,7 @@ class _Picture:
         """Return the legend's entries."""
         entries: list[Any] = [Patch(color=color, label=name) for name, color in self._entries.items()]
         if self.lines:
-            entries.append(Line2D([], [], color="C0", linewidth=2.5, label="path of the tcp"))
+            entries.append(Line2D([], [], color="C0", linewidth=2.5, label="path of the TCP"))
         if self.goals:
             entries.append(Line2D([], [], color="r", linewidth=2.0, label="goal: x red, y green, z blue"))
         if self.contacts:
@@ -321,7 +321,7 @@ def _hull(points: Array) -> Array:
 
 
 def _fine(triangles: Array, edge: float = 0.12) -> Array:
-    """Split large triangles: they are painted in the order of their distance, which goes wrong for long ones."""
+    """Split large triangles: they are painted in the order of their distance, which is wrong for long ones."""
     split: Any = trimesh.remesh.subdivide_to_size
     vertices, faces = split(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=edge)
     return np.asarray(vertices[faces])

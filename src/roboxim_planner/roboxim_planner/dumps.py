@@ -1,8 +1,8 @@
-"""Failures in files: a query, how it was answered, and running it again.
+"""Dumps of failures: files that hold a query and its outcome, and can be run again.
 
-A dump holds all that the answer depends on: the scene with the geometry itself, the request, its seed, the planner's
-configuration. Running it again therefore gives the same answer. A time-out came at some moment of wall clock time; it
-is repeated at the same step of the work.
+A dump holds all that the answer depends on: the scene with its geometry, the request, its seed, the planner's
+configuration. So running it again gives the same answer. A time-out depends on the wall clock; it is reproduced at the
+same step of the work.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FORMAT = 1
 
 
 class Steps:
-    """A watch that counts its calls and hands them on."""
+    """A watch that counts its calls and forwards them."""
 
     def __init__(self, watch: Watch = no_watch) -> None:
         """Wrap a watch."""
@@ -45,14 +45,14 @@ class Steps:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a query was answered."""
+    """Outcome of a query."""
 
     error_code: int = 0
-    """0 or a code of `ErrorCode`."""
+    """Code of `ErrorCode`; 0: success."""
     error_msg: str = ""
-    """Why there is no answer."""
+    """Error message; empty after a success."""
     steps: int = 0
-    """How often the watch had been called by then."""
+    """Number of calls of the watch up to the end."""
     digest: str = ""
     """`Answer.digest`; empty after an error."""
 
@@ -63,7 +63,7 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Dump:
-    """A query and how it was answered."""
+    """A query and its outcome."""
 
     query: Query
     """The query."""
@@ -75,10 +75,10 @@ class Dump:
     """`ModelLibrary.digest` of the robot."""
 
     def run_again(self, library: ModelLibrary, *, deadline: bool = True) -> tuple[Outcome, Answer | None]:
-        """Answer the query once more.
+        """Run the query again.
 
         Args:
-            library: Where the robot comes from.
+            library: Source of the robot model.
             deadline: Stop at the step where the first run timed out or was cancelled; false: let it finish.
 
         Returns:
@@ -103,7 +103,7 @@ class Dump:
 
 
 def answered(query: Query, planner: Planner, watch: Watch = no_watch) -> tuple[Outcome, Answer | None]:
-    """Run a query; an error becomes an outcome, and the answer what could be done in part, or none."""
+    """Run a query; an error becomes an outcome, with the partial answer or none."""
     steps = Steps(watch)
     try:
         answer = run_query(query, planner, steps)
@@ -114,7 +114,7 @@ def answered(query: Query, planner: Planner, watch: Watch = no_watch) -> tuple[O
 
 
 def self_contained(query: Query) -> Query:
-    """Return a query whose scene holds the points of its hulls instead of the names of their files."""
+    """Return the query with the points of its hulls in the scene, instead of the names of their files."""
     return replace(query, scene=_embedded(query.scene))
 
 
@@ -140,7 +140,7 @@ def write_dump(dump: Dump, folder: Path, name: str, *, kept: int) -> Path:
 
     Args:
         dump: What to write.
-        folder: Where; made if it is not there.
+        folder: Folder to write to; created if it does not exist.
         name: Beginning of the file's name; sorts by age.
         kept: How many dumps the folder may hold, >= 1.
 
@@ -172,7 +172,7 @@ def read_dump(path: Path) -> Dump:
     """Read a dump.
 
     Raises:
-        ConfigError: When the file cannot be read or is no dump of this version.
+        ConfigError: If the file cannot be read or is not a dump of this version.
     """
     try:
         data = json.loads(path.read_text())
@@ -201,7 +201,7 @@ def find_dump(name: str, folder: Path) -> Path:
     """Return a dump by its path, its name in the folder, or ``latest``.
 
     Raises:
-        ConfigError: When there is no such dump; lists the newest.
+        ConfigError: If there is no such dump; the message lists the newest ones.
     """
     dumps = list_dumps(folder)
     if name == "latest" and dumps:
@@ -213,13 +213,13 @@ def find_dump(name: str, folder: Path) -> Path:
 
 
 def dump_folder() -> Path:
-    """Return where dumps go by default: ``roboxim/planner`` in the user's cache folder."""
+    """Return the default folder of dumps: ``roboxim/planner`` in the user's cache folder."""
     cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(cache).expanduser() / "roboxim" / "planner"
 
 
 def _finite(data: Any) -> Any:
-    """Leave out keys whose value is infinite, JSON having none; their defaults are."""
+    """Leave out keys whose value is infinite: JSON has no infinity, and their defaults are infinite."""
     if isinstance(data, dict):
         return {k: _finite(v) for k, v in data.items() if not (isinstance(v, float) and math.isinf(v))}
     if isinstance(data, list | tuple):

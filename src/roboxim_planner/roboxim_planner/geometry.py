@@ -1,4 +1,4 @@
-"""Turns the shapes of scenes and models into coal's, and says where they are."""
+"""Converts the shapes of scenes and models to coal's, with their poses."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedShape:
-    """A part of a body that rests."""
+    """A part of a resting body."""
 
     body: str
     """Name of the body."""
     shape: BodyShape
     """The part."""
     pose: Array
-    """In the robot's base, shape (4, 4)."""
+    """Pose in the robot's base, shape (4, 4)."""
 
 
 def placed_shapes(scene: PlanningScene) -> list[PlacedShape]:
@@ -44,7 +44,7 @@ def placed_shapes(scene: PlanningScene) -> list[PlacedShape]:
 
 
 def pose_matrices(poses: list[Pose]) -> Array:
-    """Return poses as homogeneous matrices, shape (N, 4, 4); a small part of scipy's time."""
+    """Return poses as homogeneous matrices, shape (N, 4, 4); much faster than scipy."""
     return native.pose_matrices(np.array([(*pose.position, *pose.quat_xyzw) for pose in poses]).reshape(-1, 7))
 
 

@@ -1,7 +1,7 @@
-"""Inverse kinematics of the tcp: damped least squares from many starts, in the native kernel.
+"""Inverse kinematics of the TCP: damped least squares from many starts, in the native kernel.
 
-Deterministic: the starts come from the caller's seed, the budget is a number of iterations. Any serial arm of revolute
-and prismatic joints will do.
+The result is deterministic: the starts come from the caller's seed and the budget is a number of iterations. Any serial
+arm of revolute and prismatic joints is supported.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ class IkConfig:
     starts: int = 100
     """Starts: the reference, some near it, the rest uniform within the limits."""
     enough: int = 16
-    """`IkSolver.solve` ends when so many starts have arrived (many of them at the same solution)."""
+    """Number of converged starts after which `IkSolver.solve` ends; many converge to the same solution."""
     thorough: int = 8
-    """How many times as many of both when no solution was free of collisions."""
+    """Factor on ``starts`` and ``enough`` for a thorough search, used when no solution was free of collisions."""
     same_rad: float = 0.05
     """Solutions closer than this in every joint count as one [rad]."""
 
 
 class IkSolver:
-    """Finds arm configurations that put the tcp at a pose in the robot's base."""
+    """Finds arm configurations that put the TCP at a pose in the robot's base."""
 
     def __init__(self, robot: PlannerRobot, config: IkConfig | None = None) -> None:
-        """Take the arm.
+        """Create a solver for an arm.
 
         Args:
             robot: The robot.
@@ -53,10 +53,10 @@ class IkSolver:
         self.config = config or IkConfig()
 
     def nearest(self, target: Pose, reference: Array) -> Array | None:
-        """Return the solution that descends from a reference, or none: what a small motion nearly always wants.
+        """Return the solution that a descent from a reference reaches, or none if it does not converge.
 
         Args:
-            target: The tcp in the robot's base.
+            target: The TCP in the robot's base.
             reference: Arm configuration to start from, shape (dof,) [rad].
         """
         found, _, _ = self._run(target, reference, seed=0, starts=1, enough=1)
@@ -70,23 +70,23 @@ class IkSolver:
         """Return the distinct solutions found, nearest to the reference first.
 
         Args:
-            target: The tcp in the robot's base.
-            reference: Arm configuration that distances are measured from, shape (dof,) [rad].
+            target: The TCP in the robot's base.
+            reference: Arm configuration to measure distances from, shape (dof,) [rad].
             seed: Seed of the starts.
-            thorough: Whether to look for many more than usual.
+            thorough: Whether to look for `IkConfig.thorough` times as many solutions.
 
         Returns:
             Shape (N, dof), N >= 1.
 
         Raises:
-            PlannerError: ``GOAL_UNREACHABLE``, with how close the tcp came.
+            PlannerError: ``GOAL_UNREACHABLE``; the message says how close the TCP came.
         """
         times = self.config.thorough if thorough else 1
         starts, enough = times * self.config.starts, times * self.config.enough
         return self._distinct(self._found(target, reference, seed=seed, starts=starts, enough=enough), reference)
 
     def _found(self, target: Pose, reference: Array, *, seed: int, starts: int, enough: int) -> Array:
-        """Return solutions; before giving up, look longer, for a few poses at the edge of reach need it."""
+        """Return solutions; search longer before giving up, because a few poses at the edge of reach need it."""
         found, off, turned = self._run(target, reference, seed=seed, starts=starts, enough=enough)
         if not len(found):
             found, off, turned = self._run(target, reference, seed=seed + 1, starts=4 * starts, enough=enough, longer=4)
@@ -116,7 +116,7 @@ class IkSolver:
 def _unreachable(target: Pose, off: float, turned: float) -> PlannerError:
     position, quat = (np.round(part, 4).tolist() for part in (target.position, target.quat_xyzw))
     return PlannerError(
-        f"goal unreachable: the tcp came within {1000.0 * off:.1f} mm and {turned:.3f} rad of position "
+        f"goal unreachable: the TCP came within {1000.0 * off:.1f} mm and {turned:.3f} rad of position "
         f"{position}, quaternion {quat} in the robot's base; move or turn the goal",
         ErrorCode.GOAL_UNREACHABLE,
     )

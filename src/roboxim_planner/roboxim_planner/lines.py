@@ -1,4 +1,7 @@
-"""One straight line of the tcp, timed and verified: followed plainly, and widely only where that ends early."""
+"""One straight line of the TCP, timed and verified.
+
+The plain search follows the line with one configuration. Only if it ends early, the wide search uses the redundancy.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """The part of a straight line that can be done."""
+    """The executable part of a straight line."""
 
     motion: Motion
     """Its verified motion."""
     part: float
-    """How much of the line it covers, 0..1."""
+    """Fraction of the line that the motion covers, 0..1."""
     end: Array
     """Arm configuration at its end, shape (dof,) [rad]."""
     reason: str
@@ -43,16 +46,17 @@ def plan_line(
     *,
     wide: bool = True,
 ) -> Line:
-    """Plan a straight line of the tcp.
+    """Plan a straight line of the TCP.
 
     Args:
         robot: The robot.
-        sweep: What to avoid; none: collisions do not matter.
+        sweep: Checks the robot among the obstacles; none: collisions are not checked.
         start: Arm configuration at the start, shape (dof,) [rad].
-        target: The tcp at the end, in the robot's base.
+        target: The TCP at the end, in the robot's base.
         limits: Limits of the motion.
-        watch: Called now and then; ends the request by raising.
-        wide: Whether to look widely where the plain line ends early, which takes a hundred times as long.
+        watch: Called regularly; ends the request by raising.
+        wide: Whether to search widely (see `follow_line_widely`) if the plain line ends early; takes about a hundred
+            times as long.
     """
     plain = _line(robot, sweep, follow_line(robot, start, target), limits)
     if plain.part == 1.0 or not wide:
@@ -67,15 +71,14 @@ def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: Moti
     reason = reason or path.reason
     motion: Motion = time_line(path.cut(count), limits)
     finding = verify_motion(sweep, robot, motion, limits)
-    if not finding.valid:  # the curve between the configurations, not they themselves, breaks a limit
-        return Line(
-            motion=still(path.joints[0]), part=0.0, end=path.joints[0], reason=f"as a motion it is not valid: {finding}"
-        )
+    if not finding.valid:  # the curve between the configurations breaks a limit, the configurations themselves do not
+        reason = f"the timed motion is not valid: {finding}"
+        return Line(motion=still(path.joints[0]), part=0.0, end=path.joints[0], reason=reason)
     return Line(motion=motion, part=path.part(count), end=path.joints[count - 1], reason=reason)
 
 
 def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:
-    """Return how many leading configurations of a path are free, also in between, and what stops it."""
+    """Return the number of leading free configurations, edges between them included, and the reason for the end."""
     hit = -1.0 if sweep is None else sweep.exact.first_hit(path)
     if sweep is None or hit < 0.0:
         return len(path), ""

@@ -1,6 +1,6 @@
-"""The native kernel, checked to be the one that this version of the planner was written for.
+"""Import of the native kernel, with a check that its version is the one that the planner needs.
 
-There is no other way to check collisions here: a kernel that is missing or old is an error, never a slow planner.
+The planner has no other way to check collisions. A missing or outdated kernel is an error; there is no slow fallback.
 """
 
 from __future__ import annotations

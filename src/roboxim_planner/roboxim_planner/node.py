@@ -1,4 +1,4 @@
-"""The planner node: thin services around `pipeline.Planner`."""
+"""The planner node: services and actions around `pipeline.Planner`."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ from roboxim_ros.on_demand import OnDemandGroup
 
 FEEDBACK_PERIOD_S = 0.1
 LATEST = "latest"
-"""Episode id by which a request means the newest state that the sim has; for use by hand, not reproducible."""
+"""Episode id that stands for the newest state of the sim; for interactive use, since it is not reproducible."""
 
 
 def _parameter(default: Any, description: str, *limits: float) -> Any:
@@ -76,16 +76,16 @@ def _parameter(default: Any, description: str, *limits: float) -> Any:
 class PlannerNodeConfig:
     """Parameters of the planner node."""
 
-    robot: str = _parameter("panda", "id of the robot model that requests without one mean")
-    timeout_s: float = _parameter(30.0, "wall-clock limit of requests without one [s]", 0.001, 600.0)
+    robot: str = _parameter("panda", "id of the robot model for requests that name none")
+    timeout_s: float = _parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, 600.0)
     padding_m: float = _parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
-    scene_wait_s: float = _parameter(5.0, "longest wait for a scene revision that is still under way [s]", 0.0, 60.0)
+    scene_wait_s: float = _parameter(5.0, "longest wait for a scene revision that has not arrived yet [s]", 0.0, 60.0)
     dump_dir: str = _parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
-    dumps_kept: int = _parameter(100, "how many dumps the folder may hold; 0: none are written", 0, 100000)
+    dumps_kept: int = _parameter(100, "largest number of dumps in the folder; 0: no dumps are written", 0, 100000)
 
 
 class PlannerNode(RoboximNode):
-    """Serves ``planner/*``. Requests are answered one at a time; the scene's topics are heard meanwhile."""
+    """Serves ``planner/*``. Requests are answered one at a time; the scene's topics are received meanwhile."""
 
     executor_threads = 3
     """One for requests, one for the scene's topics, one for cancelling."""
@@ -103,7 +103,7 @@ class PlannerNode(RoboximNode):
             SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=MutuallyExclusiveCallbackGroup()
         )
         self._waiting = False
-        self._states = OnDemandGroup()  # a state per tick: only those of a new scene's start and of requests are heard
+        self._states = OnDemandGroup()  # receives states only at a new scene's start and for requests, not every tick
         self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
@@ -145,7 +145,7 @@ class PlannerNode(RoboximNode):
             self._states.open = False
 
     def _revision(self, episode_id: str, seq: int) -> PlanningScene:
-        """Return a revision of the scene; wait for it if it is on its way."""
+        """Return a revision of the scene; wait for it if it has not arrived yet."""
         if episode_id == LATEST:
             return self._latest()
         self._states.take()
@@ -158,7 +158,7 @@ class PlannerNode(RoboximNode):
             self._waiting = self._states.open = False
 
     def _latest(self) -> PlanningScene:
-        """Ask the sim for its newest state: what the topics have brought so far may be older."""
+        """Ask the sim for its newest state: the newest one received on the topics may be older."""
         wait_s = self._config.scene_wait_s
         try:
             answer = self.clients_of_node.call(GetState, "sim/get_state", GetState.Request(), wait_s=wait_s)
@@ -187,13 +187,13 @@ class PlannerNode(RoboximNode):
             planner = Planner(self._library.robot(robot_id), config)
             home = planner.named_state("home")
             near = np.clip(home + 1e-3, planner.robot.lower, planner.robot.upper)
-            with contextlib.suppress(PlannerError):  # what is built on first use is built now, not in a request
+            with contextlib.suppress(PlannerError):  # a first plan builds what is built on first use
                 planner.plan_to_joints(PlanningScene(), home, near)
             self._planners[robot_id] = planner
         return self._planners[robot_id]
 
     def _scene(self, msg: Any) -> PlanningScene:
-        """Return a request's scene, waiting a moment for a revision that is still under way."""
+        """Return a request's scene; wait up to ``scene_wait_s`` for a revision that has not arrived yet."""
         named = None
         if msg.episode_id:
             named = self._revision(msg.episode_id, int(msg.seq))
@@ -212,12 +212,12 @@ class PlannerNode(RoboximNode):
         """Answer a motion request.
 
         Args:
-            msg: What all motion requests have in common.
-            make: Makes the query.
-            response: Where the plan or plans go; a line that ends early answers with its part and an error.
+            msg: Common part of the motion requests.
+            make: Makes the query from the checked common part.
+            response: Filled with the plan or plans; a line that ends early gives its executable part and an error.
             with_start: Whether the request needs a start.
             progress: Called with stage and iterations; raises to cancel.
-            entered: Called with the stage of a sequence.
+            entered: Called with the index of the stage of a sequence that is being planned.
         """
         begun = time.monotonic()
         timeout = float(msg.timeout) or self._config.timeout_s
@@ -227,7 +227,7 @@ class PlannerNode(RoboximNode):
         def watch(stage: str, iterations: int) -> None:
             if time.monotonic() - begun > timeout:
                 raise RequestTimeoutError(
-                    f"time out after {timeout:g} s in stage '{stage}', {iterations} iterations; give more time"
+                    f"time out after {timeout:g} s in stage '{stage}', {iterations} iterations; increase the timeout"
                 )
             progress(stage, iterations)
 
@@ -247,7 +247,7 @@ class PlannerNode(RoboximNode):
         watch: Callable[[str, int], None],
         entered: Callable[[int], None] = lambda _: None,
     ) -> Answer:
-        """Run a query; what fails though it was well formed leaves a dump whose name ends the message."""
+        """Run a query; write a dump if a well-formed query fails, and append the dump's name to the message."""
         steps = Steps(watch)
         try:
             return run_query(query, planner, steps, entered)
@@ -261,7 +261,7 @@ class PlannerNode(RoboximNode):
             raise
 
     def _dump(self, planner: Planner, query: Query, said: str, code: ErrorCode, steps: int) -> str:
-        """Write a dump of a failure and return what to say of it."""
+        """Write a dump of a failure and return the text that names it, empty if there is no dump."""
         if not self._config.dumps_kept:
             return ""
         dump = Dump(
@@ -275,12 +275,12 @@ class PlannerNode(RoboximNode):
         try:
             path = write_dump(dump, folder, name, kept=self._config.dumps_kept)
         except OSError as error:
-            self.get_logger().warning(f"no dump of a failed request in {folder}: {error}")
+            self.get_logger().warning(f"cannot write the dump of a failed request to {folder}: {error}")
             return ""
         return f"; dump: {path}"
 
     def _planning(self, name: str) -> Callable[[Any, Any], None]:
-        """Return the handler of a planning service."""
+        """Return the handler of a planning service, one of `queries.MAKERS`."""
         make = queries.MAKERS[name]
 
         def handler(msg: Any, response: Any) -> None:

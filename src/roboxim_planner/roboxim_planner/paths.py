@@ -1,10 +1,10 @@
 """Collision-free joint paths: OMPL over whole-edge checks in the native kernel, then random shortcuts.
 
-RRTConnect finds a way in the open within a few dozen iterations, and hardly ever one through narrow openings; the
-KPIECE family is the other way round. So a search is a list of planners with budgets, tried in this order.
+RRTConnect finds a path in open space within a few dozen iterations, but hardly ever one through narrow openings. The
+KPIECE family has the opposite strengths. So a search is a list of planners with budgets, tried in this order.
 
-OMPL draws from a global random number generator, so searches take turns under a lock and set its seed first; with a
-budget of iterations instead of seconds the same request gives the same path under any load.
+OMPL draws from a global random number generator, so searches take turns under a lock and set its seed first. Budgets
+are iterations, not seconds: the same request gives the same path under any load.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Watch = Callable[[str, int], None]
 
 _OMPL_LOCK = threading.Lock()
 _WATCH_EVERY = 16
-ou.setLogLevel(ou.LOG_NONE)  # OMPL objects to each new seed, though a seed set under the lock does reproduce
+ou.setLogLevel(ou.LOG_NONE)  # OMPL warns about each new seed, although seeding under the lock is reproducible
 
 IMPROVERS = ("BITstar", "RRTstar", "InformedRRTstar")
-"""Planners that go on improving a path."""
+"""Planners that keep improving a path."""
 FINDERS = ("RRTConnect", "LBKPIECE1", "BKPIECE1", "KPIECE1", "RRT")
 """Planners that stop at the first path."""
 
@@ -45,8 +45,8 @@ class SearchConfig:
     range_rad: float = 1.2
     """Longest edge that a tree grows by [rad]."""
     resolution_m: float = 5e-4
-    """Motion of the arm's points below which a free state stands for what is around it on an edge [m]; of a pair that
-    keeps a larger distance, that distance."""
+    """Resolution of edge checks: the motion of the arm's points below which a free state stands for its surroundings on
+    the edge [m]. For a pair that keeps a larger distance, that distance."""
     shortcuts: int = 100
     """Random shortcuts tried."""
     upright_iterations: int = 3000
@@ -54,11 +54,11 @@ class SearchConfig:
     upright_step_rad: float = 0.25
     """Longest edge of that search [rad]."""
     improve_iterations: int = 3000
-    """Iterations of a planner that improves a path, when a request does not say."""
+    """Iterations of a planner that improves a path, for requests that give none."""
 
 
 class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
-    """Hands whole edges to the native kernel. It must not refer to the space information: that cycle leaks."""
+    """Checks whole edges in the native kernel. It must not refer to the space information: that cycle would leak."""
 
     def __init__(self, info: ob.SpaceInformation, world: CollisionWorld, resolution: float) -> None:
         super().__init__(info)
@@ -75,7 +75,7 @@ class _EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
 
 
 class _Stop:
-    """Ends a search by iterations, or when the watch raises; keeps what it raised, since OMPL cannot carry it."""
+    """Ends a search after n iterations or when the watch raises; stores the exception, which OMPL cannot propagate."""
 
     def __init__(self, watch: Watch, iterations: int) -> None:
         self._watch = watch
@@ -88,7 +88,7 @@ class _Stop:
         if self.error is None and self.spent % _WATCH_EVERY == 1:
             try:
                 self._watch("search", self.spent)
-            except BaseException as error:  # handed on after OMPL has returned
+            except BaseException as error:  # raised again after OMPL has returned
                 self.error = error
         return self.error is not None or self.spent > self._left
 
@@ -104,10 +104,10 @@ def search(
         goals: Free arm configurations, shape (N, dof) [rad].
         seed: Seed of the search.
         config: Budget.
-        watch: Called now and then; ends the search by raising.
+        watch: Called regularly; ends the search by raising.
 
     Returns:
-        Waypoints, shape (M, dof), whose last is one of the goals; none when the budget is spent.
+        Waypoints, shape (M, dof), the last one a goal; none if the budget is spent.
     """
     if world.upright is not None:
         found = world.native.connect_upright(
@@ -132,7 +132,7 @@ def search(
 def improve(
     planner: str, world: CollisionWorld, path: Array, *, seed: int, iterations: int, config: SearchConfig, watch: Watch
 ) -> Array:
-    """Look for a shorter path between the ends of one.
+    """Look for a shorter path with the same ends.
 
     Args:
         planner: One of `IMPROVERS`.
@@ -140,11 +140,11 @@ def improve(
         path: Free waypoints, shape (N, dof) [rad].
         seed: Seed of the search.
         iterations: Iterations of the planner.
-        config: Budget of the rest.
-        watch: Called now and then; ends the search by raising.
+        config: Remaining settings of the search.
+        watch: Called regularly; ends the search by raising.
 
     Returns:
-        The shorter of the path given and that found.
+        The shorter of the given and the found path.
     """
     with _OMPL_LOCK:
         _seed(world, seed)
@@ -156,7 +156,7 @@ def improve(
 
 
 def _seed(world: CollisionWorld, seed: int) -> None:
-    """Start OMPL's random numbers anew, after all that draws from them only once has done so."""
+    """Reseed OMPL's random numbers, after all one-time draws are done."""
     _space(tuple(world.robot.lower.tolist()), tuple(world.robot.upper.tolist()))
     ou.RNG.setSeed(seed % (2**31 - 1) + 1)
 
@@ -170,7 +170,7 @@ def _solve(
 ) -> Array | None:
     robot = world.robot
     info = ob.SpaceInformation(_space(tuple(robot.lower.tolist()), tuple(robot.upper.tolist())))
-    # RRTConnect never keeps a state without the edge to it, whose check includes its ends
+    # RRTConnect keeps a state only with the edge to it, whose check includes its ends
     by_edges = name == "RRTConnect"
     info.setStateValidityChecker(lambda state: by_edges or world.is_free(state[0 : robot.dof]))
     info.setMotionValidator(_EdgeValidator(info, world, config.resolution_m))
@@ -205,9 +205,9 @@ def _solve(
 
 @lru_cache(maxsize=8)
 def _space(lower: tuple[float, ...], upper: tuple[float, ...]) -> ob.RealVectorStateSpace:
-    """Return the space of configurations within limits [rad]; to make it takes a third of a short search.
+    """Return the space of configurations within limits [rad]; creating it takes a third of a short search's time.
 
-    It is set up once here, because its first setup draws other random numbers than the following ones.
+    It is set up here once, because its first setup draws different random numbers than later ones.
     """
     space = ob.RealVectorStateSpace(len(lower))
     bounds = ob.RealVectorBounds(len(lower))
@@ -221,13 +221,13 @@ def _space(lower: tuple[float, ...], upper: tuple[float, ...]) -> ob.RealVectorS
 
 @lru_cache(maxsize=8)
 def _scratch(dof: int) -> tuple[ob.RealVectorStateSpace, ob.State]:
-    """Return a state to hand values over in, and its space. The bindings never free a state, so there is only one."""
+    """Return a scratch state and its space. The bindings never free a state, so there is only one."""
     space = ob.RealVectorStateSpace(dof)
     return space, space.allocState()
 
 
 def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConfig, watch: Watch) -> Array:
-    """Shorten a free path: leave out waypoints, then cut corners between random places. Ends stay.
+    """Shorten a free path: drop waypoints, then cut corners between random places. The ends stay.
 
     Args:
         world: Robot and obstacles.
@@ -247,7 +247,7 @@ def shorten(world: CollisionWorld, path: Array, *, seed: int, config: SearchConf
 
 
 def without_repeats(path: Array) -> Array:
-    """Drop waypoints that repeat their predecessor; the last waypoint always stays."""
+    """Drop waypoints that equal their predecessor; the last waypoint always stays."""
     kept = [path[0]]
     for point in path[1:]:
         if np.abs(point - kept[-1]).max() > 1e-7:

@@ -1,7 +1,7 @@
-"""The planner: goals, direct edge, search, shortcut, blends, time law, verification; replanning when one fails.
+"""The planner: goals, direct edge, search, shortcuts, blends, time law, verification; it replans when a step fails.
 
-A plan leaves here only after `verify` has passed the timed motion. Everything is a function of the request and its
-seed; a deadline can only end a request (see `Watch`), never change its answer.
+`Planner` returns a plan only after `verify` has passed the timed motion. The plan is a function of the request and its
+seed. A deadline can only end a request (see `Watch`), never change its answer.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
 Goals = tuple[Array, list[int]]
-"""Arm configurations, nearest first, shape (N, dof) [rad], and which goal each belongs to."""
+"""Arm configurations, nearest first, shape (N, dof) [rad], and the index of the goal that each belongs to."""
 _BUDGETS = (1, 1, 2, 2, 4, 4)
-"""Of successive searches, in units of the configured one."""
+"""Budgets of successive searches, as multiples of the configured one."""
 _DIRECT = 8
-"""Goal configurations to which the straight line is tried."""
+"""Number of goal configurations to which the straight joint line is tried."""
 _PADDINGS = (1.0, 0.2, 1.0, 0.2, 0.2, 0.0)
-"""That they keep, in units of the one asked for."""
+"""Paddings of successive searches, as fractions of the requested one."""
 
 __all__ = ["MotionOptions", "PathIncompleteError", "Plan", "Planner", "PlannerConfig", "Trajectory", "Upright"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """How the planner works."""
+    """Configuration of the planner."""
 
     padding_m: float = 0.005
     """Distance that the search keeps from obstacles where start and goal allow it [m]."""
     max_blend_rad: float = 0.4
     """Largest distance from a corner at which its blend begins [rad]."""
     attempts: int = 6
-    """Searches, each with another seed, until a motion passes verification; at most 6."""
+    """Largest number of searches, each with another seed, until a motion passes verification; at most 6."""
     ik: IkConfig = IkConfig()
     """Inverse kinematics."""
     search: SearchConfig = SearchConfig()
@@ -62,14 +62,14 @@ def no_watch(stage: str, iterations: int) -> None:
 
 
 class Planner:
-    """Plans motions of one robot. Serves one thread at a time; make one per thread."""
+    """Plans motions of one robot. Not thread-safe; create one per thread."""
 
     def __init__(self, robot: RobotModel, config: PlannerConfig | None = None) -> None:
         """Load the robot.
 
         Args:
             robot: The robot's description.
-            config: How to plan; none: the defaults.
+            config: Configuration; none: the defaults.
         """
         self.robot = PlannerRobot(robot)
         self.config = config or PlannerConfig()
@@ -84,17 +84,17 @@ class Planner:
         options: MotionOptions | None = None,
         watch: Watch = no_watch,
     ) -> Plan:
-        """Plan a motion of the tcp to the nearest reachable of some poses.
+        """Plan a motion of the TCP to the nearest reachable of several poses.
 
         Args:
-            scene: What to avoid.
+            scene: Obstacles to avoid.
             start: Arm configuration at the start, shape (dof,) [rad].
-            targets: Goals of the tcp in the world, at least one.
+            targets: Goals of the TCP in the world, at least one.
             options: Limits, padding, seed; none: the defaults.
-            watch: Called now and then; ends the request by raising.
+            watch: Called regularly; ends the request by raising.
 
         Raises:
-            PlannerError: When there is no plan; the message says why.
+            PlannerError: If there is no plan; the message says why.
             InvalidRequestError: On malformed input.
         """
         options = options or MotionOptions()
@@ -156,21 +156,21 @@ class Planner:
         wide: bool = True,
         watch: Watch = no_watch,
     ) -> Plan:
-        """Plan straight lines of the tcp through poses, stopping at each.
+        """Plan straight lines of the TCP through poses, stopping at each.
 
         Args:
-            scene: What to avoid.
+            scene: Obstacles to avoid.
             start: Arm configuration at the start, shape (dof,) [rad].
-            waypoints: Poses of the tcp in the world, at least one.
-            options: Limits and seed; the padding is not used: a line is checked exactly.
-            min_fraction: Smallest part of the lines that counts as success, 0..1.
-            ignore_collisions: Whether collisions do not matter.
-            wide: As of `plan_line`.
-            watch: Called now and then; ends the request by raising.
+            waypoints: Poses of the TCP in the world, at least one.
+            options: Limits and seed; the padding is not used, because a line is checked exactly.
+            min_fraction: Smallest fraction of the lines that counts as success, 0..1.
+            ignore_collisions: Whether collisions are ignored.
+            wide: Whether to search widely; see `plan_line`.
+            watch: Called regularly; ends the request by raising.
 
         Raises:
-            PathIncompleteError: When less than ``min_fraction`` can be done, with the part that can.
-            PlannerError: As `plan_to_pose`.
+            PathIncompleteError: If less than ``min_fraction`` can be done; it holds the plan of the executable part.
+            PlannerError: See `plan_to_pose`.
         """
         options = options or MotionOptions()
         if not waypoints or not 0.0 <= min_fraction <= 1.0:
@@ -204,7 +204,7 @@ class Planner:
         return plan
 
     def check_state(self, scene: PlanningScene, joints: npt.ArrayLike) -> Finding:
-        """Check an arm configuration of shape (dof,) [rad] for limits and collisions (without padding)."""
+        """Check an arm configuration of shape (dof,) [rad] for joint limits and collisions, without padding."""
         q = self.robot.check_joints(joints, what="state")
         world = self._worlds(scene, MotionOptions()).exact
         return Finding(contacts=world.contacts(q), violations=self.robot.limit_violations(q))
@@ -218,15 +218,15 @@ class Planner:
         accelerations: npt.ArrayLike | None = None,
         options: MotionOptions | None = None,
     ) -> Finding:
-        """Check a joint path or sampled trajectory, straight lines between its points; see `verify_samples`.
+        """Check a joint path or sampled trajectory, with straight lines between its points; see `verify_samples`.
 
         Args:
-            scene: What to avoid.
+            scene: Obstacles to avoid.
             positions: Arm configurations, shape (N, dof), N >= 1 [rad].
             times: Strictly increasing, shape (N,) [s]; none: no speeds are checked.
-            velocities: Shape (N, dof) [rad/s]; none: those between the points.
+            velocities: Shape (N, dof) [rad/s]; none: computed from positions and times.
             accelerations: Shape (N, dof) [rad/s^2]; none: not checked.
-            options: Limits and padding; with no padding given, 0.
+            options: Limits and padding; if they give no padding, 0.
         """
         options = options or MotionOptions()
         path = np.atleast_2d(np.asarray(positions, dtype=float))
@@ -258,14 +258,14 @@ class Planner:
         count: int = 1,
         seed: int = 0,
     ) -> Array:
-        """Return arm configurations that put the tcp at a pose, nearest to a reference first.
+        """Return arm configurations that put the TCP at a pose, nearest to a reference first.
 
         Args:
-            target: The tcp in the world.
-            reference: Arm configuration that distances are measured from, shape (dof,) [rad].
-            scene: What solutions must not touch; none: collisions do not matter.
-            robot_pose: Base in the world when there is no scene; none: identity.
-            count: At most so many.
+            target: The TCP in the world.
+            reference: Arm configuration to measure distances from, shape (dof,) [rad].
+            scene: Obstacles that solutions must not touch; none: collisions are not checked.
+            robot_pose: Pose of the base in the world if there is no scene; none: identity.
+            count: Largest number of solutions.
             seed: Seed of the search.
 
         Returns:
@@ -295,7 +295,7 @@ class Planner:
         return np.array(free[:count])
 
     def limits(self, options: MotionOptions) -> MotionLimits:
-        """Return the limits that options mean for this robot."""
+        """Return the limits of this robot under the options."""
         return MotionLimits(
             velocity=self.robot.max_velocity * options.velocity_scaling,
             acceleration=self.robot.max_acceleration * options.acceleration_scaling,
@@ -305,7 +305,7 @@ class Planner:
         )
 
     def _worlds(self, scene: PlanningScene, options: MotionOptions) -> PaddedSweep:
-        """Return the geometry of a scene; the last ones are kept, since requests come in runs on one scene."""
+        """Return the geometry of a scene; the last 4 are cached, since successive requests share a scene."""
         padding = self.config.padding_m if options.padding_m is None else options.padding_m
         for kept in self._kept:
             if (kept.search_padding, kept.upright) == (padding, options.upright) and kept.scene == scene:
@@ -367,7 +367,7 @@ class Planner:
     def _direct(
         self, worlds: PaddedSweep, begin: Array, goal: Array, options: MotionOptions, owner: int
     ) -> Plan | None:
-        """Return the plan of a straight joint line, or none when it is not valid."""
+        """Return the plan of a straight joint line, or none if it is not valid."""
         path = np.stack([begin, goal])
         limits = self.limits(options)
         if float(np.abs(goal - begin).max()) < 1e-9:
@@ -386,7 +386,7 @@ class Planner:
         options: MotionOptions,
         watch: Watch,
     ) -> Plan | None:
-        """Return the plan of the straight joint line to the first goal that has a valid one, or none."""
+        """Return the plan of the first valid straight joint line to one of the goals, or none."""
         watch("direct", 0)
         goals, owners = found[0][:_DIRECT], found[1]
         at = 0
@@ -409,9 +409,9 @@ class Planner:
         watch: Watch,
         more: Callable[[], Goals] | None = None,
     ) -> Plan:
-        """Direct edges to every goal, nearest first; then searches until a motion passes verification.
+        """Try direct edges to the goals, nearest first; then search until a motion passes verification.
 
-        ``more`` looks for more goal configurations; it is called when the first search finds no way to those there are.
+        ``more`` returns more goal configurations; it is called when the first search finds no path to the known ones.
         """
         goals, owners = found
         world = worlds.eased(begin, goals)
@@ -454,7 +454,7 @@ class Planner:
         )
 
     def _search_config(self, options: MotionOptions, budget: int, refused: int) -> SearchConfig:
-        """Return the budget of a search, finer the more motions verification has refused."""
+        """Return the settings of a search: the more motions verification has refused, the finer its resolution."""
         base = self.config.search
         planners = base.planners
         if budget == 1 and not refused and options.planner in (*IMPROVERS, planners[0][0]):
@@ -472,7 +472,7 @@ class Planner:
     def _time_and_verify(
         self, sweep: Sweep, world: CollisionWorld, path: Array, options: MotionOptions, watch: Watch
     ) -> tuple[Motion, bool]:
-        """Time a path with blends, then with smaller ones, then stopping at its waypoints, until one is valid.
+        """Time a path with blends, then with smaller blends, then with stops at its waypoints, until one is valid.
 
         Returns:
             The last motion tried, and whether it is valid.
@@ -491,7 +491,7 @@ class Planner:
         """Return a named arm configuration of the robot.
 
         Raises:
-            InvalidRequestError: When there is none of that name; lists what there is.
+            InvalidRequestError: On an unknown name; the message lists the known names.
         """
         states = {"home": self.robot.description.home, **self.robot.description.named_states}
         if name not in states:
@@ -504,7 +504,7 @@ def _in_base(base: Pose, target: Pose) -> Pose:
 
 
 def _check_upright(options: MotionOptions, targets: list[Pose]) -> None:
-    """Check that the tool is upright at one of some goals, its poses in the world."""
+    """Check that the tool is upright at one of several goals, given as poses of the TCP in the world."""
     if options.upright is None:
         return
     tool, world = (np.array(axis) for axis in (options.upright.tool_axis, options.upright.world_axis))

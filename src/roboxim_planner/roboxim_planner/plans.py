@@ -1,4 +1,4 @@
-"""What a motion may be asked to keep to, and what comes out: plain values."""
+"""Options of a motion request and the resulting plan, as plain values."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class MotionOptions:
-    """What a request may ask of a motion."""
+    """Options of a motion request."""
 
     velocity_scaling: float = 1.0
     """Fraction of the joints' velocity limits, in (0, 1]."""
     acceleration_scaling: float = 1.0
-    """Fraction of their acceleration and jerk limits, in (0, 1]."""
+    """Fraction of the joints' acceleration and jerk limits, in (0, 1]."""
     max_tcp_speed_m_s: float = np.inf
-    """Limit of the tcp's speed [m/s]."""
+    """Limit of the TCP's speed [m/s]."""
     max_tcp_rot_speed_rad_s: float = np.inf
-    """Limit of the tcp's angular speed [rad/s]."""
+    """Limit of the TCP's angular speed [rad/s]."""
     padding_m: float | None = None
-    """Distance that searches keep from obstacles where start and goal do, at least 1 mm [m]; none: the planner's."""
+    """Distance that searches keep from obstacles if start and goal allow it, at least 1 mm [m]; none: the planner's."""
     upright: Upright | None = None
-    """Path constraint; none: the tool may turn as it likes."""
+    """Path constraint; none: the tool may turn freely."""
     planner: str = "RRTConnect"
-    """Path planner to begin with; one of `paths.IMPROVERS` goes on from the first path to shorter ones."""
+    """Path planner to begin with; one of `paths.IMPROVERS` continues from the first path to shorter ones."""
     improve_iterations: int | None = None
     """Iterations of a planner that improves; none: `SearchConfig.improve_iterations`."""
     seed: int = 0
-    """Same request and seed, same plan."""
+    """Seed of the search, >= 0; the same request and seed give the same plan."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -70,19 +70,19 @@ class Plan:
     motion: Motion
     """The motion as a function of time."""
     limits: MotionLimits
-    """What it keeps."""
+    """Limits that the motion keeps."""
     route: str
-    """``still``, ``direct``, ``sampled``, ``cartesian`` or ``retimed``."""
+    """How the motion was found: ``still``, ``direct``, ``sampled``, ``cartesian`` or ``retimed``."""
     goal_index: int = -1
-    """Which of several goals was reached; -1 where there is no choice."""
+    """Index of the goal reached; -1 if the request has a single goal."""
     fraction: float = 1.0
-    """Part of a straight line that it covers."""
+    """Fraction of a straight line that the motion covers, 0..1."""
     waypoints: Array = field(default_factory=lambda: np.empty((0, 0)))
     """Joint path that was timed, shape (N, dof) [rad]."""
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the motion [s]."""
         return self.motion.duration
 
     @property
@@ -91,21 +91,21 @@ class Plan:
         return np.asarray(self.motion.evaluate(np.array([self.duration]))[0][0])
 
     def sample(self, period_s: float) -> Trajectory:
-        """Sample the motion at a period, its end included."""
+        """Sample the motion at a period [s], its end included."""
         count = max(1, int(np.ceil(self.duration / period_s - 1e-9)))
         return sample(self.motion, np.append(np.arange(count) * period_s, self.duration))
 
     def points(self, period_s: float) -> Trajectory:
-        """Return points for a controller; see `controller_points`, whose errors this raises."""
+        """Return points for a controller at a period [s]; see `controller_points` for the errors."""
         return controller_points(self.motion, self.limits, period_s)
 
 
 class PathIncompleteError(PlannerError):
-    """A straight line can only be followed in part; ``partial`` is the verified plan of that part, or none."""
+    """A straight line can only be followed in part; ``partial`` is the verified plan of that part."""
 
     code = ErrorCode.PATH_INCOMPLETE
 
     def __init__(self, message: str, partial: Plan) -> None:
-        """Make the error with the part that can be done."""
+        """Create the error with the plan of the executable part."""
         super().__init__(message)
         self.partial = partial

@@ -1,10 +1,10 @@
-"""Points of a motion that a controller may interpolate: cubic and quintic splines through them keep the limits.
+"""Trajectory points for a controller: cubic and quintic splines through them keep the limits.
 
-A joint trajectory controller knows only the points. It joins them by cubic splines through positions and velocities, or
-by quintic ones through accelerations as well. Such a spline repeats the motion where the motion's own polynomial does
-not change between two points; where the jerk jumps in between, it overshoots (by 1.6 times the acceleration's limit at
-10 ms, since a Panda reaches its full acceleration within 2 ms). So there are points at the period and where the jerk
-jumps, and further ones wherever a spline still breaks a limit.
+A joint trajectory controller knows only the points. It interpolates them by cubic splines through positions and
+velocities, or by quintic splines through accelerations as well. Such a spline reproduces the motion where the motion's
+polynomial does not change between two points. Where the jerk jumps in between, the spline overshoots: it reaches 1.6
+times the acceleration limit at 10 ms, since a Panda reaches its full acceleration within 2 ms. So there are points at
+the period, points where the jerk jumps, and further points wherever a spline still breaks a limit.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from roboxim_planner.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
 TOLERANCE = 0.01
-"""By what part of a limit a spline may exceed it."""
+"""Fraction of a limit by which a spline may exceed it."""
 CHECK_PERIOD_S = 1e-3
 """Spacing at which splines are looked at, at most; segments are divided evenly."""
 MIN_GAP_S = 5e-6
-"""Where the jerk jumps nearer than this to another point, no point is added."""
+"""A jump of the jerk that is nearer than this to another point gets no point [s]."""
 _ROUNDS = 8
 
 
@@ -32,7 +32,7 @@ class Trajectory:
     """Samples of a motion."""
 
     times: Array
-    """From 0, shape (N,) [s]."""
+    """Times from 0, shape (N,) [s]."""
     positions: Array
     """Shape (N, dof) [rad]."""
     velocities: Array
@@ -58,7 +58,7 @@ def controller_points(motion: Motion, limits: MotionLimits, period_s: float) -> 
         period_s: Longest time between two points [s]; its multiples are among the points.
 
     Raises:
-        PlannerError: ``TRAJECTORY_INVALID`` when no points are found that keep the limits.
+        PlannerError: ``TRAJECTORY_INVALID`` if no points are found that keep the limits.
     """
     times = _times(motion, period_s)
     for _ in range(_ROUNDS):
@@ -77,13 +77,13 @@ def controller_points(motion: Motion, limits: MotionLimits, period_s: float) -> 
 
 
 def _sampled(motion: Motion, times: Array) -> Trajectory:
-    """Return a motion's samples; the last one is its very end, less than a nanosecond from the last time."""
+    """Return a motion's samples; the last one is its exact end, less than a nanosecond from the last time."""
     q, v, a, _ = motion.evaluate(np.append(times[:-1], motion.duration))
     return Trajectory(times=times, positions=q, velocities=v, accelerations=a)
 
 
 def _times(motion: Motion, period_s: float) -> Array:
-    """Return the multiples of the period, the end, and where the jerk jumps, in whole nanoseconds."""
+    """Return the multiples of the period, the end, and the times of jerk jumps, in whole nanoseconds."""
     period = float(_whole(np.array(period_s)))
     duration = float(_whole(np.array(motion.duration)))
     count = max(1, int(np.ceil(duration / period - 1e-9)))
@@ -102,9 +102,10 @@ def _whole(times: Array) -> Array:
 
 
 def spline_excess(points: Trajectory, limits: MotionLimits) -> Array:
-    """Return the largest velocity or acceleration between neighbouring points, as a part of its limit, shape (N - 1,).
+    """Return the largest velocity or acceleration between neighbouring points as a fraction of its limit, (N - 1,).
 
-    Of the cubic Hermite spline through positions and velocities and of the quintic one through accelerations as well.
+    It is the larger of two splines: the cubic Hermite spline through positions and velocities, and the quintic one
+    through accelerations as well.
     """
     spans = np.diff(points.times)[:, None]
     count = 1 + int(np.ceil(spans.max() / CHECK_PERIOD_S - 1e-6))
@@ -123,7 +124,7 @@ def spline_excess(points: Trajectory, limits: MotionLimits) -> Array:
 
 
 def _splines(points: Trajectory, spans: Array) -> tuple[Array, Array]:
-    """Return coefficients of the cubic and the quintic in the part of a segment 0..1, from the first power on."""
+    """Return coefficients of the cubic and the quintic over a segment scaled to 0..1, from the first power on."""
     moved = np.diff(points.positions, axis=0)
     v0, v1 = points.velocities[:-1] * spans, points.velocities[1:] * spans
     a0, a1 = 0.5 * points.accelerations[:-1] * spans**2, 0.5 * points.accelerations[1:] * spans**2

@@ -1,6 +1,6 @@
-"""Requests to the planner as values: what a service is asked, free of messages.
+"""Requests to the planner as plain values, independent of ROS messages.
 
-The node turns messages into queries; a dump is a query in a file, so that a failure can be run again, and drawn,
+The node converts messages to queries. A dump stores a query in a file, so that a failure can be run again and drawn
 without the graph in which it happened.
 """
 
@@ -29,18 +29,18 @@ _ALL = 10_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answer:
-    """What a query is answered with."""
+    """Answer to a query."""
 
     plans: tuple[Plan, ...] = ()
     """Motions; one, or one per stage of a sequence."""
     goal_indices: tuple[int, ...] = ()
-    """Which goal each plan reached; -1 where there is no choice."""
+    """Index of the goal that each plan reached; -1 if there is a single goal."""
     solutions: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """Arm configurations of inverse kinematics, shape (N, dof) [rad]."""
+    """Solutions of inverse kinematics, shape (N, dof) [rad]."""
 
     @property
     def digest(self) -> str:
-        """A hash of every bit of it, 16 hexadecimal digits."""
+        """Hash of goal indices, solutions and plans (sampled every 10 ms), 16 hexadecimal digits."""
         hashed = hashlib.blake2b(digest_size=8)
         hashed.update(repr((self.goal_indices, self.solutions.shape)).encode())
         hashed.update(self.solutions.tobytes())
@@ -52,7 +52,7 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """What all queries have in common."""
+    """Base class of all queries."""
 
     kind: ClassVar[str] = ""
     """Name of the service."""
@@ -60,37 +60,37 @@ class Query:
     robot: str
     """Id of the robot model."""
     scene: PlanningScene = PlanningScene()
-    """What to avoid."""
+    """Scene whose bodies to avoid."""
     start: tuple[float, ...] = ()
-    """Arm joints at the start; of inverse kinematics: that distances are measured from [rad]."""
+    """Arm joints at the start; for inverse kinematics: the reference to measure distances from [rad]."""
     options: MotionOptions = MotionOptions()
     """Limits, padding, seed."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it.
+        """Answer the query.
 
         Args:
             planner: Planner of the robot.
-            watch: Called now and then; ends the query by raising.
-            entered: Called with the stage of a sequence that is being worked at.
+            watch: Called regularly; ends the query by raising.
+            entered: Called with the index of the stage of a sequence that is being planned.
 
         Raises:
-            RoboximError: When there is no answer; the message says why.
+            RoboximError: If there is no answer; the message says why.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseQuery(Query):
-    """A motion of the tcp to one of several poses."""
+    """A motion of the TCP to one of several poses."""
 
     kind: ClassVar[str] = "plan_to_pose"
 
     targets: tuple[Pose, ...]
-    """Goals of the tcp in the world."""
+    """Goals of the TCP in the world."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         plan = planner.plan_to_pose(self.scene, self.start, list(self.targets), self.options, watch)
         return Answer(plans=(plan,), goal_indices=(plan.goal_index,))
 
@@ -105,26 +105,26 @@ class JointsQuery(Query):
     """Arm joints at the goal [rad]."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         plan = planner.plan_to_joints(self.scene, self.start, self.goal, self.options, watch)
         return Answer(plans=(plan,), goal_indices=(-1,))
 
 
 @dataclass(frozen=True, kw_only=True)
 class LineQuery(Query):
-    """Straight lines of the tcp."""
+    """Straight lines of the TCP."""
 
     kind: ClassVar[str] = "plan_cartesian"
 
     waypoints: tuple[Pose, ...]
-    """Poses of the tcp in the world."""
+    """Poses of the TCP in the world."""
     min_fraction: float = 1.0
-    """Smallest part that counts as success."""
+    """Smallest fraction that counts as success, 0..1."""
     ignore_collisions: bool = False
-    """Whether collisions do not matter."""
+    """Whether collisions are ignored."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         plan = planner.plan_cartesian(
             self.scene,
             self.start,
@@ -147,7 +147,7 @@ class SequenceQuery(Query):
     """The motions."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         found = plan_sequence(planner, self.scene, self.start, self.stages, self.options, watch, entered=entered)
         return Answer(plans=found.plans, goal_indices=found.goal_indices)
 
@@ -161,14 +161,14 @@ class RetimeQuery(Query):
     path: tuple[tuple[float, ...], ...]
     """Arm configurations [rad]."""
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD
-    """How far the motion may be from the path [rad]."""
+    """Largest distance of the motion from the path, in any joint [rad]."""
     stop_at_points: bool = False
     """Whether to stop at every point."""
     check_collisions: bool = False
     """Whether the motion must keep clear of the scene."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         watch("timing", 0)
         plan = retime(
             planner,
@@ -183,21 +183,21 @@ class RetimeQuery(Query):
 
 @dataclass(frozen=True, kw_only=True)
 class IkQuery(Query):
-    """Arm configurations for a pose of the tcp."""
+    """Arm configurations for a pose of the TCP."""
 
     kind: ClassVar[str] = "compute_ik"
 
     target: Pose
-    """The tcp in the world."""
+    """The TCP in the world."""
     mode: str = "nearest"
     """``nearest``, ``any`` or ``all``."""
     count: int = 1
-    """At most so many; 0: no limit."""
+    """Largest number of solutions; 0: no limit."""
     avoid_collisions: bool = False
     """Whether solutions must be free of collisions."""
 
     def run(self, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-        """Answer it."""
+        """Answer the query."""
         if self.mode not in IK_MODES:
             raise InvalidRequestError(f"unknown mode '{self.mode}'; {one_of(IK_MODES, self.mode)}")
         watch("goals", 0)
@@ -216,11 +216,11 @@ class IkQuery(Query):
 QUERIES: dict[str, type[Query]] = {
     cls.kind: cls for cls in (PoseQuery, JointsQuery, LineQuery, SequenceQuery, RetimeQuery, IkQuery)
 }
-"""Every query by its service's name."""
+"""Query classes by the name of their service."""
 
 
 def run_query(query: Query, planner: Planner, watch: Watch, entered: Callable[[int], None] = lambda _: None) -> Answer:
-    """Run a query and look at the watch once more; see `Query.run`."""
+    """Run a query and call the watch once more at the end; see `Query.run`."""
     answer = query.run(planner, watch, entered)
     watch("answer", 0)
     return answer

@@ -1,4 +1,4 @@
-"""Requests of services and actions to queries, and answers back."""
+"""Converts requests of services and actions to queries, and answers back."""
 
 from __future__ import annotations
 
@@ -49,37 +49,37 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """What all motion requests have in common, checked and converted."""
+    """The common part of all motion requests, checked and converted."""
 
     planner: Planner
     """Planner of the robot."""
     scene: PlanningScene
-    """What to avoid."""
+    """Scene whose bodies to avoid."""
     start: Array | None
-    """Arm joints at the start, shape (dof,) [rad]; none: the request needs none."""
+    """Arm joints at the start, shape (dof,) [rad]; none: the request needs no start."""
     options: MotionOptions
     """Limits, padding, seed."""
     period_s: float
     """Time between the points of the answer [s]."""
     tcp_poses: bool
-    """Whether the answer has the tcp's poses."""
+    """Whether the answer includes the TCP's poses."""
 
     def target(self, msg: Any, frame: str, what: str) -> Pose:
-        """Return a goal of the tcp in the world; ``what`` it is, for messages."""
+        """Return a goal of the TCP in the world; ``what`` is its name in error messages."""
         return pose_in_world(msg, frame, self.planner.robot, self.scene.robot_pose, self.start, what=what)
 
     def fields(self) -> dict[str, Any]:
-        """Return the fields of every query."""
+        """Return the fields that every query has."""
         start = () if self.start is None else tuple(self.start.tolist())
         robot = self.planner.robot.description.id
         return {"robot": robot, "scene": self.scene, "start": start, "options": self.options}
 
 
 def start_from_msg(msg: JointState, robot: PlannerRobot, scene: PlanningScene, *, what: str = "start_state") -> Array:
-    """Return a request's arm configuration; an empty one is the joint command of the scene's revision.
+    """Return a request's start configuration; if empty, the joint command of the scene's revision.
 
     Raises:
-        InvalidRequestError: When it does not fit the robot, or is empty without a revision.
+        InvalidRequestError: If it does not match the robot, or is empty without a revision.
     """
     if len(msg.position):
         return robot.check_joints(joints_from_msg(msg, robot.description, what=what), what=what)
@@ -89,7 +89,7 @@ def start_from_msg(msg: JointState, robot: PlannerRobot, scene: PlanningScene, *
 
 
 def pose_query(common: Common, poses: Sequence[Any], frame: str) -> Query:
-    """Return the query of a motion to any of some poses of a frame."""
+    """Return the query of a motion to any of several poses in a frame."""
     targets = tuple(common.target(pose, frame, _numbered("target", k, len(poses))) for k, pose in enumerate(poses))
     return PoseQuery(**common.fields(), targets=targets)
 
@@ -135,7 +135,7 @@ MAKERS: dict[str, Callable[[Common, Any], Query]] = {
     "retime_path": lambda common, msg: retime_query(common, msg),
     "plan_motion": lambda common, msg: motion_query(common, msg),
 }
-"""What makes the query of a service's request, or an action's goal, which all have ``request``."""
+"""Service name to the function that makes the query of its request (or an action's goal); all have ``request``."""
 
 
 def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_start: bool) -> Common:
@@ -143,9 +143,9 @@ def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_st
 
     Args:
         msg: The message.
-        planner: Planner of its robot.
-        scene: Its scene.
-        with_start: Whether it needs a start.
+        planner: Planner of the request's robot.
+        scene: Scene of the request.
+        with_start: Whether the request needs a start.
     """
     options, period = options_from_msg(msg), sample_period(msg)
     start = start_from_msg(msg.start_state, planner.robot, scene) if with_start else None
@@ -155,20 +155,20 @@ def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_st
 
 
 def query_without_graph(service: str, msg: Any, library: ModelLibrary, robot: str = "panda") -> tuple[Query, Planner]:
-    """Return the query of a service's request, and a planner for it, where there is no node.
+    """Return the query of a service's request and a planner for it, without a node.
 
     Args:
         service: One of `MAKERS`.
         msg: The request.
-        library: Where robots and objects come from.
-        robot: Robot of a request that names none.
+        library: Source of robots and objects.
+        robot: Robot model id for requests that name none.
 
     Raises:
-        InvalidRequestError: When the request names a scene that only a running graph has, or is malformed.
+        InvalidRequestError: If the request names a scene that only a running graph has, or is malformed.
     """
     asked = msg.request
     if asked.scene.episode_id:
-        raise InvalidRequestError("a scene named by episode_id is in a running graph; give the objects in the request")
+        raise InvalidRequestError("a scene named by episode_id needs a running graph; give the objects in the request")
     planner = Planner(library.robot(asked.robot or robot))
     scene = scene_from_msg(asked.scene, None, library)
     common = common_from_msg(asked, planner, scene, with_start=service != "retime_path")
@@ -230,7 +230,7 @@ def _stage_goal(common: Common, stamped: Any, relative: bool, what: str) -> Stag
         return StageGoal(pose=optional_pose(stamped.pose, what=what), frame=TCP)
     if not relative:
         return StageGoal(pose=common.target(stamped.pose, frame, what))
-    axes = replace(common.target(PoseMsg(), frame, what), position=(0.0, 0.0, 0.0))  # of the frame, in the world
+    axes = replace(common.target(PoseMsg(), frame, what), position=(0.0, 0.0, 0.0))  # the frame's axes in the world
     q = stamped.pose.orientation
     if not any((q.x, q.y, q.z, q.w)):
         stamped.pose.orientation.w = 1.0
@@ -238,7 +238,7 @@ def _stage_goal(common: Common, stamped: Any, relative: bool, what: str) -> Stag
 
 
 def _limited(options: MotionOptions, msg: Any) -> MotionOptions:
-    """Return options with those limits that a ``MotionStage`` gives."""
+    """Return the options with the limits that a ``MotionStage`` gives."""
     numbers = {
         "velocity_scaling": msg.max_velocity_scaling_factor,
         "acceleration_scaling": msg.max_acceleration_scaling_factor,
@@ -267,7 +267,7 @@ def ik_query(planner: Planner, scene: PlanningScene, msg: Any) -> Query:
     """Return the query of a ``ComputeIK`` request.
 
     Raises:
-        InvalidRequestError: On an unknown mode or a seed state that does not fit the robot.
+        InvalidRequestError: On an unknown mode or a seed state that does not match the robot.
         PlannerError: ``UNKNOWN_FRAME``.
     """
     modes = {msg.NEAREST: "nearest", msg.ANY: "any", msg.ALL: "all"}
@@ -295,9 +295,9 @@ def fill_answer(response: Any, answer: Answer, common: Common, begun: float) -> 
 
     Args:
         response: Service response or action result.
-        answer: What was found.
-        common: What was asked.
-        begun: When the work began, of ``time.monotonic`` [s].
+        answer: Answer of the query.
+        common: Common part of the request.
+        begun: Time at which the work began, by ``time.monotonic`` [s].
     """
     robot = common.planner.robot
     plans = [plan_to_msg(plan, robot, common.scene, common.period_s, common.tcp_poses) for plan in answer.plans]

@@ -1,7 +1,7 @@
-"""A time law for a given joint path: simplified and rounded within a tolerance, or exact with a stop at each point.
+"""A time law for a given joint path: simplified and blended within a tolerance, or exact with a stop at each point.
 
-A time law that follows a dense path point by point could hardly gather speed between two of them, so the path is first
-replaced by fewer lines that stay within half the tolerance; the blends of their corners get the other half.
+A time law that follows a dense path point by point could hardly gain speed between two points. So the path is first
+replaced by fewer lines that stay within half the tolerance. The blends at their corners get the other half.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 DEFAULT_TOLERANCE_RAD = 0.1
 _SHRINK = (1.0, 0.3, 0.1)
 _BLEND_DEPTH = 0.1875
-"""A blend that begins ``d`` before a corner passes it at this times ``d`` times the change of direction."""
+"""A blend that begins at distance ``d`` before a corner passes it at this factor times ``d`` times the turn."""
 
 
 def retime(
@@ -39,16 +39,16 @@ def retime(
         planner: Planner of the robot.
         path: Arm configurations, shape (N, dof), N >= 2 [rad].
         options: Limits; none: the defaults.
-        tolerance_rad: How far the motion may be from the path, in any joint [rad].
-        stop_at_points: Pass exactly through each point, stopping there.
-        scene: What to avoid; none: collisions are not checked.
+        tolerance_rad: Largest distance of the motion from the path, in any joint [rad].
+        stop_at_points: Whether to pass exactly through each point, stopping there.
+        scene: Obstacles to avoid; none: collisions are not checked.
 
     Returns:
         The verified motion; its route is ``retimed``.
 
     Raises:
         InvalidRequestError: On a malformed path or tolerance.
-        PlannerError: ``TRAJECTORY_INVALID`` when the path itself leaves the limits or collides.
+        PlannerError: ``TRAJECTORY_INVALID`` if the path itself leaves the limits or collides.
     """
     options = options or MotionOptions()
     points = _checked(planner, path)
@@ -89,7 +89,7 @@ def simplified(path: Array, tolerance: float) -> Array:
 
     Args:
         path: Arm configurations, shape (N, dof), N >= 2 [rad].
-        tolerance: Largest distance in any joint of a point left out from the line that replaces it [rad].
+        tolerance: Largest distance, in any joint, of an omitted point from the line that replaces it [rad].
 
     Returns:
         Shape (M, dof), both ends included.
@@ -113,7 +113,7 @@ def simplified(path: Array, tolerance: float) -> Array:
 
 
 def _corners(path: Array, tolerance: float) -> Array:
-    """Return how far from each inner point its blend begins so that it cuts the corner by at most a tolerance."""
+    """Return the distance from each inner point at which its blend begins, so that it stays within the tolerance."""
     deltas = np.diff(path, axis=0)
     lengths = np.linalg.norm(deltas, axis=1)
     directions = deltas / lengths[:, None]

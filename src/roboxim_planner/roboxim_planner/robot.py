@@ -1,6 +1,6 @@
-"""The robot as the planner sees it: kinematics by Pinocchio, collision geometry as convex hulls, limits.
+"""The planner's model of a robot: kinematics by Pinocchio, collision geometry as convex hulls, limits.
 
-The collision meshes of the URDF are replaced by their convex hulls: a hull never misses a contact of its mesh and is an
+The collision meshes of the URDF are replaced by their convex hulls. A hull never misses a contact of its mesh and is an
 order of magnitude faster to check.
 """
 
@@ -29,12 +29,12 @@ _INSIDE_RAD = 4e-3
 
 
 def se3(pose: Pose) -> pin.SE3:
-    """Turn a pose into Pinocchio's rigid transform."""
+    """Convert a pose to Pinocchio's rigid transform."""
     return pin.SE3(pose_matrix(pose))
 
 
 def pose_matrix(pose: Pose) -> Array:
-    """Return a pose as a homogeneous matrix; a tenth of scipy's time."""
+    """Return a pose as a homogeneous matrix, shape (4, 4); ten times as fast as scipy."""
     x, y, z, w = pose.quat_xyzw
     s = 2.0 / (x * x + y * y + z * z + w * w)
     px, py, pz = pose.position
@@ -55,7 +55,7 @@ class LinkShape:
     link: str
     """Name of the link."""
     joint: int
-    """Index of the arm joint that it moves with, -1: the base."""
+    """Index of the arm joint that the part moves with; -1: the base."""
     item: native.Item
     """The shape."""
     close: bool
@@ -63,9 +63,9 @@ class LinkShape:
 
 
 class PlannerRobot:
-    """A robot model loaded for planning. One object serves one thread: Pinocchio's data is scratch space.
+    """A robot model loaded for planning. Not thread-safe: Pinocchio's data is scratch space.
 
-    Everything is in the frame of the robot's base; the pose of the base in the world belongs to the scene.
+    All poses are in the frame of the robot's base; the pose of the base in the world belongs to the scene.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -75,8 +75,8 @@ class PlannerRobot:
             robot: The robot's description.
 
         Raises:
-            ConfigError: When the URDF lacks a joint or link that the description names.
-            InvalidRequestError: When a mesh of a close pair cannot be read.
+            ConfigError: If the URDF lacks a joint or link that the description names.
+            InvalidRequestError: If a mesh of a close pair cannot be read.
         """
         self.description = robot
         self.kinematics = ArmKinematics(robot)
@@ -84,7 +84,7 @@ class PlannerRobot:
         self.dof = len(robot.joint_names)
         self._joint_ids = [self.model.getJointId(name) for name in robot.joint_names]
         self.arm_indices = np.array([self.model.joints[i].idx_q for i in self._joint_ids])
-        """Places of the arm's joints in Pinocchio's configurations."""
+        """Indices of the arm's joints in Pinocchio's configurations."""
         self._finger_q = np.array(
             [self.model.joints[self.model.getJointId(n)].idx_q for n in robot.gripper.joint_names], dtype=int
         )
@@ -98,18 +98,18 @@ class PlannerRobot:
         self.geometry = self._load_geometry(robot)
         """Convex collision geometry and the pairs of links to check; parts of close pairs come last."""
         self.whole_shapes = len(self.geometry.geometryObjects)
-        """How many shapes of ``geometry`` stand for their link against everything."""
+        """Number of leading shapes of ``geometry`` that are checked against everything."""
         self._add_close_pairs(robot)
         self.item_links = tuple(self.model.frames[item.parentFrame].name for item in self.geometry.geometryObjects)
-        """The link that each collision shape belongs to."""
+        """Link of each collision shape."""
         self.item_joints = tuple(self._moves_with(item.parentJoint) for item in self.geometry.geometryObjects)
-        """The arm joint that each moves with, -1: none."""
+        """Index of the arm joint that each collision shape moves with; -1: none."""
         self.self_pairs = tuple((pair.first, pair.second) for pair in self.geometry.collisionPairs)
-        """Shapes that may not touch each other."""
+        """Pairs of collision shapes that may not touch."""
         self.scratch = self.model.createData()
         self._shapes = lru_cache(maxsize=16)(self._link_shapes)
         self.link_group = lru_cache(maxsize=16)(self._link_group)
-        """Broad phase of some of the shapes, by index, with the pairs of them that are checked."""
+        """Broad phase of a subset of the shapes, given by index, with the checked pairs among them."""
 
     def _load_geometry(self, robot: RobotModel) -> pin.GeometryModel:
         folders = [str(folder) for folder in robot.urdf.resolve().parents]
@@ -150,13 +150,13 @@ class PlannerRobot:
         """The arm's kinematics in the native kernel.
 
         Raises:
-            ConfigError: When the description does not list the joints from base to tip.
+            ConfigError: If the description does not list the joints from base to tip.
         """
         return self._native_arm(0.0)
 
     @cached_property
     def arm_within_limits(self) -> native.Arm:
-        """The same with limits drawn in a little, so that a smooth curve through configurations keeps the real ones."""
+        """The same with slightly tighter limits, so that a smooth curve through configurations keeps the real ones."""
         return self._native_arm(_INSIDE_RAD)
 
     def _native_arm(self, margin: float) -> native.Arm:
@@ -186,7 +186,7 @@ class PlannerRobot:
 
     @cached_property
     def tcp_attachment(self) -> tuple[int, Array]:
-        """The arm joint that the tcp moves with, -1: none, and its pose in that joint's frame, shape (4, 4)."""
+        """Index of the arm joint that the TCP moves with (-1: none), and its pose in that joint's frame, (4, 4)."""
         data = self._at_zero(1.0)
         pin.updateFramePlacements(self.model, data)
         joint = self._moves_with(self.model.frames[self.tcp_frame].parentJoint)
@@ -194,7 +194,7 @@ class PlannerRobot:
         return joint, frame.actInv(data.oMf[self.tcp_frame]).homogeneous
 
     def link_shapes(self, opening: float) -> tuple[LinkShape, ...]:
-        """Return the links' convex parts in the order of ``geometry``, the fingers at an opening of 0..1."""
+        """Return the links' convex parts in the order of ``geometry``, with the fingers at an opening of 0..1."""
         return self._shapes(round(opening, 6))
 
     def _link_shapes(self, opening: float) -> tuple[LinkShape, ...]:
@@ -217,13 +217,13 @@ class PlannerRobot:
         return data
 
     def _moves_with(self, joint: int) -> int:
-        """Return the index of the arm joint that one of Pinocchio's joints moves with, -1: none."""
+        """Return the index of the arm joint that a joint of Pinocchio moves with; -1: none."""
         while joint and joint not in self._joint_ids:
             joint = self.model.parents[joint]
         return self._joint_ids.index(joint) if joint else -1
 
     def full(self, joints: npt.ArrayLike, opening: float = 1.0) -> Array:
-        """Return Pinocchio's full configurations for arm configurations.
+        """Return Pinocchio's full configurations (arm and fingers) for arm configurations.
 
         Args:
             joints: Arm joints [rad], shape (dof,) or (N, dof).
@@ -240,10 +240,10 @@ class PlannerRobot:
 
         Args:
             joints: Arm joints [rad], shape (dof,).
-            link: Name of the link; empty: the tcp.
+            link: Name of the link; empty: the TCP.
 
         Raises:
-            InvalidRequestError: When there is no such link.
+            InvalidRequestError: If there is no such link.
         """
         if not link:
             return self.kinematics.fk(joints)
@@ -253,19 +253,19 @@ class PlannerRobot:
         return self.kinematics.link_poses(joints)[link]
 
     def tcp_poses(self, joints: npt.ArrayLike) -> list[Pose]:
-        """Return the tcp in the robot's base along a path of arm configurations of shape (N, dof)."""
+        """Return the poses of the TCP in the robot's base along a path of arm configurations, shape (N, dof)."""
         path = np.atleast_2d(np.asarray(joints, dtype=float))
         return [Pose.from_matrix(matrix) for matrix in self.arm.tcp_poses(path)]
 
     def check_joints(self, joints: npt.ArrayLike, *, what: str) -> Array:
-        """Check arm joint positions at the door.
+        """Check arm joint positions of a request.
 
         Args:
             joints: Positions [rad].
-            what: What they are, for the message, e.g. ``"start"``.
+            what: Name of the positions in error messages, e.g. ``"start"``.
 
         Returns:
-            Array of shape (dof,).
+            The positions, shape (dof,) [rad].
 
         Raises:
             InvalidRequestError: On a wrong number of joints or a number that is not finite.
@@ -280,7 +280,7 @@ class PlannerRobot:
         return values
 
     def limit_violations(self, joints: Array, *, tolerance: float = 1e-6) -> tuple[str, ...]:
-        """Say which joint limits a configuration breaks by more than a tolerance [rad], as sentences."""
+        """Return a sentence for each joint limit that a configuration breaks by more than a tolerance [rad]."""
         return tuple(
             f"{name} at {value:.4f} rad is outside [{low:.4f}, {high:.4f}]"
             for name, value, low, high in zip(self.description.joint_names, joints, self.lower, self.upper, strict=True)
@@ -289,13 +289,13 @@ class PlannerRobot:
 
 
 def native_shape(shape: coal.CollisionGeometry) -> tuple[str, Array, Array]:
-    """Describe a convex shape to the native kernel.
+    """Convert a convex shape for the native kernel.
 
     Returns:
         Its kind, its sizes or points, and spheres that cover it (see `covers`).
 
     Raises:
-        InvalidRequestError: When the shape is not one of those that the planner knows.
+        InvalidRequestError: If the planner does not support the shape.
     """
     if isinstance(shape, coal.Box):
         size = 2.0 * np.array(shape.halfSide)

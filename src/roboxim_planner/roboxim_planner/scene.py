@@ -1,7 +1,7 @@
-"""What a motion must not collide with: an immutable snapshot that belongs to one request.
+"""The planning scene: an immutable snapshot of what a motion must not collide with; it belongs to one request.
 
-Robot-neutral plain values: built from a simulated scene and its state, from inline primitives, or from both. Attached
-objects and allowed contacts are part of it, so the planner keeps no state between requests.
+It consists of robot-neutral plain values, built from a simulated scene and its state, from inline primitives, or from
+both. Attached objects and allowed contacts are part of it, so the planner keeps no state between requests.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class PointHull:
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleMesh:
-    """A surface of triangles, convex or not, open or closed. What is wholly inside a closed one does not touch it."""
+    """A surface of triangles, convex or not, open or closed. A shape wholly inside a closed one does not touch it."""
 
     vertices: tuple[Vec3, ...]
-    """At least 3 points [m]."""
+    """Vertices, at least 3 [m]."""
     triangles: tuple[tuple[int, int, int], ...]
-    """Indices of the corners."""
+    """Indices of each triangle's vertices."""
     pose: Pose = IDENTITY
     """Pose in the object."""
 
@@ -72,13 +72,13 @@ class Body:
     shapes: tuple[BodyShape, ...]
     """Its parts."""
     pose: Pose = IDENTITY
-    """Pose in the world, or in the tcp frame when attached."""
+    """Pose in the world, or in the TCP frame when attached."""
 
     def __post_init__(self) -> None:
         """Check name and sizes.
 
         Raises:
-            InvalidRequestError: Naming the body and what is wrong.
+            InvalidRequestError: On a bad name, no shape, or a bad size; the message names the body.
         """
         if not self.name or self.name in (ROBOT, GRIPPER, "world"):
             raise InvalidRequestError(f"a body needs a name other than robot, gripper and world, got '{self.name}'")
@@ -101,14 +101,14 @@ class Attached:
     """A body that the gripper holds."""
 
     body: Body
-    """The body; its pose is in the tcp frame."""
+    """The body; its pose is in the TCP frame."""
     touch_links: tuple[str, ...] = ()
     """Robot links that may touch it; empty: the gripper's links."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AllowedContact:
-    """A pair that may touch: a robot link or body by name, ``robot``, ``gripper``; an empty name is anything."""
+    """A pair that may touch. Each side is a link or body by name, ``robot``, ``gripper``, or empty for any."""
 
     body_a: str
     """First of the pair."""
@@ -123,23 +123,23 @@ class PlanningScene:
     robot_pose: Pose = IDENTITY
     """Pose of the robot's base in the world."""
     gripper_opening: float = 1.0
-    """1 = open, 0 = closed."""
+    """Opening of the gripper, 1 = open, 0 = closed."""
     bodies: tuple[Body, ...] = ()
     """Obstacles, poses in the world."""
     attached: tuple[Attached, ...] = ()
-    """What the gripper holds."""
+    """Bodies that the gripper holds."""
     allowed: tuple[AllowedContact, ...] = ()
     """Pairs that may touch."""
     joint_command: tuple[float, ...] = ()
-    """Arm joints that the controller holds in this revision [rad]; empty when the scene is not a simulated one."""
+    """Joint command of the controller in this revision [rad]; empty if the scene is not a simulated one."""
     pose_tcp: Pose | None = None
-    """Measured tcp in the world in this revision; none when the scene is not a simulated one."""
+    """Measured TCP in the world in this revision; none if the scene is not a simulated one."""
 
     def __post_init__(self) -> None:
         """Check names and the opening.
 
         Raises:
-            InvalidRequestError: On a duplicate name, an opening beyond 0..1, or a contact of unknown bodies.
+            InvalidRequestError: On a duplicate name, an opening outside 0..1, or a contact of unknown bodies.
         """
         names = [body.name for body in self.bodies] + [held.body.name for held in self.attached]
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -154,14 +154,14 @@ class PlanningScene:
         return tuple(body.name for body in self.bodies) + tuple(held.body.name for held in self.attached)
 
     def with_bodies(self, bodies: Iterable[Body]) -> PlanningScene:
-        """Return the scene with bodies added."""
+        """Return the scene with further bodies."""
         return replace(self, bodies=(*self.bodies, *bodies))
 
     def without(self, names: Iterable[str]) -> PlanningScene:
         """Return the scene without some bodies.
 
         Raises:
-            InvalidRequestError: When there is no body of such a name.
+            InvalidRequestError: If there is no body with such a name.
         """
         gone = set(names)
         for name in gone - {body.name for body in self.bodies}:
@@ -169,11 +169,11 @@ class PlanningScene:
         return replace(self, bodies=tuple(body for body in self.bodies if body.name not in gone))
 
     def attach(self, name: str, pose_tcp: Pose, touch_links: Sequence[str] = ()) -> PlanningScene:
-        """Return the scene with a body turned into one that the gripper holds, where it is now.
+        """Return the scene with a body attached to the gripper at its present pose.
 
         Args:
             name: Name of the body.
-            pose_tcp: The tcp in the world now.
+            pose_tcp: The TCP in the world now.
             touch_links: Robot links that may touch it; empty: the gripper's.
 
         Raises:
@@ -185,18 +185,18 @@ class PlanningScene:
         return replace(rest, attached=(*self.attached, Attached(body=held, touch_links=tuple(touch_links))))
 
     def holding(self, held: Attached) -> PlanningScene:
-        """Return the scene with one more body in the gripper."""
+        """Return the scene with one more body held by the gripper."""
         return replace(self, attached=(*self.attached, held))
 
     def release(self, name: str, pose_tcp: Pose) -> PlanningScene:
-        """Return the scene with a held body let go, where it is now; the opposite of `attach`.
+        """Return the scene with a held body released at its present pose; the inverse of `attach`.
 
         Args:
             name: Name of the body.
-            pose_tcp: The tcp in the world now.
+            pose_tcp: The TCP in the world now.
 
         Raises:
-            InvalidRequestError: When the gripper holds no such body.
+            InvalidRequestError: If the gripper holds no such body.
         """
         names = [held.body.name for held in self.attached]
         if name not in names:
@@ -220,11 +220,11 @@ class PlanningScene:
 
         Args:
             spec: The scene.
-            state: The state of the tick; it says where everything is.
-            library: Where the geometry comes from.
+            state: The state of the tick, which has all poses.
+            library: Source of the geometry.
 
         Raises:
-            ConfigError: When an entity names a model that the library does not have.
+            ConfigError: If an entity names a model that the library does not have.
         """
         bodies = [table_body(spec)]
         for entity in spec.entities:
@@ -256,11 +256,11 @@ def box(name: str, size: Vec3, pose: Pose = IDENTITY) -> Body:
 
 
 def model_shapes(model: ObjectModel, positions: dict[str, float]) -> tuple[Shape, ...]:
-    """Return the collision shapes of all links of a model in its base's frame.
+    """Return the collision shapes of all links of a model in the frame of its base.
 
     Args:
         model: The object.
-        positions: Joint name to position [m or rad]; those left out are 0.
+        positions: Joint name to position [m or rad]; missing joints are at 0.
     """
     return tuple(
         replace(shape, pose=pose @ shape.pose)

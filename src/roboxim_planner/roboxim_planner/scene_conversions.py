@@ -1,4 +1,4 @@
-"""Scenes of requests from messages: primitives, hulls, meshes, models of the library, what is held, what may touch."""
+"""Converts the scene of a request: primitives, hulls, meshes, library models, held bodies, allowed contacts."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def scene_from_msg(msg: Any, named: PlanningScene | None, library: ModelLibrary)
 
     Args:
         msg: ``PlanningScene`` message.
-        named: The simulated revision that it names; none: it names none.
-        library: Where objects that name a model come from.
+        named: The simulated revision that the message names; none: it names no revision.
+        library: Source of the objects that name a model.
     """
     scene = named or PlanningScene(robot_pose=optional_pose(msg.robot_pose_in_world, what="robot_pose_in_world"))
     scene = scene.without(msg.ignored_objects)
@@ -55,18 +55,18 @@ def scene_from_msg(msg: Any, named: PlanningScene | None, library: ModelLibrary)
 
 
 def allowed_from_msg(msg: Any) -> tuple[AllowedContact, ...]:
-    """Convert what has ``allowed_contacts``."""
+    """Convert the ``allowed_contacts`` of a message."""
     return tuple(AllowedContact(body_a=item.body_a, body_b=item.body_b) for item in msg.allowed_contacts)
 
 
 def opening_from_msg(msg: Any) -> float | None:
-    """Convert what has a ``gripper_opening``; none: it has none.
+    """Convert the ``gripper_opening`` of a message; none: the message gives no opening.
 
     Raises:
-        InvalidRequestError: When it has several.
+        InvalidRequestError: If it has several.
     """
     if len(msg.gripper_opening) > 1:
-        raise InvalidRequestError(f"gripper_opening holds one number or none, got {len(msg.gripper_opening)}")
+        raise InvalidRequestError(f"gripper_opening takes at most one number, got {len(msg.gripper_opening)}")
     return float(msg.gripper_opening[0]) if len(msg.gripper_opening) else None
 
 
@@ -119,7 +119,7 @@ def _primitive(name: str, primitive: SolidPrimitive, pose: Pose) -> Shape | Poin
             f"{primitive.type}; give other shapes as hulls or meshes"
         )
     if primitive.type == SolidPrimitive.CYLINDER and len(size) == 2:
-        size = size[1], size[0]  # the message has the height first
+        size = size[1], size[0]  # the message gives the height first
     return Shape(kind=_KINDS[primitive.type], size=size, pose=pose)
 
 

@@ -1,9 +1,9 @@
 """Several motions as one request: approach, grasp, retreat.
 
-A free motion to a pose has many goal configurations, and which of them the arm is in decides most of the ways in which
-a grasp fails: the straight lines that follow end at a joint limit or in a collision from some and not from others. So
-the lines are followed first, from every candidate, nearest first; only a candidate from which they all succeed is worth
-the search of a free motion to it.
+A free motion to a pose has many goal configurations. Which one the arm reaches decides most failures of a grasp: from
+some of them the following straight lines end at a joint limit or in a collision, from others they succeed. So the
+planner first follows the lines from every candidate, nearest first. It searches a free motion only to a candidate from
+which all lines succeed.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from roboxim_planner.scene import AllowedContact, PlanningScene
 Array = npt.NDArray[np.float64]
 KINDS = ("pose", "joints", "cartesian")
 _OF_THE_START = (ErrorCode.START_IN_COLLISION, ErrorCode.START_OUTSIDE_LIMITS)
-"""Errors that no other goal configuration mends."""
+"""Errors that no other goal configuration avoids."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageGoal:
-    """A goal that may depend on where the stage begins."""
+    """A goal that may depend on the pose at which the stage begins."""
 
     pose: Pose
     """The goal."""
     frame: str = "world"
-    """``world``, or ``tcp``: the tcp at the start of the stage."""
+    """``world``, or ``tcp``: the TCP at the start of the stage."""
     relative: bool = False
-    """In ``world``: a displacement of the tcp; its position is added, its rotation applied about the tcp."""
+    """In ``world`` only: the pose is a displacement of the TCP; position added, rotation applied about the TCP."""
 
     def resolve(self, pose_tcp: Pose) -> Pose:
-        """Return the goal in the world when the stage begins with the tcp at a pose in the world."""
+        """Return the goal in the world for a stage that begins with the TCP at a pose in the world."""
         if self.frame == "tcp":
             return pose_tcp @ self.pose
         if not self.relative:
@@ -51,36 +51,36 @@ class StageGoal:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One motion of a sequence, and what changes before it."""
+    """One motion of a sequence, and the changes of the scene before it."""
 
     kind: str
     """``pose``: free motion to any of the goals; ``joints``; ``cartesian``: straight lines through all of them."""
     name: str = ""
     """For messages."""
     goals: tuple[StageGoal, ...] = ()
-    """Of ``pose`` and ``cartesian``."""
+    """Goals of the kinds ``pose`` and ``cartesian``."""
     joints: tuple[float, ...] = ()
     """Of ``joints`` [rad]."""
     min_fraction: float = 1.0
-    """Of ``cartesian``: smallest part that counts as success."""
+    """For ``cartesian``: smallest fraction that counts as success, 0..1."""
     ignore_collisions: bool = False
     """Of ``cartesian``."""
     attach: tuple[str, ...] = ()
-    """Bodies that the gripper holds from here on."""
+    """Bodies that the gripper holds from this stage on."""
     detach: tuple[str, ...] = ()
-    """Held bodies that are let go."""
+    """Held bodies that are released before this stage."""
     gripper_opening: float | None = None
-    """Opening from here on, 1 = open; none: unchanged."""
+    """Opening of the gripper from this stage on, 1 = open; none: unchanged."""
     allowed: tuple[AllowedContact, ...] = ()
     """Pairs that may touch in this stage."""
     options: MotionOptions | None = None
-    """Limits of this stage; none: the sequence's."""
+    """Options of this stage; none: the sequence's."""
 
     def __post_init__(self) -> None:
-        """Check that the kind has what it needs.
+        """Check that the stage has the goal that its kind needs.
 
         Raises:
-            InvalidRequestError: On an unknown kind or one without its goal.
+            InvalidRequestError: On an unknown kind or a missing goal.
         """
         if self.kind not in KINDS:
             raise InvalidRequestError(f"unknown kind of stage '{self.kind}'; {one_of(KINDS, self.kind)}")
@@ -90,11 +90,11 @@ class Stage:
             raise InvalidRequestError(f"stage '{self.name}' of kind {self.kind} needs at least one goal")
 
     def enter(self, scene: PlanningScene, pose_tcp: Pose) -> tuple[PlanningScene, PlanningScene]:
-        """Return the scene of this stage, and what remains of it for the next.
+        """Return the scene of this stage, and the scene that it leaves to the next.
 
         Args:
-            scene: What the stage before left.
-            pose_tcp: The tcp in the world at the start.
+            scene: The scene that the stage before left.
+            pose_tcp: The TCP in the world at the start.
         """
         for name in self.detach:
             scene = scene.release(name, pose_tcp)
@@ -110,11 +110,11 @@ class SequenceConfig:
     """Budget of the search over candidates."""
 
     configurations: int = 400
-    """Goal configurations of a pose stage that are looked at, nearest first."""
+    """Goal configurations of a pose stage that are tried, nearest first."""
     wide_configurations: int = 2
-    """Of those, from so many the lines are looked for widely when from none they succeed plainly; see `plan_line`."""
+    """Goal configurations from which lines are searched widely if the plain lines fail from all; see `plan_line`."""
     motions: int = 6
-    """Free motions tried, to configurations from which the following lines succeed."""
+    """Free motions tried to configurations from which the following lines succeed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +124,7 @@ class SequencePlan:
     plans: tuple[Plan, ...]
     """One per stage."""
     goal_indices: tuple[int, ...]
-    """Which goal each pose stage reached; -1 for the other kinds."""
+    """Index of the goal that each pose stage reached; -1 for the other kinds."""
 
 
 def plan_sequence(
@@ -142,16 +142,16 @@ def plan_sequence(
 
     Args:
         planner: The planner.
-        scene: What to avoid at the start.
+        scene: Obstacles at the start.
         start: Arm configuration at the start, shape (dof,) [rad].
         stages: The motions, at least one.
         options: Limits, padding, seed; none: the defaults.
-        watch: Called now and then; ends the request by raising.
-        entered: Called with the index of the stage that is being worked at.
+        watch: Called regularly; ends the request by raising.
+        entered: Called with the index of the stage that is being planned.
         config: Budget; none: the default.
 
     Raises:
-        PlannerError: Of the stage that was never passed: its name, why, and how many configurations were tried.
+        PlannerError: If no sequence is found; the message has the stage that failed, why, and the configurations tried.
         InvalidRequestError: On malformed input.
     """
     if not stages:
@@ -172,7 +172,7 @@ class _Step:
 
 
 class _Search:
-    """Depth-first over the goals of free motions; remembers the failure that came furthest."""
+    """Depth-first search over the goals of free motions; stores the error of the furthest stage that failed."""
 
     def __init__(
         self,
@@ -195,10 +195,10 @@ class _Search:
             return []
         if self._stages[k].kind == "cartesian":
             steps = self._lines(k, at, scene, wide=True)
-            return None if steps is None else self._go_on(k, steps)
+            return None if steps is None else self._continue(k, steps)
         return self._free(k, at, scene)
 
-    def _go_on(self, k: int, steps: list[_Step]) -> list[_Step] | None:
+    def _continue(self, k: int, steps: list[_Step]) -> list[_Step] | None:
         rest = self.solve(k + len(steps), steps[-1].plan.end, steps[-1].scene)
         return None if rest is None else [*steps, *rest]
 
@@ -207,7 +207,7 @@ class _Search:
         options = stage.options or self._options
         if k == len(self._stages) - 1 and stage.kind == "pose":
             targets = [goal.resolve(self._tcp(at, scene)) for goal in stage.goals]
-            with self._noting(k):
+            with self._storing_error(k):
                 plan = self._planner.plan_to_pose(here, at, targets, options, self._watch)
                 return [_Step(plan=plan, scene=left, goal_index=plan.goal_index)]
             return None
@@ -223,10 +223,10 @@ class _Search:
             motions += 1
             self._entered(k)
             motion: Plan | None = None
-            with self._noting(k):
+            with self._storing_error(k):
                 motion = self._planner.plan_to_joints(here, at, goal, options, self._watch)
             if motion is not None:
-                found = self._go_on(k, [_Step(plan=motion, scene=left, goal_index=index), *following])
+                found = self._continue(k, [_Step(plan=motion, scene=left, goal_index=index), *following])
                 if found is not None:
                     return found
             elif self._last in _OF_THE_START:
@@ -245,7 +245,7 @@ class _Search:
         for index, goal in enumerate(stage.goals):
             self._watch("goals", index)
             target = goal.resolve(self._tcp(at, scene))
-            with self._noting(k):
+            with self._storing_error(k):
                 solutions = self._planner.inverse_kinematics(
                     target, at, scene=scene, count=self._config.configurations, seed=options.seed
                 )
@@ -261,7 +261,7 @@ class _Search:
             tcp = self._tcp(at, scene)
             targets = [goal.resolve(tcp) for goal in stage.goals]
             plan: Plan | None = None
-            with self._noting(k):
+            with self._storing_error(k):
                 plan = self._planner.plan_cartesian(
                     here,
                     at,
@@ -287,7 +287,7 @@ class _Search:
         return scene.robot_pose @ self._planner.robot.fk(at)
 
     @contextmanager
-    def _noting(self, k: int) -> Iterator[None]:
+    def _storing_error(self, k: int) -> Iterator[None]:
         """Remember and swallow a planner's error in stage k."""
         try:
             yield
@@ -297,7 +297,7 @@ class _Search:
                 self._worst = (k, error)
 
     def failure(self) -> PlannerError:
-        """Say what stopped the search."""
+        """Return the error of the furthest stage that failed."""
         if self._worst is None:
             return PlannerError("no sequence found")
         k, error = self._worst

@@ -1,4 +1,4 @@
-"""Whether a sweep, a finely sampled path, touches anything, also between its samples."""
+"""Collision checks of sweeps (finely sampled paths), also between the samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
 LEAST_PADDING_M = 1e-3
-"""That searches keep, where start and goal do, even if asked for none: what only just clears is slow to prove."""
+"""Least padding of a search, kept even if the request asks for none: barely clear paths are slow to prove [m].
+
+Pairs that are nearer at the start or at a goal get less.
+"""
 
 
 class Sweep:
@@ -24,13 +27,13 @@ class Sweep:
     def __init__(
         self, robot: PlannerRobot, scene: PlanningScene, *, padding: float = 0.0, upright: Upright | None = None
     ) -> None:
-        """Prepare; the geometry is built when first needed.
+        """Store the arguments; the geometry is built on first use.
 
         Args:
             robot: The robot.
-            scene: What is around it.
+            scene: The bodies around it.
             padding: Distance that must be kept from obstacles [m].
-            upright: What the tool must keep to; none: nothing.
+            upright: Path constraint on the tool; none: unconstrained.
         """
         self.robot = robot
         self.scene = scene
@@ -52,29 +55,29 @@ class Sweep:
 
 
 class PaddedSweep(Sweep):
-    """The scene exactly and with the padding that searches keep."""
+    """A sweep that checks the scene exactly, and offers the same scene with the padding of a search."""
 
     def __init__(
         self, robot: PlannerRobot, scene: PlanningScene, search_padding: float, upright: Upright | None
     ) -> None:
-        """Prepare; arguments as `Sweep`, which checks without padding.
+        """Store the arguments; the exact check has no padding.
 
         Args:
             robot: The robot.
-            scene: What is around it.
-            search_padding: Distance that searches keep from obstacles where they can [m].
-            upright: What the tool must keep to; none: nothing.
+            scene: The bodies around it.
+            search_padding: Distance that searches keep from obstacles where start and goal allow it [m].
+            upright: Path constraint on the tool; none: unconstrained.
         """
         super().__init__(robot, scene, upright=upright)
         self.search_padding = search_padding
 
     def eased(self, begin: Array, goals: Array, part: float = 1.0) -> CollisionWorld:
-        """Return the world to search in: with the padding, or less for pairs that are nearer at the start or a goal.
+        """Return the world to search in: padded, with less padding for pairs that are nearer at the start or a goal.
 
         Args:
             begin: Free arm configuration at the start, shape (dof,) [rad].
             goals: Free arm configurations, shape (N, dof) [rad].
-            part: Share of the padding to keep.
+            part: Fraction of the padding to keep.
         """
         return self.exact.eased(part * max(self.search_padding, LEAST_PADDING_M), np.vstack([begin, goals]))
 

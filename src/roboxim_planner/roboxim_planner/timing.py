@@ -1,8 +1,8 @@
-"""Time laws: a path becomes a motion within velocity, acceleration and jerk limits.
+"""Time laws: turn a path into a motion within velocity, acceleration and jerk limits.
 
-Straight joint lines run under a one-degree-of-freedom Ruckig profile; corners are blends whose velocity turns smoothly
-from one line's direction to the next, so that the motion leaves the lines only there (and can be checked for collisions
-there) and never exceeds a limit. Everything is one piecewise polynomial in time, evaluated in one call.
+Straight joint lines follow a one-degree-of-freedom Ruckig profile. Corners are blends, whose velocity turns smoothly
+from the direction of one line to that of the next. So the motion leaves the lines only in blends, which are checked for
+collisions, and never exceeds a limit. The motion is one piecewise polynomial in time, evaluated in one call.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 _SAME = 1e-9
 _PARTS = 12
 _PART_RAD = 0.15
-"""Parts of a line under a limit of the tcp's speed, and the least length of one."""
+"""With a limit of the TCP's speed, a line is split into up to `_PARTS` parts of at least this length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,19 +31,19 @@ class MotionLimits:
     """Limits of a motion, scaling applied."""
 
     velocity: Array
-    """Of each arm joint, shape (dof,) [rad/s]."""
+    """Velocity limit of each arm joint, shape (dof,) [rad/s]."""
     acceleration: Array
-    """[rad/s^2]."""
+    """Acceleration limit of each arm joint, shape (dof,) [rad/s^2]."""
     jerk: Array
-    """[rad/s^3]."""
+    """Jerk limit of each arm joint, shape (dof,) [rad/s^3]."""
     tcp_speed: float = np.inf
-    """Of the tcp [m/s]."""
+    """Speed limit of the TCP [m/s]."""
     tcp_rot_speed: float = np.inf
-    """Of the tcp [rad/s]."""
+    """Angular speed limit of the TCP [rad/s]."""
 
     @property
     def limits_tcp(self) -> bool:
-        """Whether the tcp's speed is limited."""
+        """Whether the TCP's speed is limited."""
         return bool(np.isfinite(self.tcp_speed) or np.isfinite(self.tcp_rot_speed))
 
 
@@ -52,7 +52,7 @@ class Motion(Protocol):
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the motion [s]."""
 
     @property
     def breaks(self) -> Array:
@@ -63,7 +63,7 @@ class Motion(Protocol):
 
 
 class PolynomialMotion:
-    """A motion that is a polynomial of time, piece by piece."""
+    """A motion that is a piecewise polynomial in time."""
 
     def __init__(self, breaks: Array, coefficients: Array) -> None:
         """Make the motion.
@@ -92,7 +92,7 @@ class PolynomialMotion:
 
 
 class MotionSequence:
-    """Motions one after the other, at rest in between."""
+    """Motions in sequence, with rest in between."""
 
     def __init__(self, motions: list[Motion]) -> None:
         """Join motions; there is at least one."""
@@ -118,7 +118,7 @@ class MotionSequence:
 
 
 def still(joints: Array) -> PolynomialMotion:
-    """Return the motion that stays for a millisecond, for a goal that is the start."""
+    """Return a motion that stays for a millisecond, for a goal equal to the start."""
     return PolynomialMotion(np.array([0.0, 1e-3]), joints[None, None, :].copy())
 
 
@@ -127,7 +127,7 @@ _FACTORIALS = np.array([[6.0], [2.0], [1.0], [1.0]])
 
 
 def _ruckig() -> tuple[Ruckig, InputParameter, Trajectory]:
-    """Return this thread's objects for one degree of freedom; to make them takes ten times as long as to use them."""
+    """Return this thread's Ruckig objects for one degree of freedom; creating them takes ten times as long as a use."""
     if not hasattr(_own, "ruckig"):
         _own.ruckig = Ruckig(1), InputParameter(1), Trajectory(1)
     made: tuple[Ruckig, InputParameter, Trajectory] = _own.ruckig
@@ -137,7 +137,7 @@ def _ruckig() -> tuple[Ruckig, InputParameter, Trajectory]:
 def line_profile(
     length: float, speed_in: float, speed_out: float, velocity: float, acceleration: float, jerk: float
 ) -> tuple[Array, Array]:
-    """Return the time law of a line: durations (M,) [s] and cubic coefficients (4, M) of the distance run.
+    """Return the time law of a line: durations (M,) [s] and cubic coefficients (4, M) of the distance travelled.
 
     Acceleration is zero at both ends.
 
@@ -150,7 +150,7 @@ def line_profile(
         jerk: Jerk limit.
 
     Raises:
-        PlannerError: When Ruckig finds no profile.
+        PlannerError: If Ruckig finds no profile.
     """
     ruckig, request, result = _ruckig()
     request.current_position, request.target_position = [0.0], [length]
@@ -173,15 +173,15 @@ class _Corner:
 
 
 class TcpRates:
-    """How fast the tcp moves per unit of joint path, for limits of its speed."""
+    """Speed of the TCP per unit of joint path, to apply limits of its speed."""
 
     def __init__(self, jacobian: Callable[[Array], Array], limits: MotionLimits) -> None:
-        """Take the tcp's Jacobian and the limits."""
+        """Store the TCP's Jacobian as a function of the arm configuration, and the limits."""
         self._jacobian = jacobian
         self._limits = limits
 
     def speed_limit(self, points: Array, directions: Array) -> float:
-        """Return the largest path speed at which the tcp keeps its limits at points with directions (N, dof)."""
+        """Return the largest path speed at which the TCP keeps its limits at points with directions (N, dof)."""
         if not self._limits.limits_tcp:
             return np.inf
         limit = np.inf
@@ -207,7 +207,7 @@ def blend_points(before: Array, corner: Array, after: Array, distance: float, sa
         before: Waypoint before the corner.
         corner: The corner.
         after: Waypoint after it.
-        distance: Where the blend leaves and joins the lines, as a distance from the corner [rad].
+        distance: Distance from the corner at which the blend leaves and joins the lines [rad].
         samples: Places along the blend, 0..1.
     """
     u, w = _direction(before, corner), _direction(corner, after)
@@ -219,13 +219,13 @@ def blend_points(before: Array, corner: Array, after: Array, distance: float, sa
 def time_path(
     path: Array, corners: Array, limits: MotionLimits, jacobian: Callable[[Array], Array]
 ) -> PolynomialMotion:
-    """Give a polyline with blended corners its time law.
+    """Compute the time law of a polyline with blended corners.
 
     Args:
         path: Waypoints, shape (N, dof), N >= 2, neighbours distinct.
-        corners: Distance of each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop.
+        corners: Distance from each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop.
         limits: Limits.
-        jacobian: The tcp's Jacobian at an arm configuration, for tcp speed limits.
+        jacobian: The TCP's Jacobian at an arm configuration, for limits of its speed.
     """
     rates = TcpRates(jacobian, limits)
     passed = np.zeros(len(corners), dtype=bool)
@@ -264,10 +264,10 @@ def time_path(
 
 
 def _split_lines(path: Array, corners: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Put points on the lines between blends, so that each part of a line can have its own speed.
+    """Split the lines between blends by points, so that each part of a line can have its own speed.
 
     Returns:
-        The path, the blends of its inner points, and which of these are passed straight, without a blend or a stop.
+        The path, the blends of its inner points, and which inner points are passed straight, without blend or stop.
     """
     ends = np.concatenate([[0.0], corners, [0.0]])
     points, blends, passed = [path[0]], [], []
@@ -304,9 +304,10 @@ def _line_limits(path: Array, directions: Array, limits: MotionLimits, rates: Tc
 
 
 def _corner_speeds(path: Array, corners: Array, directions: Array, limits: MotionLimits, rates: TcpRates) -> Array:
-    """Return the speed through each blend, of duration 2 d / v, whose velocity turns by the smoothstep 3 s^2 - 2 s^3.
+    """Return the speed v through each blend.
 
-    Its acceleration peaks at 0.75 v^2 |turn| / d and its jerk at 1.5 v^3 |turn| / d^2.
+    A blend takes 2 d / v, and its velocity turns by the smoothstep 3 s^2 - 2 s^3. Its acceleration peaks at
+    0.75 v^2 |turn| / d and its jerk at 1.5 v^3 |turn| / d^2.
     """
     before, after = directions[:-1], directions[1:]
     turn = np.maximum(np.abs(after - before), 1e-12)
@@ -336,7 +337,7 @@ def _blend_piece(corner: Array, distance: float, speed: float, before: Array, af
 
 
 def _make_reachable(speeds: Array, rest: Array, caps: list[tuple[float, float, float]]) -> None:
-    """Lower corner speeds, in place, until every line is long enough for its change of speed."""
+    """Lower corner speeds in place until every line is long enough for its change of speed."""
     for i in range(len(rest)):
         speeds[i + 1] = _reachable(speeds[i], speeds[i + 1], rest[i], caps[i])
     for i in reversed(range(len(rest))):
@@ -344,7 +345,7 @@ def _make_reachable(speeds: Array, rest: Array, caps: list[tuple[float, float, f
 
 
 def _reachable(low: float, high: float, length: float, cap: tuple[float, float, float]) -> float:
-    """Return the largest speed up to ``high`` that a line of a length can change to from ``low``."""
+    """Return the largest speed, at most ``high``, that is reachable from ``low`` on a line of a length."""
     if high <= low or _change_distance(low, high, cap) <= length:
         return high
     bottom, top = low, high

@@ -1,4 +1,4 @@
-"""Keeps the newest revision of the simulated scene, and answers for exactly the one that a request names."""
+"""Tracks the newest revision of the simulated scene and returns exactly the revision that a request names."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class SceneTracker:
     """Pairs the newest state with its scene, which may arrive before or after it. Safe to use from several threads."""
 
     def __init__(self, library: ModelLibrary) -> None:
-        """Start with nothing.
+        """Start without a scene.
 
         Args:
-            library: Where the geometry of entities comes from.
+            library: Source of the entities' geometry.
         """
         self._library = library
         self._changed = threading.Condition()
@@ -39,11 +39,11 @@ class SceneTracker:
         self._built: tuple[_Tick, PlanningScene] | None = None
 
     def scene_arrived(self, scene: SceneSpec, sent_ns: int) -> None:
-        """Take a scene.
+        """Store a scene, unless a newer one is stored.
 
         Args:
             scene: The scene.
-            sent_ns: When it was sent, by the sender's clock [ns].
+            sent_ns: Time of sending by the sender's clock [ns].
         """
         with self._changed:
             if self._scene is None or sent_ns >= self._scene[2]:
@@ -53,14 +53,14 @@ class SceneTracker:
     def state_arrived(
         self, episode_id: str, seq: int, scene_hash: str, read: Callable[[], StateRecord], sent_ns: int
     ) -> None:
-        """Take a state.
+        """Store a state, unless a newer one is stored.
 
         Args:
             episode_id: Its episode.
             seq: Its tick.
             scene_hash: Hash of its scene, see `StateRecord`.
-            read: Returns the state; called only when a request names this tick, since most ticks nobody asks about.
-            sent_ns: When it was sent, by the sender's clock [ns].
+            read: Returns the state; called only when a request names this tick, since requests name few ticks.
+            sent_ns: Time of sending by the sender's clock [ns].
         """
         with self._changed:
             if sent_ns < self._state_ns:
@@ -69,7 +69,7 @@ class SceneTracker:
             self._changed.notify_all()
 
     def has(self, episode_id: str, seq: int) -> bool:
-        """Tell whether `revision` need not wait."""
+        """Tell whether the revision has arrived, so that `revision` does not wait."""
         with self._changed:
             return self._has(episode_id, seq)
 
@@ -82,13 +82,13 @@ class SceneTracker:
             wait_s: Longest wait for a revision that has not arrived yet [s].
 
         Raises:
-            PlannerError: ``STALE_SCENE`` when that is not the newest revision.
+            PlannerError: ``STALE_SCENE`` if the named revision is not the newest one.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._has(episode_id, seq) or self._is_past(episode_id, seq), wait_s)
             if not self._has(episode_id, seq):
                 raise PlannerError(
-                    f"scene of episode '{episode_id}', tick {seq} is not there: the planner has {self._newest()}; "
+                    f"scene of episode '{episode_id}', tick {seq} is not available: the planner has {self._newest()}; "
                     "name the newest tick",
                     ErrorCode.STALE_SCENE,
                 )

@@ -1,8 +1,10 @@
-"""The last word on a motion: the timed trajectory is sampled densely and every promise is checked on the samples.
+"""Final verification of a motion: the timed trajectory is sampled densely and every guarantee is checked on samples.
 
-Nothing here trusts how the motion was made: collisions are checked on the exact geometry, by the native kernel all
-along the motion and by coal at some states of it; limits are checked at a millisecond's spacing, the end against the
-goal.
+Verification does not rely on how the motion was made:
+
+- Collisions are checked on the exact geometry, by the native kernel all along the motion and by coal at some states.
+- Limits are checked every millisecond.
+- The end is checked against the goal.
 """
 
 from __future__ import annotations
@@ -31,13 +33,13 @@ class Finding:
     """What a check found; empty means valid."""
 
     contacts: tuple[ContactPair, ...] = ()
-    """Pairs that touch at the first colliding place, deepest first."""
+    """Pairs that touch at the first collision, deepest first."""
     violations: tuple[str, ...] = ()
     """Broken limits, as sentences."""
     time_s: float = -1.0
     """Time of the first collision [s]; negative: none."""
     index: int = -1
-    """For a sampled trajectory: its first point at or after which something is wrong; -1: none."""
+    """For a sampled trajectory: its first point at or after the first fault; -1: none."""
 
     @property
     def valid(self) -> bool:
@@ -45,7 +47,7 @@ class Finding:
         return not self.contacts and not self.violations
 
     def __str__(self) -> str:
-        """Say it for an error message."""
+        """Format the finding for an error message."""
         when = f" at {self.time_s:.3f} s" if self.time_s >= 0 else ""
         return "; ".join([*(f"{contact}{when}" for contact in self.contacts), *self.violations]) or "valid"
 
@@ -65,9 +67,9 @@ def verify_motion(
         sweep: Checks the robot among the obstacles; none: collisions are not checked.
         robot: The robot.
         motion: The motion.
-        limits: What it must keep within.
-        goal: Arm configuration that it must end at; none: not checked.
-        explain: Whether to say where a motion that is not free collides, and what touches.
+        limits: Limits that the motion must keep.
+        goal: Arm configuration that the motion must end at, shape (dof,) [rad]; none: not checked.
+        explain: Whether to report where a motion collides, and what touches.
     """
     times = np.append(np.arange(0.0, motion.duration, LIMIT_PERIOD_S), motion.duration)
     q, v, a, j = motion.evaluate(times)
@@ -88,7 +90,7 @@ def verify_motion(
     if not explain:
         return Finding(violations=(_COLLIDES,))
     contacts, broken = at_fault(sweep.exact, q[hit])
-    if not contacts and not broken:  # a graze lies before this sample
+    if not contacts and not broken:  # the graze lies before this sample
         contacts, broken = at_fault(sweep.exact, q[max(0, hit - 1)])
     if not contacts and not broken:
         broken = (f"the arm grazes something just before {times[hit]:.3f} s",)
@@ -96,9 +98,9 @@ def verify_motion(
 
 
 def _witnessed_hit(sweep: Sweep, path: Array) -> int:
-    """Return the first of some states, spread evenly over a path, at which coal finds a collision, or -1.
+    """Check states spread evenly over a path with coal; return the index of the first that collides, or -1.
 
-    The native kernel has proven the whole path by then; this is a second opinion, which no fault in it can share.
+    The native kernel has already proven the whole path. coal shares no code with it, so this check is independent.
     """
     stride = 1 + len(path) // (8 * WITNESSED_STATES)
     chosen = np.append(np.arange(0, len(path) - 1, stride), len(path) - 1)
@@ -116,14 +118,14 @@ def verify_samples(
     velocities: Array | None = None,
     accelerations: Array | None = None,
 ) -> Finding:
-    """Check a joint path or sampled trajectory, straight lines between its points.
+    """Check a joint path or sampled trajectory, with straight lines between its points.
 
     Args:
         sweep: Checks the robot among the obstacles.
-        limits: What it must keep within.
+        limits: Limits that the trajectory must keep.
         positions: Arm configurations, shape (N, dof), N >= 1 [rad].
-        times: Times of the points, strictly increasing, shape (N,) [s]; none: a path without speed.
-        velocities: Velocities at the points, shape (N, dof) [rad/s]; none: those between points follow from the times.
+        times: Times of the points, strictly increasing, shape (N,) [s]; none: a path without times.
+        velocities: Velocities at the points, shape (N, dof) [rad/s]; none: computed from positions and times.
         accelerations: Accelerations at the points, shape (N, dof) [rad/s^2]; none: not checked.
     """
     robot = sweep.robot
@@ -153,7 +155,7 @@ def verify_samples(
 
 
 def at_fault(world: CollisionWorld, joints: Array) -> tuple[tuple[ContactPair, ...], tuple[str, ...]]:
-    """Return what is wrong at an arm configuration that is not free: what touches, and whether the tool is tilted."""
+    """Return why an arm configuration is not free: the pairs that touch, and a sentence if the tool is tilted."""
     tilt = world.tilt(joints)
     if world.upright is None or tilt <= world.upright.tolerance_rad:
         return world.contacts(joints), ()
@@ -163,7 +165,7 @@ def at_fault(world: CollisionWorld, joints: Array) -> tuple[tuple[ContactPair, .
 
 
 def between(path: Array, place: float) -> Array:
-    """Return the configuration at a place on a polyline of shape (N, dof), in units of its points."""
+    """Return the configuration at a place on a polyline of shape (N, dof); 1.5 is midway between points 1 and 2."""
     i = min(int(place), len(path) - 1)
     following = path[min(i + 1, len(path) - 1)]
     return np.asarray(path[i] + (place - i) * (following - path[i]))
@@ -210,5 +212,5 @@ def _tcp_violations(robot: PlannerRobot, positions: Array, velocities: Array, li
         ("angular speed", "rad/s", rates[:, 1], limits.tcp_rot_speed),
     ):
         if speeds.max() > limit * (_SLACK + 0.01):
-            found.append(f"{what} of the tcp reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")
+            found.append(f"{what} of the TCP reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")
     return found

@@ -605,7 +605,7 @@ def test_tool_stays_upright_and_a_tilted_goal_is_refused(graph: Graph) -> None:
     request.request.start_state = start
     for pose in graph.call(PlanToPose, "plan_to_pose", request).plan.tcp_poses:
         q = pose.orientation
-        down = 1.0 - 2.0 * (q.x**2 + q.y**2)  # z of the tcp along z of the world
+        down = 1.0 - 2.0 * (q.x**2 + q.y**2)  # z of the TCP along z of the world
         assert down < -np.cos(0.101)
     fill_pose(request.target.pose, Pose(position=(0.5, -0.3, 0.4), quat_xyzw=(0.7071068, 0.0, 0.7071068, 0.0)))
     error = graph.refused(PlanToPose, "plan_to_pose", request)

@@ -114,7 +114,7 @@ def test_verifier_catches_a_collision_a_limit_and_a_missed_goal(
     assert "velocity of panda_joint1" in str(verify_motion(None, planner.robot, fast, limits, b))
     assert "from its goal" in str(verify_motion(None, planner.robot, slow, limits, b + 0.01))
     tight = MotionLimits(velocity=limits.velocity, acceleration=limits.acceleration, jerk=limits.jerk, tcp_speed=0.01)
-    assert "speed of the tcp" in str(verify_motion(None, planner.robot, slow, tight, b))
+    assert "speed of the TCP" in str(verify_motion(None, planner.robot, slow, tight, b))
 
 
 def _smooth(a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
@@ -331,7 +331,7 @@ def test_check_trajectory_finds_limits(planner: Planner, table: PlanningScene) -
     path = np.stack([home, home + 0.1])
     assert planner.check_trajectory(table, path, times=[0.0, 1.0]).valid
     assert "velocity" in str(planner.check_trajectory(table, path, times=[0.0, 0.01]))
-    assert "tcp" in str(
+    assert "TCP" in str(
         planner.check_trajectory(table, path, [0.0, 1.0], options=MotionOptions(max_tcp_speed_m_s=0.01))
     )
     beyond = np.stack([home, home, planner.robot.upper + 0.1])

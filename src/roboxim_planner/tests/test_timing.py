@@ -92,7 +92,7 @@ def test_line_that_ends_after_a_few_steps_has_a_motion(planner: Planner, count: 
 
 
 def test_a_limit_of_the_tcp_binds_nearly_everywhere(planner: Planner) -> None:
-    """A line along which the tcp's speed per joint speed varies: no single joint speed for all of it would do."""
+    """A line along which the TCP's speed per joint speed varies: no single joint speed for all of it would do."""
     start = np.array([0.0, 1.2, 0.0, -1.0, 0.0, 2.2, 0.8])
     goal = np.array([0.0, -0.6, 0.0, -2.8, 0.0, 2.2, 0.8])
     options = MotionOptions(max_tcp_speed_m_s=0.25)
