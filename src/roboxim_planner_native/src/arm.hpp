@@ -1,4 +1,4 @@
-// A tree of one-degree-of-freedom joints and the tool centre point on it; its inverse kinematics.
+// A tree of one-degree-of-freedom joints with a tool centre point (TCP), and its inverse kinematics.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 namespace roboxim {
 
 struct Joint {
-  int parent = -1;      // index of the joint that this one moves with, -1: the base
+  int parent = -1;      // index of the parent joint, -1: the base
   Transform placement;  // in the parent joint's frame
   Vec3 axis;            // unit, in the joint's frame
   bool prismatic = false;
@@ -39,7 +39,7 @@ struct Arm {
 
   Transform tcp_pose(const Transform* frames) const { return tcp_joint < 0 ? tcp : frames[tcp_joint] * tcp; }
 
-  // Jacobian of the tcp in the base's axes, 6 rows (linear first) of dof columns.
+  // Jacobian of the TCP in the base's axes, 6 rows (linear first) of dof columns.
   void jacobian(const Transform* frames, const Vec3& tip, double* rows) const {
     const int n = dof();
     for (int j = 0; j < n; ++j) {
@@ -65,7 +65,7 @@ struct IkSettings {
 
 struct IkOutcome {
   std::vector<double> solutions;  // rows of dof
-  double position_error = 1e300;  // of the best that is no solution
+  double position_error = 1e300;  // of the best state that is not a solution
   double rotation_error = 1e300;
 };
 
@@ -73,7 +73,7 @@ struct IkOutcome {
 IkOutcome inverse_kinematics(const Arm& arm, const Transform& target, const double* reference, std::uint64_t seed,
                              const IkSettings& settings);
 
-// How a moving target is followed from one tick to the next.
+// Settings for following a moving target from one tick to the next.
 struct FollowSettings {
   double position_tolerance = 1e-7;
   double rotation_tolerance = 1e-6;
@@ -86,12 +86,12 @@ struct FollowOutcome {
   double rotation_error = 1e300;
 };
 
-// Damped least squares from one start, within bounds of each joint. `pull`, of dof entries or null, is added to the first
-// step as far as it does not move the tool centre point.
+// Damped least squares from one start, within bounds of each joint. `pull` (dof entries, or null) is added to the first
+// step, without the part that would move the TCP.
 FollowOutcome follow(const Arm& arm, const Transform& target, const double* start, const double* lower,
                      const double* upper, const double* pull, const FollowSettings& settings);
 
-// SplitMix64 (Steele, Lea, Flood 2014): small, the same everywhere.
+// SplitMix64 (Steele, Lea, Flood 2014): small, and the same on every platform.
 struct Random {
   std::uint64_t state;
 

@@ -1,4 +1,4 @@
-// Vectors, rigid transforms and convex shapes. Plain double arithmetic, no dependency.
+// Vectors, rigid transforms and convex shapes, in plain double arithmetic without dependencies.
 #pragma once
 
 #include <algorithm>
@@ -62,7 +62,7 @@ inline Mat3 rotation(const Vec3& axis, double angle) {
            k * x * z - s * y, k * y * z + s * x, c + k * z * z}};
 }
 
-// Eight single-precision lanes; the compiler splits them on machines with narrower registers.
+// Eight single-precision lanes; the compiler splits them for narrower registers.
 typedef float Lanes __attribute__((vector_size(32)));
 constexpr int kLanes = 8;
 
@@ -83,7 +83,7 @@ inline float smallest(Lanes a) {
 typedef double Quad __attribute__((vector_size(32)));
 typedef long long QuadIndex __attribute__((vector_size(32)));
 
-// A convex shape in its own frame, swept by a sphere of `radius` (so a sphere is a point, a capsule a segment).
+// A convex core in its own frame, swept by a sphere of `radius`: a sphere is a swept point, a capsule a swept segment.
 struct Shape {
   enum class Kind { points, box, cylinder };
 
@@ -93,7 +93,7 @@ struct Shape {
   std::vector<double> x;  // points, padded to a multiple of 4 by repeating the first
   std::vector<double> y;
   std::vector<double> z;
-  Vec3 low, high;  // box around it in its frame, `radius` included
+  Vec3 low, high;  // bounding box in its frame, `radius` included
 
   static Shape box(const Vec3& half) {
     Shape s;
@@ -182,8 +182,10 @@ struct Shape {
 
 // Distance of two posed convex shapes by GJK (Gilbert, Johnson, Keerthi 1988; termination after van den Bergen 1999).
 //
-// Returns 0 when they overlap. Ends early: a result <= `near` means that the distance is at most that, a result > `far`
-// that it is at least the result; in between the result is a lower bound within 1e-7 m of the distance.
+// Returns 0 when they overlap. The search ends early:
+// - a result <= `near` means that the distance is at most `near`;
+// - a result > `far` means that the distance is at least the result;
+// - in between, the result is a lower bound within 1e-7 m of the distance.
 double distance(const Shape& a, const Transform& pose_a, const Shape& b, const Transform& pose_b, double near,
                 double far);
 

@@ -22,7 +22,7 @@ struct Simplex {
   }
 };
 
-// Closest point to the origin on segment a b of the simplex; says by `mask` which vertices span it.
+// Closest point to the origin on segment a b of the simplex; `mask` tells which vertices span it.
 Vec3 on_segment(const Vec3* p, int a, int b, int& mask) {
   const Vec3 ab = p[b] - p[a];
   const double length = dot(ab, ab), t = -dot(p[a], ab);
@@ -60,7 +60,8 @@ Vec3 on_triangle(const Vec3* p, int ia, int ib, int ic, int& mask) {
   return best;
 }
 
-// Closest point of the simplex; reduces it to the vertices that span that point. All four stay when it is inside.
+// Closest point of the simplex to the origin; reduces the simplex to the vertices that span the point. All four stay
+// when the origin is inside.
 Vec3 reduce(Simplex& s) {
   int mask = 1;
   Vec3 best = s.p[0];

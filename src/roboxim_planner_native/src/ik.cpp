@@ -5,9 +5,9 @@
 namespace roboxim {
 namespace {
 
-constexpr int kNear = 2;          // starts in the neighbourhood of the reference
-constexpr int kDraws = 6;        // of which the nearest to the target is a start: cheaper than descents that fail
-constexpr double kNearRad = 0.5;  // half width of that neighbourhood
+constexpr int kNear = 2;          // number of starts in the neighbourhood of the reference
+constexpr int kDraws = 6;         // draws per start; the nearest to the target is used, which saves failing descents
+constexpr double kNearRad = 0.5;  // half width of the neighbourhood
 constexpr int kStall = 5;  // iterations in which the error must halve
 constexpr double kTurn = 0.3;
 constexpr double kLongestStep = 0.6;
@@ -62,14 +62,14 @@ struct Descent {
   Descent(const Arm& a, const Transform& t, const IkSettings& s)
       : arm(a), target(t), settings(s), frames(a.joints.size()), jacobian(6 * a.joints.size()) {}
 
-  // How far a state is from the target: metres, and radians as so many times kTurn metres.
+  // Distance of a state from the target [m]; one radian counts as kTurn metres.
   double apart(const double* q) {
     arm.forward(q, frames.data());
     const Transform tcp = arm.tcp_pose(frames.data());
     return norm(target.t - tcp.t) + kTurn * norm(rotation_error(target.r, tcp.r));
   }
 
-  // Damping falls with the error (Sugihara, IEEE T-RO 2011); joints that a step would push beyond a limit rest in it.
+  // Damping falls with the error (Sugihara, IEEE T-RO 2011). A joint that a step would push beyond a limit stays at it.
   bool run(double* q) {
     const int n = arm.dof();
     double recent = 1e300;
@@ -80,7 +80,7 @@ struct Descent {
       const double far = norm(off), angle = norm(turned);
       if (far + 0.1 * angle < best_position + 0.1 * best_rotation) best_position = far, best_rotation = angle;
       if (far <= settings.position_tolerance && angle <= settings.rotation_tolerance) return true;
-      if (turn % kStall == kStall - 1) {  // a descent that stalls is not worth its iterations
+      if (turn % kStall == kStall - 1) {  // give up a descent that stalls
         if (far + 0.1 * angle > 0.5 * recent) return false;
         recent = far + 0.1 * angle;
       }

@@ -29,7 +29,7 @@ Solid box_around(const std::vector<Triangle>& triangles, const std::vector<int>&
 
 }  // namespace
 
-// Boxes around boxes around triangles, split at the median across the longest extent.
+// A tree of boxes around triangles, split at the median across the longest extent.
 std::shared_ptr<const Mesh> make_mesh(const double* corners, std::size_t count) {
   if (count == 0) throw std::invalid_argument("a mesh needs triangles");
   std::vector<Triangle> triangles(count);

@@ -142,8 +142,8 @@ const Margins& checked(const World& world, const Margins& margins) {
   return margins;
 }
 
-// Rows ordered by their largest distance from a reference in any joint, without those that are, in every joint, within
-// `same` of one kept before.
+// Rows sorted by their distance from a reference (the largest over the joints). A row is dropped if it is within `same`
+// of a kept row in every joint.
 py::array_t<double> distinct(const Array& found, const Array& reference, double same) {
   const int n = static_cast<int>(reference.size()), count = rows_of(found, n, "solutions");
   const double *q = found.data(), *from = reference.data();
@@ -201,8 +201,8 @@ py::array_t<double> extremes(const Array& values) {
   return found;
 }
 
-// Value and first three derivatives of a piecewise polynomial of vectors: coefficients (order + 1, pieces, n), highest
-// power first, of the time since each piece began.
+// Value and first three derivatives of a vector-valued piecewise polynomial. Coefficients have shape
+// (order + 1, pieces, n), highest power first, in the time since the start of each piece.
 py::array_t<double> sample_polynomial(const Array& breaks, const Array& coefficients, const Array& times) {
   if (coefficients.ndim() != 3 || breaks.size() != coefficients.shape(1) + 1 || coefficients.shape(1) < 1) {
     throw std::invalid_argument("coefficients have shape (order + 1, pieces, n), breaks one more entry than pieces");
@@ -220,7 +220,7 @@ py::array_t<double> sample_polynomial(const Array& breaks, const Array& coeffici
     }
     const double t = at - begins[piece];
     for (py::ssize_t j = 0; j < n; ++j) {
-      double value[4] = {0.0, 0.0, 0.0, 0.0};  // Horner's scheme of the value and its derivatives over k!
+      double value[4] = {0.0, 0.0, 0.0, 0.0};  // Horner's scheme for the value and the derivatives divided by k!
       for (py::ssize_t k = 0; k < orders; ++k) {
         value[3] = value[3] * t + value[2];
         value[2] = value[2] * t + value[1];

@@ -1,6 +1,6 @@
-// Paths that keep the tool upright: two trees of states that do, grown towards each other step by step, each step drawn
-// back to the constraint (CBiRRT; Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). OMPL's Python bindings let nobody
-// bring a sampler, and rejecting samples finds nothing at tolerances that are useful.
+// Paths that keep the tool upright. Two trees of upright states grow towards each other step by step; each step is
+// projected back to the constraint (CBiRRT; Berenson, Srinivasa, Ferguson, Kuffner, ICRA 2009). OMPL's Python bindings
+// do not support custom samplers, and rejection sampling finds no path at useful tolerances.
 #include "world.hpp"
 
 namespace roboxim {
@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kWatchEvery = 16;
 constexpr int kProjections = 30;
-constexpr double kInside = 0.7;  // of the tolerance: where a state that is tilted too far is drawn to
+constexpr double kInside = 0.7;  // fraction of the tolerance to which a state that is tilted too far is projected
 
 struct Tree {
   int n;
@@ -52,7 +52,7 @@ double World::tilt(const double* q) {
   return tilt_now();
 }
 
-// Draws a state to the constraint by damped least squares within the joint limits.
+// Projects a state to the constraint by damped least squares within the joint limits.
 bool World::straighten(double* q) {
   const int n = arm_->dof();
   std::vector<double> jacobian(6 * static_cast<std::size_t>(n));
@@ -66,7 +66,7 @@ bool World::straighten(double* q) {
     const double length = norm(about);
     about = length > 1e-9 ? (1.0 / length) * about : Vec3{1.0, 0.0, 0.0};
     arm_->jacobian(frames_.data(), tcp.t, jacobian.data());
-    // one equation: the rotation about `about` should be the excess
+    // one equation: the rotation about `about` must equal the excess
     double rows = 1e-4, along[64];
     for (int j = 0; j < n; ++j) {
       along[j] = about.x * jacobian[3 * n + j] + about.y * jacobian[4 * n + j] + about.z * jacobian[5 * n + j];
@@ -89,7 +89,7 @@ std::vector<double> World::connect_upright(const double* start, const double* go
   trees[0].add(start, -1);
   for (int g = 0; g < goal_count; ++g) trees[1].add(goals + g * n, -1);
   std::vector<double> edge(2 * static_cast<std::size_t>(n)), next(n), sample(n);
-  // Grows a tree from a state towards a target as far as it goes; the last state added, or `from`.
+  // Grows a tree from a state towards a target as far as possible; returns the last state added, or `from`.
   const auto grow = [&](Tree& tree, int from, const double* target) {
     double left = apart(tree.at(from), target, n);
     for (int steps = 0; steps < 200 && left > 1e-9; ++steps) {
@@ -110,7 +110,7 @@ std::vector<double> World::connect_upright(const double* start, const double* go
   for (int turn = 0; turn < iterations; ++turn) {
     if (turn % kWatchEvery == 0) watch(turn);
     Tree &near = trees[turn % 2], &far = trees[1 - turn % 2];
-    if (turn < 2 * goal_count) {  // first straight at the goals, and from them at the start
+    if (turn < 2 * goal_count) {  // first straight to the goals, and from them to the start
       const double* q = turn % 2 == 0 ? trees[1].at(turn / 2) : start;
       std::copy(q, q + n, sample.begin());
     } else {

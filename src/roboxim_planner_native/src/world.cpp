@@ -5,10 +5,10 @@
 namespace roboxim {
 namespace {
 
-constexpr double kSlack = 1e-6;        // covers single precision in the spheres' bounds [m]
-constexpr double kWorthExact = 0.04;   // intervals with less motion get exact distances to prove them [m]
+constexpr double kSlack = 1e-6;        // covers single-precision errors in the spheres' bounds [m]
+constexpr double kWorthExact = 0.04;   // intervals with less motion than this are proven by exact distances [m]
 constexpr int kDeepest = 40;
-constexpr double kBend = 1e-10;        // of a path's step, off the straight line [rad]
+constexpr double kBend = 1e-10;        // deviation from the straight line that counts as a bend [rad]
 
 }  // namespace
 
@@ -82,11 +82,11 @@ void World::load(const double* path, int count) {
   }
 }
 
-// Counts the points of the path at which it leaves the straight line that it is on, or turns back, by more than rounding.
+// Counts the bends of the path: the points at which it leaves its straight line, or turns back, by more than rounding.
 void World::find_bends() {
   const int n = arm_->dof();
   bends_.assign(static_cast<std::size_t>(points_) + 1, 0);
-  const double* begin = path_.data();  // of the present straight part
+  const double* begin = path_.data();  // of the current straight part
   for (int i = 0; i < points_; ++i) {
     bool bends = false;
     if (i + 1 < points_) {
@@ -107,7 +107,7 @@ void World::find_bends() {
   }
 }
 
-// On an interval without a bend: how the joints' frames move, to first order.
+// Computes the first-order motion of the joints' frames on an interval without a bend.
 void World::turn_along(const Interval& interval) {
   const int n = arm_->dof(), first = static_cast<int>(interval.from) + 1;
   const int last = static_cast<int>(std::ceil(interval.to)) - 1;  // points strictly inside
@@ -130,10 +130,10 @@ void World::turn_along(const Interval& interval) {
   }
 }
 
-void World::ask(const Margins& margins) {
-  asked_ = roots_;
-  for (std::size_t i = 0; i < asked_.size(); ++i) {
-    Pair& pair = asked_[i];
+void World::apply_margins(const Margins& margins) {
+  active_ = roots_;
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    Pair& pair = active_[i];
     pair.resolution = static_cast<float>(margins.resolution);
     if (margins.pairs.empty()) {
       pair.margin = static_cast<float>(pair.own ? margins.self_margin : margins.margin);
@@ -161,13 +161,14 @@ void World::place_at(double t) {
   ++states_checked;
 }
 
-// Puts an item where the arm is now and bounds how far its points move within the interval, relative to the frame of each
-// joint that it hangs on. Joint by joint from the tip, a rotation by d about an axis moves a point by at most d times its
-// distance from the axis, and that distance exceeds the present one by at most what the joints further out move the point.
+// Places an item for the current state of the arm and bounds the motion of its points within the interval, relative to
+// the frame of each joint that moves it. The bound is built joint by joint from the tip: a rotation by d about an axis
+// moves a point by at most d times its distance from the axis. That distance exceeds the current one by at most the
+// motion that the joints further out cause.
 //
-// Where the path is straight there is a second bound, and the smaller counts: the motion to first order, in which joints
-// that turn against each other cancel, and half the largest second derivative. The second derivative of a point by the
-// angles of two joints is its distance from the outer one's axis, or less.
+// Where the path is straight there is a second bound, and the smaller one counts: the first-order motion, in which
+// joints that turn against each other cancel, plus half the largest second derivative. The second derivative of a point
+// with respect to the angles of two joints is at most its distance from the outer joint's axis.
 World::Placed& World::placed(int index) {
   Placed& at = placed_[index];
   if (at.epoch == epoch_) return at;
@@ -286,9 +287,9 @@ double World::bound_own(const Item& a, const Placed& at, const Item& b, const Pl
   return static_cast<double>(smallest(least)) - kSlack;
 }
 
-// Looks at the middle of an interval. True: not free there. The pairs that the interval's halves must look at again are
-// appended to the arena.
-bool World::look(const Interval& interval, bool& upright_left) {
+// Checks the middle of an interval. Returns true if it is not free there. Appends to the arena the pairs that must be
+// checked again in the interval's halves.
+bool World::check_middle(const Interval& interval, bool& upright_left) {
   const double middle = 0.5 * (interval.from + interval.to);
   for (int j = 0; j < arm_->dof(); ++j) {
     const double at = variation(j, middle);
@@ -322,7 +323,7 @@ bool World::look(const Interval& interval, bool& upright_left) {
     }
     if (bound > margin + travel) continue;
     if (solid && solid->children) {
-      if (norm(solid->shape.half) > travel) {  // worth splitting: its parts may be proven one by one
+      if (norm(solid->shape.half) > travel) {  // worth splitting: the parts may be proven one by one
         for (int k = 0; k < solid->children; ++k) work_.push_back(part_of(pair, solid->child + k));
         continue;
       }
@@ -344,7 +345,7 @@ bool World::look(const Interval& interval, bool& upright_left) {
   return false;
 }
 
-// Whether an item touches a part of a mesh where the arm is now.
+// Whether an item touches a part of a mesh at the current state of the arm.
 bool World::touches(const Pair& pair) {
   const Item& item = *items_[pair.item];
   const Placed& at = placed(pair.item);
@@ -374,17 +375,17 @@ bool World::upright_fails(bool& left) const {
 }
 
 bool World::search(const double* path, int count, const Margins& margins, double* where) {
-  ask(margins);
+  apply_margins(margins);
   load(path, count);
   find_bends();
-  arena_ = asked_;
+  arena_ = active_;
   queue_.clear();
   queue_.push_back({0.0, static_cast<double>(count - 1), 0, arena_.size(), upright.active});
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     const Interval now = queue_[i];
     const std::size_t begin = arena_.size();
     bool upright_left = false;
-    if (look(now, upright_left)) {
+    if (check_middle(now, upright_left)) {
       if (where) *where = 0.5 * (now.from + now.to);
       return false;
     }
@@ -399,18 +400,18 @@ bool World::search(const double* path, int count, const Margins& margins, double
 double World::first_hit(const double* path, int count, const Margins& margins) {
   double where = -1.0;
   if (search(path, count, margins, &where)) return -1.0;
-  arena_ = asked_;
+  arena_ = active_;
   earliest({0.0, static_cast<double>(count - 1), 0, arena_.size(), upright.active}, where, 0);
   return where;
 }
 
-// Narrows `where`, a place known to be not free, to the first such place within the interval.
+// Narrows `where`, a place that is known not to be free, to the first such place within the interval.
 bool World::earliest(const Interval& interval, double& where, int depth) {
   if (interval.from >= where || depth > kDeepest) return false;
   const double middle = 0.5 * (interval.from + interval.to);
   const std::size_t begin = arena_.size();
   bool upright_left = false;
-  const bool hit = look(interval, upright_left);
+  const bool hit = check_middle(interval, upright_left);
   const std::size_t end = arena_.size();
   bool found = hit;
   if (hit) {
@@ -426,7 +427,7 @@ bool World::earliest(const Interval& interval, double& where, int depth) {
   return found;
 }
 
-// The distance of a pair where the arm is now, a lower bound within 1e-7 m; at most `cap`.
+// The distance of a pair at the current state of the arm: a lower bound within 1e-7 m, at most `cap`.
 double World::gap(const Pair& pair, double cap) {
   const Placed& at = placed(pair.item);
   const Item& item = *items_[pair.item];
@@ -467,7 +468,7 @@ std::vector<double> World::clearances(const double* states, int count, double ca
 
 namespace {
 
-constexpr double kGain = 0.02;  // share of a path's length that a shortcut must save to be worth a check
+constexpr double kGain = 0.02;  // fraction of a path's length that a shortcut must save to be worth a check
 
 using Path = std::vector<std::vector<double>>;
 
@@ -479,8 +480,8 @@ double length_of(const std::vector<double>& a, const std::vector<double>& b, con
 
 }  // namespace
 
-// Leaves out waypoints, then replaces what lies between two random places of the path by the straight edge where that is
-// free and shorter, then leaves out waypoints again. Lengths are Euclidean with `weights` per joint.
+// Drops waypoints; then replaces the path between two random places by the straight edge if that is free and shorter;
+// then drops waypoints again. Lengths are Euclidean with `weights` per joint.
 std::vector<double> World::shorten(const double* points, int count, std::uint64_t seed, int tries,
                                    const Margins& margins, const double* weights) {
   const int n = arm_->dof();
