@@ -1,4 +1,4 @@
-"""The evaluator node: hosts the one episode loop over the graph."""
+"""The evaluator node: runs the episode loop over the graph."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from roboxim_ros.node import RoboximNode
 
 FEEDBACK_PERIOD_S = 0.2
 ENDING_S = 60.0
-"""Longest wait for a cancelled run to end its tick, before the next one is refused [s]."""
+"""Longest wait of a new run for a cancelled run to end its tick; then the new run is rejected [s]."""
 VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that an episode's bits depend on."""
+    """Return package to version, for the packages that an episode's bytes depend on."""
     found = {}
     for name in VERSIONED:
         try:
@@ -43,7 +43,7 @@ class EvaluatorNode(RoboximNode):
     """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time."""
 
     executor_threads = 3
-    """A run blocks its callback; cancelling it needs another thread."""
+    """Number of threads: a run blocks its callback, and cancelling it needs another thread."""
 
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`."""
@@ -105,7 +105,7 @@ class EvaluatorNode(RoboximNode):
         config = from_msg(request.config, RunConfig)
         ending = (running := self._goal) is not None and running.is_cancel_requested
         if not self._busy.acquire(timeout=ENDING_S if ending else 0):
-            raise EvaluationError("the evaluator is running episodes already; wait for them or cancel them")
+            raise EvaluationError("the evaluator is already running episodes; wait for them or cancel them")
         self._goal = goal
         try:
             self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions(), library=ModelLibrary())
@@ -130,7 +130,7 @@ class EvaluatorNode(RoboximNode):
         )  # fmt: skip
 
     def _drop_ports(self) -> None:
-        """Start the next run with fresh clients: after a fault a peer may be gone."""
+        """Close the clients, so that the next run creates new ones: after a fault a peer may be gone."""
         if self._ports is not None:
             self._ports.close()
             self._ports = None

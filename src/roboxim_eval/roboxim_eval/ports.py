@@ -1,4 +1,4 @@
-"""The episode loop's ports, made of ROS clients: what lets `core.episode` run over a graph."""
+"""The episode loop's ports over ROS clients: they let `roboxim_core.episode` run over a graph."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_ms
 from roboxim_ros.policy_service import PolicyClient
 
 SERVICE_TIMEOUT_S = 120.0
-"""Longest wait for the answer of a node that is alive [s]; one that has died is noticed sooner."""
+"""Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
 MESSAGE_TIMEOUT_S = 60.0
 """Longest wait for an image of a tick, or for the recorder to acknowledge the tick [s]."""
 
 
 class TaskClient:
-    """Draws tasks and judges, through the task node."""
+    """Client of the task node: draws episodes and judges ticks."""
 
     def __init__(self, clients: Clients) -> None:
-        """Use a set of clients."""
+        """Store the clients."""
         self._clients = clients
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
-        """Draw the episode of a seed path."""
+        """Draw the task and scene of a seed path."""
         request = GenerateEpisode.Request(
             run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index, attempt=seed.attempt,
             task_config=task_config,
@@ -78,13 +78,13 @@ class TaskClient:
         )  # fmt: skip
 
     def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
-        """Start a fold with tick 0."""
+        """Start judging an episode; return the verdict on tick 0."""
         return self._judge(
             Judge.Request(episode_id=episode_id, task=[to_msg(task, TaskSpecMsg)], state=to_msg(state, StateRecordMsg))
         )
 
     def judge(self, state: StateRecord) -> Verdict:
-        """Fold the next tick."""
+        """Judge the next tick of the episode."""
         return self._judge(Judge.Request(episode_id=state.episode_id, state=to_msg(state, StateRecordMsg)))
 
     def _judge(self, request: Judge.Request) -> Verdict:
@@ -93,14 +93,15 @@ class TaskClient:
 
 
 class SimClient:
-    """The simulator, through its services; images through its topics."""
+    """Client of the simulator: services for states, topics for images."""
 
     def __init__(self, clients: Clients, holder: str = "") -> None:
-        """Remember whom to ask.
+        """Store the clients.
 
         Args:
             clients: The clients.
-            holder: Who takes the sim's lease; it takes over what one of that name held when it died. Empty: nobody.
+            holder: Name of the holder of the sim's lease; a restarted holder takes over the lease of its own name.
+                Empty: take no lease.
         """
         self._clients = clients
         self._holder = holder
@@ -113,7 +114,7 @@ class SimClient:
 
     @property
     def renderer(self) -> str:
-        """Renderer and device in use."""
+        """Renderer and device of the sim, e.g. for a report."""
         if not self._renderer:
             answer = self._clients.call(
                 GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()
@@ -123,7 +124,7 @@ class SimClient:
         return self._renderer
 
     def watch(self, cameras: tuple[str, ...]) -> None:
-        """Subscribe to cameras and the notices of ticks; done once per camera and run."""
+        """Subscribe to cameras and to the notices of ticks; repeated calls subscribe once."""
         if cameras and not self._subscriptions:
             self._clients.node.create_subscription(TickNotice, "sim/ticks", self._on_notice, qos.EVENTS)
         for camera in cameras:
@@ -134,20 +135,20 @@ class SimClient:
                 )
 
     def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world and settle: tick 0."""
+        """Rebuild the world and let it settle; return tick 0."""
         self._base = scene.robot.pose
         request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder)
         answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
-        """Execute an action; returns tick ``seq``."""
+        """Execute an action; return tick ``seq``."""
         request = Tick.Request(episode_id=episode_id, seq=seq, action=action)
         answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
 
     def release(self, episode_id: str) -> None:
-        """Give the lease back; a sim that has died, or that another holds, has none to take."""
+        """Give the lease back; a dead sim, or one leased to another holder, only logs a warning."""
         try:
             self._clients.call(
                 ReleaseEpisode,
@@ -162,7 +163,7 @@ class SimClient:
         """Wait for the whole observation of a tick.
 
         Raises:
-            EvaluationError: ``OBSERVATION_MISSING``, naming what did not come.
+            EvaluationError: ``OBSERVATION_MISSING``, with the names of the missing images.
         """
         images: dict[str, Any] = {}
         if cameras:
@@ -215,14 +216,14 @@ class SimClient:
 
 
 class RecorderClient:
-    """The recorder: open, a step per tick with its acknowledgement, close."""
+    """Client of the recorder: opens a bag, sends a step per tick and waits for its acknowledgement, closes the bag."""
 
     def __init__(self, clients: Clients, output_dir: str) -> None:
-        """Record into a folder.
+        """Subscribe to the recorder's acknowledgements.
 
         Args:
             clients: The clients.
-            output_dir: Folder for bags, absolute.
+            output_dir: Absolute folder of the run, for the bags.
         """
         self._clients = clients
         self._output_dir = output_dir
@@ -239,10 +240,10 @@ class RecorderClient:
         self._open = info.episode_id
 
     def step(self, step: EpisodeStep) -> None:
-        """Publish a tick's step and wait until the bag has the tick as a whole.
+        """Publish a tick's step and wait until the bag has the whole tick.
 
         Raises:
-            RoboximError: What the recorder refused the tick with, or a time-out.
+            RoboximError: The error with which the recorder rejected the tick, or a time-out.
         """
         self._publisher.publish(to_msg(step, EpisodeStepMsg))
         with self._acknowledged:
@@ -266,7 +267,7 @@ class RecorderClient:
         return str(answer.bag)
 
     def abort(self) -> None:
-        """Drop an open bag after a fault."""
+        """Drop the open bag, if any, after a fault."""
         if not self._open:
             return
         request = CloseEpisode.Request(keep="drop")
@@ -284,10 +285,10 @@ class RecorderClient:
 
 
 class RosPorts:
-    """All five ports over one set of clients. A context manager."""
+    """All five ports over one set of clients."""
 
     def __init__(self, context: Context, namespace: str) -> None:
-        """Make the clients.
+        """Create the clients.
 
         Args:
             context: An initialised rclpy context.
@@ -299,7 +300,13 @@ class RosPorts:
         self.recorder = RecorderClient(self.clients, "")
 
     def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[PolicyClient, RecorderClient]:
-        """Return the actor and recorder of one run."""
+        """Return the actor and the recorder of a run.
+
+        Args:
+            actor: Namespace of the policy or expert that acts.
+            timeout_s: Longest wait for an action [s].
+            output_dir: Absolute folder of the run.
+        """
         self.recorder._output_dir = output_dir
         return PolicyClient(self.clients, actor, timeout_s), self.recorder
 

@@ -1,6 +1,6 @@
-"""A self-contained HTML report of an evaluation: rates with intervals, films of episodes, and what makes it again.
+"""A self-contained HTML report of an evaluation: rates with intervals, films of episodes, and how to reproduce it.
 
-It gets plain values only: results, and frames that somebody read from bags.
+The input is plain values: results, and frames that the caller has read from bags.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ class PolicyRun:
     policy: str
     """Name of the policy."""
     results: Sequence[EpisodeResult]
-    """Its results."""
+    """Results of the policy's episodes."""
     films: Mapping[str, Frames] = field(default_factory=dict)
-    """Episode id to frames, each of shape (height, width, 3), cameras side by side."""
+    """Episode id to RGB frames, uint8, each of shape (height, width, 3), cameras side by side."""
     drawn: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Episode id to what its reset components have drawn by name, e.g. ``{"interaction_area": "left"}``."""
+    """Episode id to the named draws of its reset components, e.g. ``{"interaction_area": "left"}``."""
 
     @property
     def rates_by_dimension(self) -> dict[str, dict[str, SuccessRate]]:
-        """Success rates by instruction, and by each dimension that reset components have drawn by name."""
+        """Success rates by instruction, and by each dimension for which reset components have named draws."""
         found = {"instruction": rates_by(self.results, lambda result: result.instruction)}
         for dimension in sorted({name for names in self.drawn.values() for name in names}):
             names = {episode: drawn[dimension] for episode, drawn in self.drawn.items() if dimension in drawn}
@@ -59,18 +59,18 @@ class PolicyRun:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """What a report says."""
+    """Content of a report."""
 
     title: str
     """Headline."""
     runs: Sequence[PolicyRun]
-    """The policies, the one under test first."""
+    """Runs of the policies, the one under test first."""
     facts: dict[str, str]
-    """What makes it again: seed, task, renderer, dataset, ..."""
+    """Facts that reproduce the evaluation: seed, task, renderer, dataset, ..."""
     versions: dict[str, str]
     """Package to version."""
     command: str
-    """The command that makes it again."""
+    """Command that reproduces the evaluation."""
 
 
 def _rates_by_name(results: Sequence[EpisodeResult], names: dict[str, str]) -> dict[str, SuccessRate]:
@@ -79,7 +79,7 @@ def _rates_by_name(results: Sequence[EpisodeResult], names: dict[str, str]) -> d
 
 
 def webp_film(frames: Frames) -> str:
-    """Encode frames as an animated WebP data URI, at most `FILM_FRAMES` of them, the last one held."""
+    """Encode at most `FILM_FRAMES` frames, evenly chosen, as an animated WebP data URI; the last frame is held."""
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(FILM_FRAMES, len(frames))).round().astype(int))
     images = [Image.fromarray(frames[i]) for i in chosen]
     buffer = io.BytesIO()
@@ -91,7 +91,7 @@ def webp_film(frames: Frames) -> str:
 
 
 def verdict_line(runs: Sequence[PolicyRun]) -> str:
-    """Compare the first policy with each other one by their intervals, in one sentence each."""
+    """Compare the interval of the first policy with that of each other policy, in one sentence each."""
     if len(runs) < 2:
         return ""
     sentences = [
@@ -118,7 +118,7 @@ def verdict_line(runs: Sequence[PolicyRun]) -> str:
 
 
 def summary(report: Report) -> dict[str, Any]:
-    """Return the report's numbers as plain data."""
+    """Return the report's numbers as plain data, the content of ``summary.json``."""
     return {
         "title": report.title,
         "policies": {run.policy: _numbers(run) for run in report.runs},
@@ -130,7 +130,7 @@ def summary(report: Report) -> dict[str, Any]:
 
 
 def _numbers(run: PolicyRun) -> dict[str, Any]:
-    """Return a policy's numbers; where most episodes ended in errors the rate and its interval are none."""
+    """Return a policy's numbers; if most episodes ended in errors, the rate and its interval are None."""
     rate = rate_of(run.results)
     measured = is_measured(run.results)
     numbers: dict[str, Any] = {**asdict(rate), "rate": rate.rate, "measured": measured}
@@ -146,7 +146,7 @@ def write_report(report: Report, folder: Path) -> Path:
     """Write ``report.html`` (self-contained) and ``summary.json``.
 
     Args:
-        report: What to say.
+        report: Content of the report.
         folder: Existing folder.
 
     Returns:

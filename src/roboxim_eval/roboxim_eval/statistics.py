@@ -31,7 +31,7 @@ class SuccessRate:
         return self.successes / self.episodes if self.episodes else 0.0
 
     def __str__(self) -> str:
-        """Say it in one line, e.g. ``14 of 20 = 70 % (95 % interval 48 to 85 %)``."""
+        """Format the rate, e.g. ``14 of 20 = 70 % (95 % interval 48 to 85 %)``."""
         if not self.episodes:
             return "no episodes"
         return (
@@ -48,7 +48,7 @@ def success_rate(successes: int, episodes: int) -> SuccessRate:
         episodes: Episodes run.
 
     Raises:
-        InvalidRequestError: When there are more successes than episodes, or negative ones.
+        InvalidRequestError: If a count is negative, or there are more successes than episodes.
 
     Source:
         Wilson (1927), as `scipy.stats.binomtest` computes it.
@@ -62,17 +62,17 @@ def success_rate(successes: int, episodes: int) -> SuccessRate:
 
 
 def rate_of(results: Iterable[EpisodeResult]) -> SuccessRate:
-    """Return the success rate of results; an error counts as no success."""
+    """Return the success rate of results; an error does not count as a success."""
     outcomes = [result.outcome == "success" for result in results]
     return success_rate(sum(outcomes), len(outcomes))
 
 
 def rates_by(results: Sequence[EpisodeResult], key: Callable[[EpisodeResult], str]) -> dict[str, SuccessRate]:
-    """Return the success rate of each group, sorted by name.
+    """Return group name to success rate, sorted by name.
 
     Args:
         results: The results.
-        key: Names the group of a result, e.g. its instruction.
+        key: Returns the group name of a result, e.g. its instruction.
     """
     groups: dict[str, list[EpisodeResult]] = {}
     for result in results:
@@ -81,26 +81,26 @@ def rates_by(results: Sequence[EpisodeResult], key: Callable[[EpisodeResult], st
 
 
 def failure_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
-    """Count the reasons of the episodes that did not succeed, most frequent first."""
+    """Count the reasons of episodes that did not succeed, most frequent first."""
     reasons = Counter(result.reason or "unnamed" for result in results if result.outcome != "success")
     return dict(reasons.most_common())
 
 
 def error_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
-    """Count the reasons of the episodes that ended in an error, most frequent first."""
+    """Count the reasons of episodes that ended in an error, most frequent first."""
     return failure_reasons(result for result in results if result.outcome == "error")
 
 
 def is_measured(results: Sequence[EpisodeResult]) -> bool:
-    """Tell whether results measure a policy: not where most episodes ended in an error, whatever their rate is."""
+    """Tell whether results measure a policy: false if more than half of the episodes ended in an error."""
     return 2 * sum(error_reasons(results).values()) <= len(results)
 
 
 def error_line(results: Sequence[EpisodeResult]) -> str:
-    """Say how many episodes ended in errors and of which kinds; empty when none did."""
+    """Return a phrase with the number and reasons of episodes that ended in errors; empty if there are none."""
     reasons = error_reasons(results)
     if not reasons:
         return ""
     kinds = ", ".join(f"{reason} x{count}" for reason, count in reasons.items())
-    told = f"{sum(reasons.values())} of {len(results)} episodes ended in errors ({kinds})"
-    return told if is_measured(results) else f"{told}; this measures no policy"
+    line = f"{sum(reasons.values())} of {len(results)} episodes ended in errors ({kinds})"
+    return line if is_measured(results) else f"{line}; the policy is not measured"

@@ -47,7 +47,9 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
     )
     shaky = PolicyRun(policy="shaky", results=[result(0, "error", "policy_late"), result(1)])
     zero = PolicyRun(policy="zero", results=[result(i, "failure", "max_steps") for i in range(20)])
-    assert error_line(broken.results) == ("3 of 4 episodes ended in errors (policy_fault x3); this measures no policy")
+    assert error_line(broken.results) == (
+        "3 of 4 episodes ended in errors (policy_fault x3); the policy is not measured"
+    )
     assert error_line(shaky.results) == "1 of 2 episodes ended in errors (policy_late x1)"
     assert [is_measured(run.results) for run in (broken, shaky, zero)] == [False, True, True]
     assert error_line(zero.results) == ""

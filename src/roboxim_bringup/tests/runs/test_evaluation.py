@@ -152,7 +152,7 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
     words = ("evaluate", "--out", "out", "--episodes", "2", "--policy", "mine.py:Mine")
     result = CliRunner().invoke(group, words, standalone_mode=False)
     assert isinstance(result.exception, EvaluationError)
-    assert "Mine: 2 of 2 episodes ended in errors (policy_fault x2); this measures no policy" in result.stdout
+    assert "Mine: 2 of 2 episodes ended in errors (policy_fault x2); the policy is not measured" in result.stdout
     assert "%" not in result.stdout
     assert json.loads((folder / "out" / "summary.json").read_text())["policies"]["Mine"]["rate"] is None
 
