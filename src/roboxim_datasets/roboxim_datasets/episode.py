@@ -1,7 +1,7 @@
-"""An episode as plain values, whatever it is stored in: the type that readers give and writers take.
+"""An episode as plain values, independent of its storage: the type that readers return and writers take.
 
-Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps. What is small
-is there at once; steps are read when asked for, one after another, so an episode costs no more memory than a step.
+Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps. The small
+fields are loaded at once. Steps are read on demand, one after another, so an episode needs the memory of one step.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ class Step:
     index: int
     """Number of the step, from 0."""
     images: Mapping[str, RGBImage] = field(default_factory=dict)
-    """Camera to RGB image, uint8, shape (height, width, 3), read-only; the cameras that were asked for."""
+    """Camera to RGB image, uint8, shape (height, width, 3), read-only; only the requested cameras."""
     proprio: Mapping[str, Floats] = field(default_factory=dict)
     """Field of `roboxim_core.proprioception.ProprioField` to float32 vector; a dataset that does not say what its state
     consists of has the one field ``state``."""
     action: Floats
-    """What an imitator should output, float32, shape (D,); its meaning is in `Episode.semantics`."""
+    """Action that an imitator should output, float32, shape (D,); its meaning is in `Episode.semantics`."""
     action_executed: Floats | None = None
-    """What was executed; differs from ``action`` where noise was injected. None: not stored."""
+    """Executed action; differs from ``action`` where noise was injected. None: not stored."""
     reward: float = 0.0
     """1 on the last step of a success, else 0."""
 
@@ -53,7 +53,7 @@ class Step:
 class Episode:
     """An episode of T steps.
 
-    Non-obvious: every call of `steps` reads again, from the start; a file that is gone by then is an error there.
+    Non-obvious: every call of `steps` reads again from the start; it fails if the file is gone by then.
     """
 
     episode_id: str
@@ -73,7 +73,7 @@ class Episode:
     joint_names: tuple[str, ...] = ()
     """Arm joints in the order of ``joint_positions``; empty: the dataset does not say."""
     metadata: Mapping[str, MetaValue] = field(default_factory=dict)
-    """What else is stored with the episode, by name."""
+    """Further metadata of the episode, by name."""
     read: Callable[[Sequence[str]], Iterator[Step]] = field(repr=False)
     """Reads the steps with the images of the cameras given; `steps` calls it."""
 

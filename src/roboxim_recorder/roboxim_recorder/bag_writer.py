@@ -32,7 +32,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
 def _qos(topic: str) -> dict[str, Any]:
-    """Return the QoS that a player offers; the topics of a scene hold for whoever subscribes later."""
+    """Return the QoS that a player offers; the topics of a scene are latched for late subscribers."""
     latched = topic in OF_SCENE
     return {
         "history": "keep_last",
@@ -152,7 +152,7 @@ def metadata_text(description: Mapping[str, Any]) -> str:
 def bag_description(
     file_name: str, topics: Mapping[str, tuple[str, str, int]], span_ns: tuple[int, int], metadata: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return what rosbag2's ``metadata.yaml`` says of a bag, plain data.
+    """Return the content of rosbag2's ``metadata.yaml`` for a bag, as plain data.
 
     Args:
         file_name: Name of the MCAP file.
@@ -199,14 +199,14 @@ class BagWriter:
     """Writes an episode's bag below a run's folder. Every fault of the disk is a `RecorderError` with code ``DISK``."""
 
     def __init__(self, output_dir: Path, episode_id: str) -> None:
-        """Open the bag; remains of the same episode from a killed recorder are removed.
+        """Open the bag; remove what a killed recorder has left of the same episode.
 
         Args:
             output_dir: The run's folder, absolute.
             episode_id: Unique id, usable as a file name.
 
         Raises:
-            InvalidRequestError: On a relative folder or an id that is no file name.
+            InvalidRequestError: On a relative folder or an id that is not usable as a file name.
             RecorderError: ``EPISODE_EXISTS`` when the run has the episode, ``DISK`` when it cannot be written.
         """
         if not output_dir.is_absolute():
@@ -242,12 +242,12 @@ class BagWriter:
             self._mcap.write(topic, cdr, stamp_ns)
 
     def flush(self) -> None:
-        """Hand everything to the operating system: a SIGKILL of this process loses only what comes after."""
+        """Hand everything to the operating system: a SIGKILL of this process loses only later messages."""
         with disk_errors(self.partial):
             self._mcap.flush()
 
     def close(self, keep: str, metadata: Mapping[str, str]) -> str:
-        """Finish the bag and put it in its place; a bag that cannot be finished is removed.
+        """Finish the bag and move it to its final place; a bag that cannot be finished is removed.
 
         Args:
             keep: ``keep`` or ``set_apart``.
@@ -277,7 +277,7 @@ def bag_path(episode_id: str, keep: str) -> str:
     """Return a finished bag's path relative to the run's folder.
 
     Raises:
-        InvalidRequestError: On an unknown way of keeping.
+        InvalidRequestError: On an unknown value of ``keep``.
     """
     if keep not in PLACES:
         raise InvalidRequestError(f"cannot keep an episode as '{keep}'; {one_of((*PLACES, 'drop'), keep)}")

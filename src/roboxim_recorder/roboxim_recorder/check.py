@@ -1,6 +1,6 @@
-"""Checks that a bag is whole: every byte, every tick, every topic, one episode from its folder's name to its result.
+"""Checks that a bag is whole: every byte, every tick, every topic, and the same episode throughout.
 
-`check_bag` reads a bag once. It holds its parts against one another: the checksums, ``metadata.yaml``, the names of
+`check_bag` reads a bag once. It compares its parts with each other: the checksums, ``metadata.yaml``, the names of
 folder and file, the metadata record, the first message (`EpisodeInfo`), every tick, the last message (`EpisodeResult`).
 """
 
@@ -37,12 +37,12 @@ MOST_PROBLEMS = 50
 
 @dataclass(frozen=True, kw_only=True)
 class BagReport:
-    """What a check found."""
+    """Result of a check."""
 
     path: Path
     """The bag."""
     episode_id: str = ""
-    """Its episode; empty when not readable."""
+    """Id of its episode; empty if not readable."""
     ticks: int = 0
     """Whole ticks read."""
     outcome: str = ""
@@ -59,7 +59,7 @@ class BagReport:
 def check_bag(path: Path | str) -> BagReport:
     """Read a whole bag and report what is wrong with it.
 
-    Damage never raises; a checksum that does not fit ends the check, since nothing behind it can be trusted.
+    Damage never raises. A wrong checksum ends the check, since no content is reliable then.
 
     Args:
         path: The bag's folder or its MCAP file.
@@ -197,7 +197,7 @@ class _BagCheck:
         self._steps += step.phase == "act"
 
     def _end_problems(self) -> Iterator[str]:
-        """Hold the result against what was read."""
+        """Yield where the result differs from the messages."""
         info, result, reader = self.info, self.result, self._reader
         if self._tick:
             yield f"it ends within tick {self.ticks}: {', '.join(sorted(self._tick))}"
@@ -228,7 +228,7 @@ class _BagCheck:
                 yield f"its metadata record has {key} {found.get(key)!r}, expected {wanted.get(key)!r}"
 
     def _name_problems(self) -> Iterator[str]:
-        """Hold the names of folder and file against the episode."""
+        """Yield where the names of folder and file differ from the episode."""
         if self.info is None:
             return
         file, name = self._reader.file.absolute(), self.info.episode_id
@@ -240,7 +240,7 @@ class _BagCheck:
             yield f"its file is named {file.name}, expected {mcap_name(name)}"
 
     def _description_problems(self) -> Iterator[str]:
-        """Hold the summary and ``metadata.yaml`` against the messages."""
+        """Yield where the summary and ``metadata.yaml`` differ from the messages."""
         reader = self._reader
         for topic, count in reader.counts.items():
             if count != self._counts[topic]:

@@ -1,4 +1,4 @@
-"""Verifies a bag's files without looking at messages: the MCAP file's sections, and what ``metadata.yaml`` says of it.
+"""Verifies a bag's files without decoding messages: the sections of the MCAP file, and ``metadata.yaml``.
 
 Two checksums cover an MCAP file: one from the file's start to the end of its data section, one from the start of its
 summary to its footer. What lies between and behind them is fixed. So no byte can change unnoticed.
@@ -29,7 +29,7 @@ LONGEST_METADATA = 256 << 10
 
 
 def container_problems(data: memoryview) -> Iterator[str]:
-    """Yield what is wrong with an MCAP file's sections; nothing: every byte is as it was written.
+    """Yield the faults of an MCAP file's sections; without faults every byte is as it was written.
 
     Args:
         data: The whole file.
@@ -64,7 +64,7 @@ def metadata_problems(folder: Path, expected: Mapping[str, Any]) -> Iterator[str
 
     Args:
         folder: The bag's folder.
-        expected: What the file should say, plain data.
+        expected: Expected content of the file, as plain data.
     """
     path = folder / METADATA_FILE
     try:

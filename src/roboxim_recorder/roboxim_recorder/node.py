@@ -2,8 +2,8 @@
 
 Publishers of a tick and these subscriptions are transient local, so a tick that is published before both ends have
 matched still arrives. Messages that were published before the episode was opened are recognised by their source
-timestamps and ignored. Subscriptions are made once and kept, because matching takes time. A tick's messages are taken
-together, when the loop's step says that the tick is over: waking for each message would slow the rendering sim down.
+timestamps and ignored. Subscriptions are created once and kept, because matching takes time. A tick's messages are
+taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class RecorderNode(RoboximNode):
     # ---------------------------------------------------------------- messages
 
     def _subscribe_tick(self, topic: str, kind: str) -> None:
-        """Subscribe to a topic of every tick, by its name in the bag; only the step is heard as it comes."""
+        """Subscribe to a topic of every tick, by its name in the bag; only the step wakes the node."""
         self._subscribe(topic[1:], kind, qos.EVENTS, None if topic == topics.STEP else self._of_ticks)
 
     def _subscribe(self, name: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None) -> None:
@@ -139,7 +139,7 @@ class RecorderNode(RoboximNode):
             self._on_message(topic, cdr, info["source_timestamp"])
             if topic == topics.STEP:
                 self._of_ticks.take()
-            if topic == topics.STEP or self._of_ticks.open:  # the rest of the tick is heard as it comes
+            if topic == topics.STEP or self._of_ticks.open:  # then the rest of the tick is received as it arrives
                 self._of_ticks.open = self._recording is not None and not self._recording.complete
 
         return received
@@ -168,11 +168,11 @@ class RecorderNode(RoboximNode):
         full = self.resolve_topic_name(topic)
         found = dict(self.get_topic_names_and_types())
         if full not in found:
-            raise InvalidRequestError(f"cannot record topic '{topic}': nobody publishes it; {one_of(found, full)}")
+            raise InvalidRequestError(f"cannot record topic '{topic}': no node publishes it; {one_of(found, full)}")
         return str(found[full][0])
 
     def _matching_qos(self, topic: str) -> QoSProfile:
-        """Return what fits every publisher of a topic that is there."""
+        """Return a QoS that is compatible with every present publisher of a topic."""
         offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
         volatile = any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
         return QoSProfile(

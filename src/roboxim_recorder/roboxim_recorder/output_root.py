@@ -1,4 +1,4 @@
-"""Where requests may have bags written: below one folder that is given at the start, whatever a request names."""
+"""The root of all output folders: a request may write bags only below the folder that the node was started with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 
 def require_inside(output_dir: str, root: Path) -> Path:
-    """Return a request's folder, unless something would be written outside of the root.
+    """Return a request's folder; reject one outside of the root.
 
     Args:
         output_dir: Folder of the request, absolute. ``..`` and symbolic links are resolved.

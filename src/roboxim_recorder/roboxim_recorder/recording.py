@@ -32,7 +32,7 @@ FLUSH_TICKS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class _Notice:
-    """What the sim says of a tick."""
+    """The sim's notice of a tick."""
 
     message: CleanMessage
     """The notice itself."""
@@ -43,7 +43,7 @@ class _Notice:
 
 
 def outcome_metadata(info: EpisodeInfo, result: EpisodeResult) -> dict[str, str]:
-    """Return what a bag's metadata record says of the episode and its outcome."""
+    """Return the bag's metadata record of the episode and its outcome."""
     return {
         "outcome": result.outcome,
         "reason": result.reason,
@@ -63,12 +63,12 @@ class EpisodeRecording:
 
         Args:
             output_dir: The run's folder, absolute.
-            info: What is needed to reproduce the episode.
+            info: Everything needed to reproduce the episode.
             info_cdr: The same as a serialised ``EpisodeInfo`` message.
-            extra_topics: Topic to type of what is recorded besides; not needed for a tick to be whole.
+            extra_topics: Topic to type of additional topics to record; a tick is whole without them.
 
         Raises:
-            RoboximError: As `BagWriter`; ``INVALID_REQUEST`` on a message type that is not installed.
+            RoboximError: See `BagWriter`; ``INVALID_REQUEST`` on a message type that is not installed.
         """
         self.info = info
         self.expected = topics.scene_topics(info.scene)
@@ -96,7 +96,7 @@ class EpisodeRecording:
 
     @property
     def path(self) -> Path:
-        """Where the bag grows."""
+        """Path of the growing bag."""
         return self._writer.partial
 
     @property
@@ -114,14 +114,14 @@ class EpisodeRecording:
         return topic in self.expected or topic in self.extra
 
     def message(self, topic: str, cdr: bytes) -> list[int]:
-        """Take a message in.
+        """Add a message.
 
         Args:
             topic: Its name in the bag.
             cdr: The serialised message.
 
         Returns:
-            The ticks that are now in the bag as a whole and were not before.
+            The ticks that this message completed; they are now in the bag.
 
         Raises:
             RecorderError: ``EPISODE_GAP`` when a tick needs a topic that is not recorded, ``DISK`` when it cannot be
@@ -175,7 +175,7 @@ class EpisodeRecording:
         self._notices[notice.seq] = _Notice(message=message, stamp_ns=stamp_to_ns(notice.stamp), wanted=wanted)
 
     def missing(self, seq: int) -> list[str]:
-        """Name what tick ``seq`` lacks."""
+        """Return the names of what tick ``seq`` lacks."""
         missing = [] if seq in self._steps else [topics.STEP]
         if seq not in self._notices:
             return [topics.NOTICE, *missing]
@@ -193,7 +193,7 @@ class EpisodeRecording:
         return self._arrived.get((topic, stamp_ns)) or self._stampless.get(topic)
 
     def _is_image(self, topic: str, stamp_ns: int, crc32: int) -> bool:
-        """Tell whether an image is the tick's. If not, it is of an earlier scene: forget it, the right one follows."""
+        """Tell whether an image belongs to the tick. If not, it is of an earlier scene and is dropped."""
         image = self._found(topic, stamp_ns)
         if image is not None and zlib.crc32(image.bytes_of("data")) == crc32:
             return True
@@ -256,7 +256,7 @@ class EpisodeRecording:
     def _name_gap(self, last_seq: int) -> str:
         if last_seq < self._next:
             return (
-                f"'{self.info.episode_id}' is said to end with tick {last_seq}, but {self._next} ticks were recorded; "
+                f"'{self.info.episode_id}' ends with tick {last_seq}, but {self._next} ticks were recorded; "
                 "the bag is not kept"
             )
         ticks = [f"tick {seq} lacks {', '.join(self.missing(seq))}" for seq in range(self._next, last_seq + 1)]

@@ -1,4 +1,4 @@
-"""Saves what can be read of a damaged bag."""
+"""Repairs damaged bags: saves the ticks that can be read."""
 
 from __future__ import annotations
 

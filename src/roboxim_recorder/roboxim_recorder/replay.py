@@ -15,7 +15,7 @@ from roboxim_recorder.bag import BagReader
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayReport:
-    """What a replay found."""
+    """Result of a replay."""
 
     episode_id: str
     """Episode."""
@@ -28,11 +28,11 @@ class ReplayReport:
     replayed_hash: str = ""
     """Hash of the replay at that tick."""
     difference: str = ""
-    """How far apart the two states are, for a person."""
+    """Readable difference of the two states: the body that is farthest off."""
 
     @property
     def same(self) -> bool:
-        """Whether the replay is the recording, bit for bit."""
+        """Whether the replay equals the recording, bit for bit."""
         return self.diverged_at is None
 
 
@@ -52,10 +52,10 @@ def replay(
         on_tick: Called with every replayed state, tick 0 included, e.g. to judge it again.
 
     Returns:
-        Where the replay left the recording, if it did; it stops there.
+        The first tick at which the replay differs, if any; the replay stops there.
 
     Raises:
-        RoboximError: When the bag is damaged or the sim refuses.
+        RoboximError: If the bag is damaged or the sim rejects a request.
     """
     lease = episode_id or reader.info.episode_id
     compared = 0
@@ -82,7 +82,7 @@ def replay(
 
 
 def _difference(recorded: StateRecord, replayed: StateRecord) -> str:
-    """Say which body is farthest from where it was."""
+    """Return a phrase that names the body farthest from its recorded pose."""
     pairs = [("tcp", recorded.robot.pose_tcp_measured, replayed.robot.pose_tcp_measured)]
     there = {entity.name: entity.pose for entity in replayed.entities}
     pairs += [(e.name, e.pose, there[e.name]) for e in recorded.entities if e.name in there]

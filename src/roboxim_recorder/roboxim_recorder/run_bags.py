@@ -1,4 +1,4 @@
-"""The bags of a run's folder, held against the run's results."""
+"""The bags of a run's folder, compared with the run's results."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ SHOWN = 5
 
 @dataclass(frozen=True, kw_only=True)
 class RunBags:
-    """Which bags there are, and which there should be."""
+    """Existing and expected bags of a folder."""
 
     paths: tuple[Path, ...]
     """Kept bags that the run's results name, sorted by name; in a folder without results all kept bags."""
     missing: tuple[str, ...] = ()
-    """Bags, kept or set apart, that results name and that are not there, relative to the run's folder."""
+    """Missing bags, kept or set apart, that results name, relative to the run's folder."""
     unexpected: tuple[Path, ...] = ()
     """Kept bags that no result names."""
     results: dict[str, EpisodeResult] = field(default_factory=dict)
@@ -31,24 +31,24 @@ class RunBags:
 
     @property
     def missing_text(self) -> str:
-        """What is missing, for a person."""
+        """Readable list of the missing bags; empty if there are none."""
         shown = ", ".join(self.missing[:SHOWN]) + (", ..." if len(self.missing) > SHOWN else "")
         bags = "bag is" if len(self.missing) == 1 else "bags are"
         return f"{len(self.missing)} {bags} missing that {RESULTS_FILE} names: {shown}"
 
     @property
     def unexpected_text(self) -> str:
-        """What no result names, for a person."""
+        """Readable list of the bags that no result names; empty if there are none."""
         names = [path.name for path in self.unexpected]
         shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
         return f"{len(names)} {'bag has' if len(names) == 1 else 'bags have'} no line in {RESULTS_FILE}: {shown}"
 
 
 def run_bags(path: Path | str) -> RunBags:
-    """Return the bags of a run's folder or of a folder of bags, held against the run's results where there are some.
+    """Return the bags of a run's folder or of a folder of bags, compared with the run's results if there are any.
 
-    A bag is missing when its folder or its ``.mcap`` file is. A run that is going on, or was killed, may have one bag
-    for each worker whose result is not yet written; going on with the run records these episodes again.
+    A bag is missing if its folder or its ``.mcap`` file is missing. An unfinished or killed run may have one bag per
+    worker whose result is not yet written; resuming the run records these episodes again.
 
     Args:
         path: A run's folder, its ``episodes`` folder, another folder of bags, or one bag.
@@ -66,7 +66,7 @@ def run_bags(path: Path | str) -> RunBags:
     missing = tuple(sorted(r.bag for r in results if not any((run / r.bag).glob("*.mcap"))))
     there = _bags_in(run / PLACES["keep"])
     if not there and not missing:
-        list_bags(folder)  # says why there is none
+        list_bags(folder)  # raises with the reason
     return RunBags(
         paths=tuple(bag for bag in there if bag.name in kept and f"{PLACES['keep']}/{bag.name}" not in missing),
         missing=missing,
@@ -105,7 +105,7 @@ def read_results(run: Path) -> list[EpisodeResult]:
 def list_bags(path: Path | str) -> list[Path]:
     """Return the bags of a run's folder or of a folder of bags, sorted by name, without those set apart.
 
-    A bag that has lost its ``.mcap`` file counts, so that whoever reads it learns of the loss.
+    A bag that has lost its ``.mcap`` file counts, so that its reader reports the loss.
 
     Args:
         path: A run's folder (its ``episodes/`` is meant), a folder of bags, or one bag.

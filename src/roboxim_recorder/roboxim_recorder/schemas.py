@@ -39,7 +39,7 @@ class MessageSchema:
 
 
 def full_name(name: str) -> str:
-    """Return ``package/msg/Name`` for that or for ``package/Name``."""
+    """Return ``package/msg/Name``, also for the short form ``package/Name``."""
     package, _, rest = name.partition("/")
     return f"{package}/msg/{rest.rpartition('/')[2]}"
 
@@ -52,7 +52,7 @@ def message_schema(name: str) -> MessageSchema:
         name: Full name, e.g. ``sensor_msgs/msg/Image``.
 
     Raises:
-        InvalidRequestError: When there is no such type on this machine.
+        InvalidRequestError: If the type is not installed on this machine.
     """
     text, nested = _read(name)
     parts, seen = [text], {name}

@@ -16,7 +16,7 @@ from roboxim_recorder.run_bags import list_bags
 
 
 def bag_info(path: Path | str) -> str:
-    """Describe a bag, for a person.
+    """Return a readable description of a bag.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED``.
@@ -70,9 +70,9 @@ class DatasetSummary:
     ticks: int
     """Ticks in the kept bags."""
     size_bytes: int
-    """Size of the kept bags."""
+    """Size of the kept bags [B]."""
     outcomes: dict[str, int]
-    """Outcome, and whether it took another try, to number of kept bags."""
+    """Outcome (with ``, recovered`` if the actor had to try again) to number of kept bags."""
     reasons: dict[str, int]
     """Reason of failure to number of bags, set apart ones included."""
     instructions: dict[str, int]
@@ -84,7 +84,7 @@ class DatasetSummary:
 
     @property
     def text(self) -> str:
-        """The summary for a person."""
+        """Readable text of the summary."""
 
         def listed(counts: dict[str, int]) -> str:
             return ", ".join(f"{name} x{count}" for name, count in counts.items()) or "-"

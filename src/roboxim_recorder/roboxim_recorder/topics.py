@@ -38,7 +38,7 @@ def image_topic(camera: str, kind: str = "image") -> str:
 
 
 def scene_topics(scene: SceneSpec) -> dict[str, str]:
-    """Return topic to type of all that the graph publishes in an episode of a scene."""
+    """Return topic to type of everything that the graph publishes in an episode of a scene."""
     topics = dict(ALWAYS)
     for camera in scene.cameras:
         topics[image_topic(camera.name)] = "sensor_msgs/msg/Image"

@@ -110,7 +110,7 @@ def test_a_wrong_last_tick_is_refused(tmp_path, fake):
     recording = episode.open(tmp_path)
     for topic, message in episode.messages():
         recording.message(topic, serialize_message(message))
-    with pytest.raises(RecorderError, match="said to end with tick 2, but 8 ticks were recorded"):
+    with pytest.raises(RecorderError, match="ends with tick 2, but 8 ticks were recorded"):
         episode.close(recording, last_seq=2)
 
 

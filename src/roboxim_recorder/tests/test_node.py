@@ -147,7 +147,7 @@ def test_a_disk_that_fills_up_between_ticks_is_answered(graph, tmp_path, fake, m
 def test_bad_requests_are_refused(graph, tmp_path, fake):
     with pytest.raises(InvalidRequestError, match="absolute"):
         graph.open(fake(), "relative")
-    with pytest.raises(InvalidRequestError, match="nobody publishes it"):
+    with pytest.raises(InvalidRequestError, match="no node publishes it"):
         graph.open(fake(), tmp_path, topics=["nothing"])
     graph.open(fake(), tmp_path)
     with pytest.raises(InvalidRequestError, match="did you mean 'keep'"):

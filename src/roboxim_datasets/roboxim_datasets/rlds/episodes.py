@@ -33,11 +33,11 @@ METADATA = {
     "joint_names": "text",
     "task": "text",
 }
-"""Metadata of an episode that `to_rlds` makes, by kind."""
+"""Metadata that `to_rlds` writes, key to type."""
 _OF_EPISODE = {"episode_id", "success", "robot", "action_semantics", "cameras", "state_layout", "joint_names"}
-"""Metadata that has a field of its own in an `Episode`."""
+"""Metadata that an `Episode` has as separate fields."""
 USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
-"""Camera to image key where nothing else is said; other cameras keep their name."""
+"""Default camera to image key; other cameras keep their names."""
 
 
 def to_rlds(
@@ -48,8 +48,8 @@ def to_rlds(
     Args:
         episode: The episode.
         keys: Camera to image key.
-        features: What the dataset's episodes hold.
-        pool: Where images are encoded.
+        features: Features of the dataset's episodes.
+        pool: Threads that encode images.
         resize: Whether images are resized to the features' sizes.
     """
     images: dict[str, list[Future[bytes]]] = {key: [] for key in keys.values()}
@@ -81,7 +81,7 @@ def to_rlds(
 
 
 def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
-    """Turn an episode of an RLDS dataset, ours or another's, into an `Episode`.
+    """Turn an episode of an RLDS dataset, written by RoboXim or not, into an `Episode`.
 
     Raises:
         ConfigError: When the metadata that describe it are not readable.
@@ -118,10 +118,10 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
 
 
 def camera_keys(episode: RldsEpisode) -> dict[str, str]:
-    """Return camera to image key: as the dataset says, else by the usual names.
+    """Return camera to image key: as stored in the dataset, else by the default names.
 
     Raises:
-        ConfigError: When what the dataset says is not readable.
+        ConfigError: If the dataset's camera names are not readable.
     """
     said = _parsed(episode.metadata, "cameras", {})
     usual = {key: camera for camera, key in USUAL_KEYS.items()}
@@ -142,7 +142,7 @@ _SIZES = {ProprioField.TCP_POSITION: 3, ProprioField.TCP_ROTATION_6D: 6, Proprio
 
 
 def _proprio(episode: RldsEpisode, index: int, *, named: bool) -> dict[str, Floats]:
-    """Return a step's proprioception by field, where the dataset says what its state consists of."""
+    """Return a step's proprioception by field; without a state layout in the dataset the one field is ``state``."""
     state, found = episode.state[index], {}
     if named:
         at = 0

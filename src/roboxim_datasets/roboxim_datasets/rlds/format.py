@@ -1,4 +1,4 @@
-"""The RLDS format of TensorFlow Datasets: what a dataset's episodes hold, and one episode as one Example.
+"""The RLDS format of TensorFlow Datasets: the features of a dataset, and one episode as one Example.
 
 Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps.
 """
@@ -26,7 +26,7 @@ _CLASS = "tensorflow_datasets.core.features."
 
 @dataclass(frozen=True, kw_only=True)
 class RldsFeatures:
-    """What a dataset's episodes hold."""
+    """Features of a dataset's episodes."""
 
     images: dict[str, tuple[int, int]]
     """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]."""
@@ -78,7 +78,7 @@ class RldsEpisode:
         """Decode one image, uint8, shape (height, width, 3).
 
         Raises:
-            RecorderError: With code ``BAG_DAMAGED`` when its bytes are not an image.
+            RecorderError: With code ``BAG_DAMAGED`` if the bytes are not an image.
         """
         try:
             return decode_image(self.images[key][step])
@@ -94,7 +94,7 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
     """Serialise an episode as the payload of a record.
 
     Raises:
-        InvalidRequestError: When the episode does not fit the features or holds what is not finite.
+        InvalidRequestError: If the episode does not match the features or holds a number that is not finite.
     """
     count = len(episode)
     shapes: dict[str, tuple[int, ...]] = {
@@ -218,7 +218,7 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
 
 
 def _require_state(feature: dict[str, Any]) -> None:
-    """Refuse a state of another layout; earlier versions of RoboXim exported 8 numbers with a quaternion."""
+    """Reject a state of another layout; earlier versions of RoboXim exported 8 numbers with a quaternion."""
     shape = [int(size) for size in feature["tensor"]["shape"]["dimensions"]]
     if shape != [STATE_SIZE]:
         raise RecorderError(

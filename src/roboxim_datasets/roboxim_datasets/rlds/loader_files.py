@@ -27,7 +27,7 @@ def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, A
 
     Args:
         shards: TFRecord files.
-        features: What their episodes hold.
+        features: Features of their episodes.
     """
     actions, states = [], []
     for shard in shards:
@@ -64,7 +64,7 @@ def action_statistics(path: Path) -> dict[str, list[float]]:
 
 
 def dead_dimensions(statistics: dict[str, list[float]]) -> tuple[str, ...]:
-    """Name the components of the action that (nearly) never change."""
+    """Return the names of the action components that (nearly) never change."""
     return tuple(name for name, std in zip(ACTION_NAMES, statistics["std"], strict=True) if std < DEAD)
 
 

@@ -12,7 +12,7 @@ from roboxim_datasets.rlds.tfrecord import read_records
 
 
 class RldsReader:
-    """Reads a dataset as `RldsWriter` makes it."""
+    """Reads datasets that `RldsWriter` writes."""
 
     def __init__(self, path: Path | str) -> None:
         """Open a dataset.
@@ -62,7 +62,7 @@ class RldsReader:
 
 
 def _not_one(path: Path, found: list[Path]) -> str:
-    """Say why a path is not one dataset, and what to do."""
+    """Return the error message for a path that is not one dataset."""
     if found:
         names = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
         return f"{path} holds {len(found)} datasets; name one of {names}"

@@ -1,6 +1,6 @@
 """TFRecord files of ``tf.train.Example`` messages without TensorFlow.
 
-Only what datasets need: length-prefixed records with masked CRC32C, and the three list types of an Example.
+It supports only what datasets need: length-prefixed records with masked CRC32C, and the three list types of an Example.
 
 Source: the record format of TensorFlow's ``io/record_writer.h``; ``core/example/{example,feature}.proto``.
 """

@@ -37,11 +37,11 @@ class RldsWriter:
         overwrite: bool = False,
         shard_bytes: int = 128 << 20,
     ) -> None:
-        """Start or go on.
+        """Start a dataset, or continue an interrupted one of the same identity.
 
         Args:
             folder: Data directory; the dataset is written to ``folder/name/version``.
-            features: What the episodes hold.
+            features: Features of the episodes.
             name: Name of the dataset, lower case with underscores.
             version: ``major.minor.patch``.
             description: For ``dataset_info.json``.
@@ -81,7 +81,7 @@ class RldsWriter:
         self._partial.mkdir(parents=True)
 
     def resumed(self, split: str) -> int:
-        """Count the episodes of a split that finished shards of an interrupted build already hold."""
+        """Return the number of episodes of a split in the finished shards of an interrupted build."""
         return sum(shard["episodes"] for shard in self._journal["shards"].get(split, []))
 
     def add(self, split: str, episode: RldsEpisode) -> None:
@@ -111,7 +111,7 @@ class RldsWriter:
         scratch.replace(self._partial / "journal.json")
 
     def finish_shards(self) -> None:
-        """Write what is pending, so that the shards can be read back before the dataset is completed."""
+        """Write the pending records, so that the shards can be read back before the dataset is completed."""
         for split in list(self._pending):
             self._finish_shard(split)
 
@@ -120,7 +120,7 @@ class RldsWriter:
         return [self._partial / shard["file"] for shard in self._journal["shards"].get(split, [])]
 
     def complete(self, files: Mapping[str, str] | None = None) -> Path:
-        """Finish the dataset and put it in its place.
+        """Finish the dataset and move it to its final place.
 
         Args:
             files: Further text files by name, e.g. a README.
@@ -168,6 +168,6 @@ class RldsWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        """Complete the dataset unless an error is on its way or it was completed."""
+        """Complete the dataset, unless an exception is propagating or it is complete."""
         if kind is None and self._partial.exists():
             self.complete()

@@ -20,7 +20,7 @@ PROPRIO_FIELDS = (*STATE_FIELDS, ProprioField.JOINT_POSITIONS, ProprioField.JOIN
 
 
 def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
-    """Return a bag's episode without the ticks of settling at its end.
+    """Return a bag's episode without the settling ticks at its end.
 
     A step pairs the observation of tick k with the action that leads to tick k + 1, as an imitator should output it
     (``action_label``: without the noise that was injected).

@@ -1,8 +1,8 @@
 """Dataset formats that bags are exported to, by name.
 
 A format is one file: a configuration (a subclass of `Selection` with the format's own fields), an `Exporter` registered
-under the format's name, and a `DatasetWriter`. `export_bags` does the rest. A distribution of one's own adds a format
-through the entry point group ``roboxim.exporter``.
+under the format's name, and a `DatasetWriter`. `export_bags` does the rest. Another distribution adds a format through
+the entry point group ``roboxim.exporter``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from roboxim_recorder.export.selection import Selected, Selection
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetContents:
-    """What a complete dataset holds."""
+    """Content of a complete dataset."""
 
     splits: dict[str, int]
     """Split to number of episodes."""
@@ -29,16 +29,16 @@ class DatasetContents:
 
 
 class DatasetWriter(Protocol):
-    """Writes one dataset. An interruption leaves it resumable; nothing carries its name before it is whole."""
+    """Writes one dataset. An interruption leaves it resumable; its folder gets the final name only when it is whole."""
 
     def resumed(self, split: str) -> int:
-        """Count the first episodes of a split that an interrupted export has already written."""
+        """Return how many leading episodes of a split an interrupted export has already written."""
 
     def add(self, split: str, episode: Episode) -> None:
         """Append an episode to a split, ``train`` or ``val``."""
 
     def complete(self, files: Mapping[str, str]) -> None:
-        """Put the dataset in its place, with further text files by name."""
+        """Move the dataset to its final place, with further text files by name."""
 
 
 class Exporter(Protocol):
@@ -46,23 +46,23 @@ class Exporter(Protocol):
 
     @property
     def config(self) -> type[Selection]:
-        """Class of its configuration."""
+        """Class of the format's configuration."""
 
     def path(self, target: Path, config: Any) -> Path:
-        """Return where a dataset of a configuration goes."""
+        """Return the path of the dataset of a configuration."""
 
     def open(
         self, target: Path, config: Any, selected: Selected, *, identity: str, overwrite: bool
     ) -> AbstractContextManager[DatasetWriter]:
-        """Start a dataset, or go on with an interrupted one of the same identity.
+        """Start a dataset, or continue an interrupted one of the same identity.
 
         Raises:
-            RecorderError: ``EXPORT_REFUSED`` when the dataset exists and is not to be overwritten.
+            RecorderError: ``EXPORT_REFUSED`` if the dataset exists and must not be overwritten.
         """
 
     def contents(self, path: Path) -> DatasetContents:
-        """Read what a complete dataset holds."""
+        """Read the content of a complete dataset."""
 
 
 EXPORTERS: Registry[type[Exporter]] = Registry("exporter")
-"""Formats by name; a format is made without arguments."""
+"""Exporter classes by format name; they take no arguments."""

@@ -23,7 +23,7 @@ from roboxim_recorder.export.selection import Selected, Selection
 
 @dataclass(frozen=True, kw_only=True)
 class ExportConfig(Selection):
-    """What an RLDS export holds."""
+    """Configuration of an RLDS export."""
 
     name: str = "roboxim"
     """Name of the dataset, lower case with underscores; never one that loaders treat specially, as ``bridge_*``."""
@@ -66,7 +66,7 @@ class _Writer:
         self._writer.add(split, to_rlds(episode, self._selected.keys, self._features, self._pool, resize=resize))
 
     def complete(self, files: Mapping[str, str]) -> None:
-        """Add statistics and what loaders need, and put the dataset in its place."""
+        """Add the statistics and loader files, and move the dataset to its final place."""
         config = self._config
         self._writer.finish_shards()
         statistics = statistics_of(self._writer.shard_files("train"), self._features)
@@ -88,7 +88,7 @@ class RldsExporter:
     def open(
         self, target: Path, config: ExportConfig, selected: Selected, *, identity: str, overwrite: bool
     ) -> Iterator[_Writer]:
-        """Start a dataset, or go on with one."""
+        """Start a dataset, or continue an interrupted one."""
         sizes = {selected.keys[camera]: (size.height, size.width) for camera, size in selected.sizes.items()}
         features = RldsFeatures(
             images=sizes,

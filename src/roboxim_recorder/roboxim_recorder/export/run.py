@@ -19,7 +19,7 @@ from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
 EXPORT_FILE = "export.json"
-"""Beside every dataset: what it was exported from, and how."""
+"""File beside every dataset with the source and the settings of its export."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,15 +33,15 @@ class ExportReport:
     steps: int
     """Steps in all."""
     left_out: dict[str, int]
-    """Reason to number of bags that were not exported."""
+    """Reason to number of bags left out for that reason."""
     dead_dimensions: tuple[str, ...]
     """Components of the action that (nearly) never change; a policy cannot learn them."""
     resumed: int = 0
-    """Episodes that an interrupted export had already."""
+    """Episodes that an interrupted export had already written."""
     missing: tuple[str, ...] = ()
-    """Bags that the run's results name and that are not there, relative to the run."""
+    """Missing bags that the run's results name, relative to the run."""
     unexpected: tuple[Path, ...] = ()
-    """Bags that no result of the run names; they were not exported."""
+    """Bags that no result of the run names; they are not exported."""
 
 
 def export_bags(
@@ -55,23 +55,23 @@ def export_bags(
 ) -> ExportReport:
     """Export a run's folder, a folder of bags or one bag.
 
-    An interrupted export goes on where it stopped; nothing carries the dataset's name before it is whole. Equal bags
+    An interrupted export continues where it stopped; the dataset gets its final name only when it is whole. Equal bags
     and configuration give equal bytes.
 
     Args:
         name: Registered format, e.g. ``rlds``.
-        source: Where the bags are; set apart ones are not taken.
+        source: Path of the bags; bags in ``set_apart`` are ignored.
         target: Folder that the dataset is written into.
-        config: What to export, of the format's class; None: the defaults.
+        config: Configuration, of the format's class; None: the defaults.
         if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
             when it is of the same bags and configuration (an error otherwise).
         progress: Called with the episodes done and their total.
 
     Raises:
         ConfigError: On an unknown format, or a configuration of another one.
-        InvalidRequestError: On a name, camera or size that does not fit.
-        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags are missing or do not fit together,
-            or when the dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
+        InvalidRequestError: On an invalid dataset name, camera or image size.
+        RecorderError: ``EXPORT_REFUSED`` if there is nothing to export, bags are missing or differ in kind, or the
+            dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` if the dataset cannot be written.
     """
     exporter = EXPORTERS[name]()
     config = config if config is not None else exporter.config()
@@ -97,7 +97,7 @@ def export_bags(
 
 
 def _write_episodes(writer: DatasetWriter, selected: Selected, config: Selection, progress: Progress) -> int:
-    """Add every episode that an interrupted export has not; return how many it had."""
+    """Add every episode that an interrupted export has not written; return the number that it had written."""
     skip = {split: writer.resumed(split) for split in ("train", "val")}
     resumed, total = sum(skip.values()), len(selected.sources)
     parts = splits(total, config.val_fraction)

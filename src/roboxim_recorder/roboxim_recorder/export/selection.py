@@ -29,11 +29,11 @@ class Selection:
     image_width: int = 0
     """Width to resize images to [px]; 0: as recorded."""
     val_fraction: float = 0.05
-    """Part of the episodes that becomes the split ``val``, spread evenly; at least one where there are two."""
+    """Fraction of the episodes in the split ``val``, spread evenly; at least one of two or more episodes."""
     only_successful: bool = True
-    """Whether episodes that did not succeed are left out."""
+    """Whether to leave out episodes that did not succeed."""
     keep_recovered: bool = False
-    """Whether episodes are exported in which the actor had to try again, e.g. needed a second grasp."""
+    """Whether to export episodes in which the actor had to try again, e.g. needed a second grasp."""
     skip_missing: bool = False
     """Whether to export the other bags when some that the run's results name are missing; otherwise an error."""
 
@@ -51,12 +51,12 @@ class Selection:
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A bag that is exported, as far as it is known before its ticks are read."""
+    """A bag to export, with the facts that are known before its ticks are read."""
 
     path: Path
     """The bag."""
     info: EpisodeInfo
-    """What is needed to reproduce its episode."""
+    """Everything needed to reproduce the episode."""
     result: EpisodeResult
     """How the episode ended."""
 
@@ -68,9 +68,9 @@ class Selected:
     sources: tuple[Source, ...]
     """The bags to export, sorted by index."""
     left_out: dict[str, int]
-    """Reason to number of bags that are not exported."""
+    """Reason to number of bags left out for that reason."""
     missing: tuple[str, ...]
-    """Bags that the run's results name and that are not there, relative to the run."""
+    """Missing bags that the run's results name, relative to the run."""
     unexpected: tuple[Path, ...]
     """Bags that no result of the run names; they are not exported."""
     keys: dict[str, str]
@@ -145,7 +145,7 @@ def _source(path: Path, bags: RunBags) -> Source:
     if found != expected:
         raise RecorderError(
             f"bag {path} holds another episode than its name or the run's results say: expected {expected}, found "
-            f"{found}; 'roboxim bag check' says more",
+            f"{found}; 'roboxim bag check' gives details",
             ErrorCode.BAG_DAMAGED,
         )
     return Source(path=path, info=info, result=result)
@@ -166,7 +166,7 @@ def _keys(sources: Sequence[Source], selection: Selection) -> dict[str, str]:
     keys = selection.cameras or {name: USUAL_KEYS.get(name, name) for name in first}
     if len(set(keys.values())) < len(keys) or RESERVED & set(keys.values()):
         raise InvalidRequestError(
-            f"every camera needs an image key of its own, none of them {' or '.join(sorted(RESERVED))}; got {keys}"
+            f"every camera needs a unique image key other than {' and '.join(sorted(RESERVED))}; got {keys}"
         )
     for source in sources:
         have = [camera.name for camera in source.info.scene.cameras]
@@ -219,7 +219,7 @@ def _require_one_robot(sources: Sequence[Source]) -> None:
     if len(bags) > 1:
         counts = ", ".join(f"{len(paths)} of {robot} (e.g. {paths[0].name})" for robot, paths in sorted(bags.items()))
         raise RecorderError(
-            f"the bags are of several robots: {counts}; export each from a folder of its own",
+            f"the bags are of several robots: {counts}; export each from a separate folder",
             ErrorCode.EXPORT_REFUSED,
         )
 
@@ -227,7 +227,7 @@ def _require_one_robot(sources: Sequence[Source]) -> None:
 def splits(count: int, fraction: float) -> list[str]:
     """Return ``train`` or ``val`` for each of ``count`` episodes, ``val`` spread evenly.
 
-    There is at least one in ``val`` where there are two episodes and any is wanted.
+    If a positive fraction is wanted, ``val`` gets at least one of two or more episodes.
     """
     names = ["val" if int((i + 1) * fraction) > int(i * fraction) else "train" for i in range(count)]
     if fraction > 0 and count > 1 and "val" not in names:
