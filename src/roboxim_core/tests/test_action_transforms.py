@@ -1,4 +1,4 @@
-"""Every transform between two meanings of an action gives back what went in, and no rotation delta jumps."""
+"""Transforms between action semantics preserve the target, and rotation deltas never jump."""
 
 from dataclasses import replace
 from itertools import product
@@ -31,7 +31,7 @@ JOINTS = 7
 
 
 def every_semantics():
-    """Return one value of every meaning; the gripper's four conventions take turns, as nothing else depends on them."""
+    """Return semantics that cover every meaning; the four gripper conventions alternate, as they are independent."""
     rotations = [r for r in RotationRepresentation if r != "none"]
     bases = [DeltaBase.COMMANDED, DeltaBase.MEASURED]
     found = {}
@@ -110,7 +110,7 @@ def test_a_round_trip_keeps_the_meaning_of_every_action(pair, context, pose, end
 
 @pytest.mark.parametrize("source", ALL, ids=lambda s: f"{s.control}-{s.frame}-{s.rotation}-{s.delta_base}")
 def test_the_meaning_is_kept_between_every_pair(source):
-    """Not a sample of the pairs but all of them, from one place; a few across the spaces with a real arm."""
+    """Test all pairs from one state, and some pairs across the two spaces with a real arm."""
     rng = np.random.default_rng(0)
     now, measured, ahead = (
         Pose.from_arrays(rng.uniform(-1, 1, 3), Rotation.random(random_state=int(rng.integers(1000)))) for _ in range(3)
@@ -130,7 +130,7 @@ def test_the_meaning_is_kept_between_every_pair(source):
         if transform.invertible:
             converted = transform.apply(action, context)
             same_target(target_of(converted, target, context), target_of(action, source, context))
-            # Away from seams, as here, the numbers come back too.
+            # Away from seams, as here, the numbers are also equal.
             np.testing.assert_allclose(transform.inverse().apply(converted, context), action, atol=1e-6)
         else:
             with pytest.raises(InvalidRequestError, match="'kinematics', which the context lacks"):
@@ -161,13 +161,13 @@ def test_transforms_compose(pair, data, context, pose, ends_at):
     st.sampled_from([s for s in END_EFFECTOR if s.control == ControlMode.END_EFFECTOR_DELTA]),
 )
 def test_a_rotation_delta_never_jumps(now, axis, angle, semantics):
-    """Wherever the arm is, also across a seam of its pose's numbers, a small turn is a small delta."""
+    """In every pose, also across a seam of the pose's numbers, a small rotation is a small delta."""
     turn = Rotation.from_rotvec(np.array(axis) / np.linalg.norm(axis) * angle)
     context = ActionContext(
         pose_commanded=Pose.from_arrays(np.zeros(3), now), pose_measured=Pose.from_arrays(np.zeros(3), now)
     )
     absolute = ActionSemantics(control="end_effector_absolute", rotation="quaternion_xyzw")
-    # A quaternion's two signs are one rotation: what it means must not depend on them.
+    # Both signs of a quaternion are the same rotation, so the meaning must not depend on the sign.
     for sign in (1.0, -1.0):
         quaternion = sign * (turn * now).as_quat()
         action = ActionTransform.between(absolute, semantics).apply([0, 0, 0, *quaternion, 1], context)

@@ -1,4 +1,4 @@
-"""Text from outside is read within bounds: no traceback, no memory filled."""
+"""Untrusted text is read within bounds: it causes no traceback and does not fill the memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The episode loop over ports made of plain Python."""
+"""The episode loop, with ports implemented in plain Python."""
 
 from collections import deque
 from dataclasses import replace

@@ -13,7 +13,7 @@ from roboxim_core.images import decode_image, encode_image, resized
 
 
 def picture(height: int = 48, width: int = 64) -> np.ndarray:
-    """A smooth image whose channels differ, so that a swap of them is seen."""
+    """Return a smooth image whose channels differ, so that swapped channels are detected."""
     y, x = np.mgrid[:height, :width]
     return np.stack([4 * x % 256, 255 - 3 * y % 256, np.full_like(x, 40)], axis=-1).astype(np.uint8)
 
@@ -31,7 +31,7 @@ def test_another_reader_sees_the_same_colours(encoding: str) -> None:
 
 
 def test_jpeg_has_the_colours_in_full_resolution() -> None:
-    """Red next to blue, one pixel wide each: with chroma subsampling both would be purple."""
+    """Check alternating red and blue columns, one pixel wide; chroma subsampling would make both purple."""
     stripes = np.zeros((16, 16, 3), np.uint8)
     stripes[:, ::2, 0] = stripes[:, 1::2, 2] = 255
     assert np.abs(decode_image(encode_image(stripes, "jpeg")).astype(int) - stripes).mean() < 10

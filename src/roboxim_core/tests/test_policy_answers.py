@@ -1,4 +1,4 @@
-"""Whatever a policy returns is a chunk of actions or `invalid_action`: never another exception, never silently cast."""
+"""Every answer of a policy is a chunk of actions or `invalid_action`; no other exception, no silent cast."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ DESCRIPTION = PolicyDescription(name="p", horizon=HORIZON)
 
 
 class Raising:
-    """An object that raises something whenever it is asked for anything, as a tensor does that requires a gradient."""
+    """An object that raises an exception on every access, like a tensor that requires a gradient."""
 
     def __init__(self, error):
         self.error = error
@@ -30,14 +30,14 @@ class Raising:
 
 
 class NoLength(list):
-    """A list that lies about itself."""
+    """A list whose length cannot be read."""
 
     def __len__(self):
         raise RuntimeError("no length")
 
 
 class NoWords(RuntimeError):
-    """An exception that cannot be shown."""
+    """An exception whose text cannot be read."""
 
     def __str__(self):
         raise RuntimeError("no words either")
@@ -224,7 +224,7 @@ def test_messages_name_the_place():
 
 
 class Odd(BaseException):
-    """Neither an `Exception` nor Ctrl-C."""
+    """A `BaseException` that is neither an `Exception` nor Ctrl-C."""
 
 
 @pytest.mark.parametrize("error", [Odd("x"), GeneratorExit(), NoWords(), RuntimeError("\ud800\0" + "x" * 10_000)])

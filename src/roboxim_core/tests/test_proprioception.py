@@ -1,4 +1,4 @@
-"""Proprioception has no seam where a robot works, and says what its numbers are."""
+"""Proprioception has no seam in the robot's working range, and names its components."""
 
 import numpy as np
 import pytest

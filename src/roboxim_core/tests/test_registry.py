@@ -1,4 +1,4 @@
-"""A broken plug-in is named and takes no other one away; an author can check an own one."""
+"""A broken plug-in is named and does not prevent loading others; authors can check their plug-ins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Behaviour cloning learns, stops and resumes exactly, and never leaves half a checkpoint."""
+"""Behaviour cloning learns, resumes exactly after an interruption, and never leaves an incomplete checkpoint."""
 
 import json
 from dataclasses import replace
@@ -25,7 +25,7 @@ COLORS = {"red": (220, 30, 30), "blue": (30, 30, 220)}
 
 
 def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstration:
-    """A square of each colour in the picture; the action points along x to the named one, then the gripper closes."""
+    """Return an episode: images with a square per colour, actions along x to the named one, then a closing gripper."""
     places = dict(zip(COLORS, rng.permutation([4, 22]), strict=True))
     picture = np.full((32, 32, 3), 128, np.uint8)
     for name, column in places.items():

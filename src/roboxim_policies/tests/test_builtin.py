@@ -1,4 +1,4 @@
-"""The policies without a network, and where recorded actions come from."""
+"""The policies without a network, and the sources of recorded actions."""
 
 import json
 import subprocess
@@ -120,7 +120,7 @@ def test_replay_names_the_file_that_it_cannot_read(tmp_path, name, content):
 
 
 def write_bag(folder, seqs=(0, 1, 2, 3)):
-    """A bag with a start, actions and one settling tick; the executed action differs from the label."""
+    """Write a bag with a start, actions and one settling tick; the executed action differs from the label."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

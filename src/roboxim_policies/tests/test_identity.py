@@ -1,4 +1,4 @@
-"""A policy is known by what its files hold."""
+"""The contents of its files identify a policy."""
 
 from __future__ import annotations
 

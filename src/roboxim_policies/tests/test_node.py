@@ -1,4 +1,4 @@
-"""A user's class behind the services of a node."""
+"""A user's policy class, served by a node."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ PROPRIO = Proprioception(
 
 
 class RequiresGrad:
-    """A tensor of another library that does not become an array by itself."""
+    """A tensor of another library that cannot be converted to an array implicitly."""
 
     def __array__(self, dtype=None, copy=None):
         raise RuntimeError("Can't call numpy() on Tensor that requires grad")

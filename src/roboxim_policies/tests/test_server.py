@@ -1,4 +1,4 @@
-"""A policy's faults become errors by name; what a policy may not see it never gets."""
+"""Faults of a policy become specific errors, and a policy never receives data that it must not see."""
 
 import sys
 
@@ -41,7 +41,7 @@ def window(images=None, **kwargs) -> ObservationWindow:
 
 
 class Answers(BasePolicy):
-    """Returns or raises what it is given, and keeps what it gets."""
+    """A policy that returns or raises a given value and stores its inputs."""
 
     def __init__(self, answer=None, *, privileged: bool = False):
         self.answer, self.privileged, self.seen = answer, privileged, []
