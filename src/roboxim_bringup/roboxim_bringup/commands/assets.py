@@ -1,4 +1,4 @@
-"""Show the objects on one picture; check, start or simplify one of your own."""
+"""Draw the objects on one contact sheet; check, draft or simplify your own."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from roboxim_bringup.named import Named
 
 @click.group()
 def command() -> None:
-    """Show the objects on one picture; check, start or simplify one of your own."""
+    """Draw the objects on one contact sheet; check, draft or simplify your own."""
 
 
 @command.command("sheet")
 @click.argument("objects", type=Named("object"), nargs=-1)
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="sheet.png", show_default=True)
-@click.option("--renderer", "renderer_name", default="raster", show_default=True, help="What draws.")
-@click.option("--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Of each picture [px].")
+@click.option("--renderer", "renderer_name", default="raster", show_default=True, help="Renderer by name.")
+@click.option(
+    "--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Side of each picture [px]."
+)
 @click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
 @click.option("--shuffle", type=int, help="Seed of a random order, for a blind test; the order is printed.")
-@click.option("--variants", is_flag=True, help="A picture for each colour, material and size as well.")
+@click.option("--variants", is_flag=True, help="Also draw each colour, material and size.")
 def sheet(
     objects: tuple[str, ...],
     out: Path,
@@ -33,7 +35,7 @@ def sheet(
     shuffle: int | None,
     variants: bool,
 ) -> None:
-    r"""Draw OBJECTS, or all there are, on one contact sheet in the default look.
+    r"""Draw OBJECTS (default: all) on one contact sheet in the default look.
 
     \b
     roboxim assets sheet
@@ -79,7 +81,7 @@ def sheet(
 @command.command("check")
 @click.argument("targets", nargs=-1, required=True)
 def check(targets: tuple[str, ...]) -> None:
-    r"""Say what is wrong with objects: ids, or paths of their YAML files. The exit code is 1 when one has errors.
+    r"""Check objects, given as ids or as paths of YAML files. The exit code is 1 when an object has errors.
 
     \b
     roboxim assets check mug
@@ -103,7 +105,7 @@ def check(targets: tuple[str, ...]) -> None:
 @command.command("new")
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 def new(mesh: Path) -> None:
-    r"""Print a first YAML file for a MESH of your own (GLB, OBJ, STL, ...); save it beside the mesh.
+    r"""Print a draft YAML file for your MESH (GLB, OBJ, STL, ...); save it beside the mesh.
 
     \b
     roboxim assets new teapot.glb > teapot.yaml
@@ -115,10 +117,12 @@ def new(mesh: Path) -> None:
 
 @command.command("simplify")
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--triangles", default=1500, show_default=True, type=click.IntRange(20), help="How many, about.")
+@click.option(
+    "--triangles", default=1500, show_default=True, type=click.IntRange(20), help="Approximate number of triangles."
+)
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="[default: <mesh>_simple.glb]")
 def simplify(mesh: Path, triangles: int, out: Path | None) -> None:
-    """Write a MESH with fewer triangles, its materials kept."""
+    """Write a copy of MESH with fewer triangles and the same materials."""
     from roboxim_bringup.asset_check import simplify as simplified
 
     target = out or mesh.with_name(f"{mesh.stem}_simple.glb")

@@ -31,7 +31,7 @@ def info(path: Path) -> None:
 @command.command("check")
 @click.argument("paths", type=_bag, nargs=-1, required=True)
 def check(paths: tuple[Path, ...]) -> None:
-    """Check that bags are whole: every byte, every tick, every topic; of a run also that none is missing.
+    """Check that bags are whole: every byte, tick and topic. For a run, also check that no bag is missing.
 
     The exit code is 1 when a bag is damaged or missing.
     """
@@ -65,7 +65,7 @@ def check(paths: tuple[Path, ...]) -> None:
 @command.command("repair")
 @click.argument("path", type=_bag)
 def repair(path: Path) -> None:
-    """Save what can be read of a damaged bag as a new one beside it."""
+    """Save the readable part of a damaged bag as a new bag beside it."""
     from roboxim_recorder.repair import repair_bag
 
     click.echo(f"saved {repair_bag(path)}")
@@ -73,10 +73,10 @@ def repair(path: Path) -> None:
 
 @command.command("play")
 @click.argument("path", type=_bag)
-@click.option("-r", "--rate", default=1.0, show_default=True, help="Speed, relative to simulated time.")
+@click.option("-r", "--rate", default=1.0, show_default=True, help="Playback speed, relative to simulated time.")
 @click.option("-t", "--topic", "topics", multiple=True, help="Play this topic; may be repeated; default: all.")
-@click.option("--namespace", default="", help="Put in front of every topic, e.g. /bag.")
-@click.option("--wait/--no-wait", default=False, help="Start when somebody listens.")
+@click.option("--namespace", default="", help="Prefix of every topic, e.g. /bag.")
+@click.option("--wait/--no-wait", default=False, help="Wait for a subscriber before playing.")
 @attach_options
 def play(
     path: Path,
@@ -89,7 +89,7 @@ def play(
 ) -> None:
     """Publish a bag's messages as they were recorded.
 
-    They go into the only live run (or --run); without one, the player makes a run of its own.
+    The messages go to the only live run (or --run). Without a live run, the player starts its own.
     """
     from roboxim_bringup.attach import Peer
     from roboxim_bringup.commands.node import membership
@@ -130,7 +130,7 @@ def _publishers(peer: Any, reader: Any, topics: tuple[str, ...], namespace: str)
 
 
 def _play(reader: Any, publishers: dict[str, Any], rate: float) -> int:
-    """Publish the serialised messages at their times; return how many."""
+    """Publish the serialised messages at their recorded times; return their number."""
     from mcap.reader import make_reader
 
     from roboxim_recorder.bag import damage

@@ -14,20 +14,20 @@ import click
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """How large the demo is. Scenes are never made easier, only fewer."""
+    """Size of the demo. A smaller demo has fewer scenes, not easier ones."""
 
     demonstrations: int
     """Demonstrations to generate."""
     rollouts: int
-    """Rollouts of bc, and of random."""
+    """Rollouts of each policy (bc and random)."""
     steps: int
     """Training steps."""
     size: str = "128"
     """Image size."""
     minutes: str
-    """Total time on 2 cores, for people."""
+    """Total time on 2 cores, as text."""
     generation: list[str] = field(default_factory=list)
-    """Further options of the generation."""
+    """Further options of ``roboxim generate``."""
 
 
 SCALES = {
@@ -46,10 +46,12 @@ SCALES = {
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes.")
-@click.option("--smoke", is_flag=True, help="A minute's run that shows that everything works; trains nothing of use.")
-@click.option("--large", is_flag=True, help="The documented larger setting, 20 to 30 minutes.")
 @click.option(
-    "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny, saying so."
+    "--smoke", is_flag=True, help="Check in about a minute that everything works; the policy learns nothing useful."
+)
+@click.option("--large", is_flag=True, help="Use the larger documented setting, 20 to 30 minutes.")
+@click.option(
+    "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny with a notice."
 )
 def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, renderer: str | None) -> None:
     r"""Run the main job: "Pick up the <colour> cube" from demonstrations to a report.
@@ -58,16 +60,16 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
     roboxim demo                 # or: make demo
     roboxim demo --large         # a policy that succeeds in more than 9 of 10 rollouts
 
-    Every step is a command that it prints before it runs it; run them one by one as you like. Ctrl-C stops; the same
-    command goes on.
+    Each step is a command, printed before it runs; you can also run the commands one by one. Ctrl-C stops the demo; the
+    same command continues it.
     """
     scale = SCALES["smoke" if smoke else "large" if large else "default"]
     renderer = renderer or _renderer()
     click.echo(
         f"The main job, {scale.minutes} on 2 cores: {scale.demonstrations} demonstrations, {scale.steps} training "
-        "steps, "
-        f"{scale.rollouts} rollouts.\nTo fit that time there are few demonstrations and images of {scale.size} px; the "
-        "scenes vary in full: the cube anywhere in 20 x 30 cm at any yaw, the start anywhere in a 12 cm box."
+        f"steps, {scale.rollouts} rollouts.\nTo fit that time, the demo uses few demonstrations and images of "
+        f"{scale.size} px. The scenes vary in full: the cube anywhere in 20 x 30 cm at any yaw, "
+        "the start anywhere in a 12 cm box."
     )
     demos, dataset, trained, evaluation = out / "demos", out / "rlds", out / "bc", out / "evaluation"
     common = ["--seed", str(seed), "--workers", str(workers), "--renderer", renderer, "--size", scale.size]
@@ -81,7 +83,7 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
         "--episodes", rollouts, *common,
     )  # fmt: skip
     minutes, seconds = divmod(round(time.monotonic() - started), 60)
-    click.echo(f"\nDone in {minutes} min {seconds} s. What it made:")
+    click.echo(f"\nDone in {minutes} min {seconds} s. Results:")
     for path, what in (
         (evaluation / "report.html", "the report: success rates, films of episodes; open it in a browser"),
         (demos / "first_demonstrations.png", "pictures of the first demonstrations"),
@@ -93,18 +95,18 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
 
 
 def _renderer() -> str:
-    """Choose raster where it works, else tiny, saying so."""
+    """Choose raster where it works, else tiny, and print the reason."""
     from roboxim_sim.rendering import available_renderers
 
     raster = available_renderers(["raster"])["raster"]
     if raster.available:
         return "raster"
-    click.echo(f"raster does not work here: {raster.detail}\nThe demo goes on with PyBullet's own renderer, tiny.")
+    click.echo(f"raster does not work here: {raster.detail}\nThe demo continues with PyBullet's own renderer, tiny.")
     return "tiny"
 
 
 def _step(*arguments: str) -> None:
-    """Run a roboxim command in a process of its own, shown as a user would type it."""
+    """Print a roboxim command as a user would type it, and run it in a new process."""
     click.echo(f"\n$ roboxim {shlex.join(arguments)}")
     done = subprocess.run([sys.executable, "-m", "roboxim_bringup", *arguments], check=False)
     if done.returncode:

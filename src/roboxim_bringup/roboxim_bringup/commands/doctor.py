@@ -1,4 +1,4 @@
-"""Say what this machine has, what is missing, and which parts work without it."""
+"""Check what this machine has, what is missing, and which parts work without it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _SIGNS = {
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(as_json: bool) -> None:
-    """Say what this machine has, what is missing, what to do, and which parts work without it.
+    """Check what this machine has, what is missing, how to install it, and which parts work without it.
 
-    The exit code is 1 when something is missing that RoboXim cannot do without.
+    The exit code is 1 when a required part is missing.
     """
     from roboxim_bringup.doctor import examine
 

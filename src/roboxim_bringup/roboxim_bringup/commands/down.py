@@ -17,7 +17,7 @@ GRACE_S = 60.0
 @run_option
 @click.option("--all", "every", is_flag=True, help="End all runs of this user.")
 def command(run_id: str | None, every: bool) -> None:
-    """End a run: its first process is asked to end, and ends the others."""
+    """End a run. The command signals the run's first process, which ends the others."""
     from roboxim_ros.runs import find_run, live_runs
 
     for run in live_runs() if every else [find_run(run_id)]:

@@ -13,7 +13,7 @@ from roboxim_bringup.attach import run_option
 @run_option
 @click.option("--shell", type=click.Choice(["sh", "fish"]), default="sh", show_default=True, help="For which shell.")
 def command(run_id: str | None, shell: str) -> None:
-    r"""Print shell exports that let your own nodes, or a genuine ros2, take part in a run.
+    r"""Print shell exports that let your own nodes, or ROS 2's own ros2 command, take part in a run.
 
     \b
     eval "$(roboxim env)"

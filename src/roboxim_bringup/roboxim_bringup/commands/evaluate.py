@@ -14,16 +14,16 @@ from roboxim_bringup.options import episode_options
 @click.command()
 @click.option(
     "--policy", "policies", type=Named("policy", "expert"), multiple=True, required=True, metavar="[NAME=]SPEC",
-    help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. The name is for "
-    "the report; two of one class need names.",
+    help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. NAME is "
+    "shown in the report; two policies of one class need names.",
 )  # fmt: skip
 @click.option(
     "--checkpoint", "checkpoints", multiple=True, metavar="[NAME=]PATH",
-    help="Checkpoint, a file or a folder, of the policies that take one, or of the one named; may be repeated.",
+    help="Checkpoint (file or folder) of policy NAME, or of the policies that take one; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--option", "policy_options", multiple=True, metavar="[NAME.]KEY=VALUE",
-    help="Argument of the first policy, or of the one named; may be repeated.",
+    help="Argument of policy NAME, or of the first policy; may be repeated.",
 )  # fmt: skip
 @episode_options(episodes=20, out="runs/evaluation")
 @click.option("--max-steps", type=click.IntRange(0), default=0, help="Actions per episode; 0: as the task says.")
@@ -31,7 +31,7 @@ from roboxim_bringup.options import episode_options
     "--execute", type=click.IntRange(0), default=0, help="Actions executed per request; 0: the policy's horizon."
 )
 @click.option("--policy-timeout", default=30.0, show_default=True, help="Longest wait for an answer [s].")
-@click.option("--other-robot", is_flag=True, help="Also with another robot than the policy was trained with.")
+@click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
     policy_timeout: float, **options: Any,
@@ -44,13 +44,13 @@ def command(
     roboxim evaluate --policy old=bc --checkpoint old=runs/bc --policy new=bc --checkpoint new=runs/bc2
 
     Every policy meets the same scenes. Evaluation scenes are never those of demonstrations, whatever the seed. Ctrl-C
-    stops; the same command goes on. A policy whose file or checkpoint has changed since needs another --out.
+    stops; the same command continues. A policy whose file or checkpoint has changed since needs another --out.
     """
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.runs.policies import choose_policies
 
     image_size = parse_size(size)
-    chosen = choose_policies(policies, checkpoints, policy_options)  # before what takes longer to import
+    chosen = choose_policies(policies, checkpoints, policy_options)  # before the slow imports
 
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.evaluation import EvaluationConfig, command_line, evaluate
@@ -63,7 +63,8 @@ def command(
         result = evaluate(config, on_event=printer)
     for name in result.privileged:
         click.echo(
-            f"policy {name} is privileged: it was told task, scene and state, which no policy under test may see"
+            f"policy {name} is privileged: it received the task, scene and state, "
+            "which a policy under test must not see"
         )
     if result.comparison:
         click.echo(result.comparison)

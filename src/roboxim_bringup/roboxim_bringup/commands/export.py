@@ -9,7 +9,7 @@ import click
 
 
 class _Formats(click.Group):
-    """A subcommand for every registered format."""
+    """A group with a subcommand for every registered format."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the formats."""
@@ -18,7 +18,7 @@ class _Formats(click.Group):
         return list(EXPORTERS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Make a format's command of its configuration."""
+        """Build a format's command from its configuration."""
         from roboxim_bringup.field_options import field_options
         from roboxim_recorder.export import EXPORTERS, Selection
 
@@ -37,7 +37,7 @@ class _Formats(click.Group):
             callback=export,
             short_help=doc,
             help=f"{doc}\n\n\b\nroboxim export {cmd_name} runs/demos runs/demos-{cmd_name}\n\n"
-            "An interrupted export goes on where it stopped.",
+            "The same command continues an interrupted export.",
         )
 
 
@@ -47,7 +47,7 @@ def command() -> None:
 
 
 def _common() -> list[click.Parameter]:
-    """Return the arguments and options of every format."""
+    """Return the arguments and options that all formats share."""
     path = click.Path(path_type=Path)
     return [
         click.Argument(["source"], type=path),
@@ -60,16 +60,17 @@ def _common() -> list[click.Parameter]:
             ["--size"], default="as-configured", help="Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."
         ),
         click.Option(
-            ["--val-fraction"], default=0.05, show_default=True, help="Part of the episodes that becomes the split val."
+            ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
         ),
-        click.Option(["--all", "everything"], is_flag=True, help="Also episodes that did not succeed."),
+        click.Option(["--all", "everything"], is_flag=True, help="Include episodes that did not succeed."),
         click.Option(
-            ["--keep-recovered"], is_flag=True, help="Also episodes that needed another try, e.g. a second grasp."
+            ["--keep-recovered"], is_flag=True,
+            help="Include episodes that needed a second attempt, e.g. a second grasp."
         ),
         click.Option(
-            ["--skip-missing"], is_flag=True, help="Export the other bags when some of the run's bags are missing."
+            ["--skip-missing"], is_flag=True, help="Export the remaining bags when bags of the run are missing."
         ),
-        click.Option(["--overwrite"], is_flag=True, help="Replace a dataset that is there."),
+        click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
     ]  # fmt: skip
 
 

@@ -11,14 +11,14 @@ from roboxim_bringup.options import episode_options
 
 @click.command()
 @episode_options(episodes=50, out="runs/demos")
-@click.option("--max-attempts", default=5, show_default=True, help="Attempts per index until one succeeds.")
+@click.option("--max-attempts", default=5, show_default=True, help="Largest number of attempts per index.")
 @click.option(
     "--noise-mm",
     default=3.0,
     show_default=True,
-    help="Noise in free motions, deviation per axis and tick [mm].",
+    help="Standard deviation of the noise in free motions, per axis and tick [mm].",
 )
-@click.option("--noise-mrad", default=10.0, show_default=True, help="The same for rotations [mrad].")
+@click.option("--noise-mrad", default=10.0, show_default=True, help="Standard deviation of the rotation noise [mrad].")
 def command(size: str, **options: Any) -> None:
     r"""Generate demonstrations of a task with the expert; each becomes a bag in OUT/episodes.
 
@@ -27,9 +27,9 @@ def command(size: str, **options: Any) -> None:
     roboxim generate --task pick_cube_distractors --distractors 1-3 --out runs/distractors
     roboxim generate --skill place_on --object apple,cucumber --object support=tray --out runs/tray
 
-    An index whose episode fails is drawn again, so as many as asked are kept; failed attempts are set apart with their
-    reason in OUT/set_apart. Ctrl-C stops; the same command goes on. Noise is added to what is executed; what an
-    imitator should have done is recorded beside it.
+    An index whose episode fails is drawn again, so that OUT has as many demonstrations as requested. Failed attempts go
+    to OUT/set_apart with their reasons. Ctrl-C stops; the same command continues. Noise is added to the executed
+    actions; the actions that an imitator should learn are recorded beside them.
     """
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
@@ -42,8 +42,7 @@ def command(size: str, **options: Any) -> None:
     click.echo(result.summary)
     if result.recovered:
         click.echo(
-            f"  {result.recovered} of them needed a second grasp; exports leave them out unless told to "
-            "--keep-recovered"
+            f"  {result.recovered} of them needed a second grasp; exports leave them out without --keep-recovered"
         )
     for line in failures(result.results):
         click.echo(f"  {line}")

@@ -1,4 +1,4 @@
-"""Start one node, or look at those that run."""
+"""Start one node, or inspect running nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roboxim_bringup.graph_names import complete
 
 
 class _NodeGroup(click.Group):
-    """``roboxim node sim`` starts a node; ``roboxim node list`` looks at the running ones."""
+    """The group ``roboxim node``: ``node sim`` starts a node, ``node list`` lists the running ones."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         from roboxim_bringup.graph import NODES
@@ -29,12 +29,12 @@ class _NodeGroup(click.Group):
 
 
 JOINABLE = ("up", "node", "policy", "play")
-"""Kinds of runs that a new node joins unasked; jobs such as ``generate`` come and go with their own nodes."""
+"""Kinds of runs that a new node joins by default; jobs such as ``generate`` start and end their own nodes."""
 
 
 @click.group(cls=_NodeGroup)
 def command() -> None:
-    """Start one node of the graph, or look at those that run."""
+    """Start one node of the graph, or inspect running nodes."""
 
 
 def _starter(name: str) -> click.Command:
@@ -43,13 +43,13 @@ def _starter(name: str) -> click.Command:
 
     start.__doc__ = f"""Start the {name} node.
 
-    It joins the only run that is alive (or --run), and makes a run of its own when there is none.
+    The node joins the only live run (or --run). Without a live run, it starts its own.
     """
     return click.command(name)(namespace_option(membership_options(attach_options(start))))
 
 
 def membership_options(start: Any) -> Any:
-    """Add what every command that starts nodes takes."""
+    """Add the options that all commands that start nodes share."""
     options = (
         click.option(
             "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
@@ -61,7 +61,7 @@ def membership_options(start: Any) -> Any:
         ),
         click.option(
             "--open-network", is_flag=True,
-            help="Let other hosts and users reach the graph; without it only you can, on this machine. For a new run.",
+            help="Let other hosts and users reach the graph of a new run; default: only you, on this machine.",
         ),
     )  # fmt: skip
     for option in reversed(options):
@@ -86,13 +86,13 @@ def run_node(
     """Run one node until Ctrl-C, SIGTERM or its death.
 
     Args:
-        name: One of ``graph.NODES``; empty: none, just the policies.
+        name: One of ``graph.NODES``; empty: only the policies.
         namespace: Namespace of the graph.
         params_files: ROS 2 parameter files.
         assignments: ``name:=value`` words.
         open_network: Whether other hosts may reach it.
         run_id: Run to join.
-        domain: Domain to use, without a run.
+        domain: ROS domain, instead of a run's.
         policies: Policies to run.
 
     Raises:
@@ -130,14 +130,14 @@ class Member:
     """A process in a run."""
 
     where: str
-    """The run or domain, for a person."""
+    """The run or domain, for messages."""
     run_id: str = ""
-    """The run; empty: none, just a domain."""
+    """Name of the run; empty: a domain without a run."""
     nodes: tuple[str, ...] = ()
-    """Nodes that it has announced."""
+    """Full names of its announced nodes."""
 
     def announce(self, nodes: Sequence[str]) -> None:
-        """Tell the run's registry which nodes this process has, and that it has joined."""
+        """Register this process and its nodes with the run."""
         from roboxim_ros.runs import extend_run
 
         self.nodes = tuple(nodes)
@@ -149,12 +149,12 @@ class Member:
 def membership(
     kind: str, run_id: str | None, domain: int | None, open_network: bool, namespace: str
 ) -> Iterator[Member]:
-    """Join a run, or make one when none is alive.
+    """Join a run, or start one when none is alive.
 
     Args:
-        kind: What a new run is called by.
+        kind: Kind of a new run; its name begins with it.
         run_id: Run to join; none: the only one.
-        domain: Domain to use, without a run.
+        domain: ROS domain, instead of a run's.
         open_network: Whether other hosts may reach a new run.
         namespace: Namespace of the graph in a new run.
 
@@ -170,7 +170,7 @@ def membership(
         yield Member(f"domain {domain}")
     elif run_id or os.environ.get("ROBOXIM_RUN") or any(run.kind in JOINABLE for run in live_runs()):
         if open_network:
-            raise click.UsageError("--open-network is for a new run; this one's network is decided already")
+            raise click.UsageError("--open-network applies to a new run only; leave it out to join the live run")
         run = find_run(run_id)
         run.join()
         member = Member(f"run {run.id}", run.id)
@@ -186,7 +186,7 @@ def membership(
 
 
 @command.command("list")
-@click.option("-a", "--all", "hidden", is_flag=True, help="Also hidden ones.")
+@click.option("-a", "--all", "hidden", is_flag=True, help="Include hidden nodes.")
 @attach_options
 def list_nodes(hidden: bool, run_id: str | None, domain: int | None) -> None:
     """List the nodes."""

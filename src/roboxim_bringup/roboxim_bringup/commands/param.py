@@ -75,7 +75,7 @@ def set_parameter(node: str, name: str, value: str, run_id: str | None, domain: 
         parameter = Parameter(name, value=parse(value, source="value")).to_parameter_msg()
     except TypeError:
         raise ConfigError(
-            f"'{value}' is no parameter value; expected a scalar or a list of scalars of one type"
+            f"'{value}' is not a parameter value; expected a scalar or a list of scalars of one type"
         ) from None
     with attached(run_id, domain) as peer:
         _require(peer, node, name)
@@ -90,7 +90,7 @@ def set_parameter(node: str, name: str, value: str, run_id: str | None, domain: 
 @click.argument("names", nargs=-1)
 @attach_options
 def describe(node: str, names: tuple[str, ...], run_id: str | None, domain: int | None) -> None:
-    """Print type, range and description of parameters; of all, when none is named."""
+    """Print type, range and description of parameters; default: of all."""
     from rcl_interfaces.srv import DescribeParameters
     from rclpy.parameter import Parameter
 

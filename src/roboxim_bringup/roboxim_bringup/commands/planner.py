@@ -1,4 +1,4 @@
-"""Run failed requests to the planner again, and draw them."""
+"""Replay failed planner requests, and draw them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import click
 
 @click.group()
 def command() -> None:
-    """Run failed requests to the planner again, and draw them.
+    """Replay failed planner requests, and draw them.
 
     A request that fails leaves a dump; the error message names it. DUMP is such a file, its name in the folder of
-    dumps, or "latest". No graph needs to run.
+    dumps, or "latest". No running graph is needed.
     """
 
 
@@ -43,10 +43,10 @@ def dumps(folder: Path | None) -> None:
 
 @command.command("replay")
 @click.argument("dump")
-@click.option("--no-deadline", is_flag=True, help="Let a request that timed out come to its end.")
+@click.option("--no-deadline", is_flag=True, help="Ignore the request's deadline, e.g. after a timeout.")
 @_folder_option
 def replay(dump: str, no_deadline: bool, folder: Path | None) -> None:
-    """Run a dumped request again. The exit code is 1 when the answer is not the same."""
+    """Replay a dumped request. The exit code is 1 when the answer differs."""
     import time
 
     from roboxim_core.errors import PlannerError
@@ -69,7 +69,7 @@ def replay(dump: str, no_deadline: bool, folder: Path | None) -> None:
     if (again.error_code, again.error_msg, again.digest) != (
         kept.outcome.error_code, kept.outcome.error_msg, kept.outcome.digest,
     ):  # fmt: skip
-        raise PlannerError("the answer is not the same; has the planner or a model changed?")
+        raise PlannerError("the answer differs; has the planner or a model changed?")
     click.echo("  the same answer")
 
 
@@ -121,7 +121,7 @@ def _draw(query: Any, planner: Any, outcome: Any, answer: Any, out: Path, name: 
 
 
 def _query(path: Path, library: Any) -> tuple[Any, Any]:
-    """Return the query of a YAML file of a request, and the planner that it is for."""
+    """Return the query in a request's YAML file, and the planner that receives it."""
     from roboxim_bringup.messages import look_up, message_from_plain
     from roboxim_core.config import load_yaml
     from roboxim_core.errors import ConfigError, one_of

@@ -1,4 +1,4 @@
-"""Serve a policy, your own too, or list those there are."""
+"""Serve a policy, registered or your own, or list the registered ones."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ from roboxim_bringup.named import Named
 
 @click.group()
 def command() -> None:
-    """Serve a policy to the graph, or list those there are."""
+    """Serve a policy to the graph, or list the registered ones."""
 
 
 @command.command("serve")
 @click.argument("spec", type=Named("policy"))
 @click.option("--namespace", default="policy", show_default=True, help="Namespace of its services.")
 @click.option(
-    "-o", "--option", "options", multiple=True, metavar="KEY=VALUE", help="Argument of its class; may be repeated."
+    "-o",
+    "--option",
+    "options",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Argument of the policy's class; may be repeated.",
 )
 @membership_options
 @attach_options

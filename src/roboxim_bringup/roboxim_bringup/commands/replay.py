@@ -19,7 +19,7 @@ from roboxim_bringup.attach import attach_options, join_run
 def command(bags: tuple[Path, ...], namespace: str, run_id: str | None, domain: int | None) -> None:
     """Re-create a bag's scene in a running graph, execute its actions, and compare every tick.
 
-    Judges the replay too. The exit code is 1 when a tick differs; the first one is named.
+    The command also judges the replay. The exit code is 1 when a tick differs; the output names the first such tick.
     """
     join_run(run_id, domain)
     from roboxim_core.errors import ErrorCode, SimError
@@ -36,7 +36,7 @@ def command(bags: tuple[Path, ...], namespace: str, run_id: str | None, domain: 
 
 
 def _is_same(path: Path, clients: Any) -> bool:
-    """Replay one bag, say what came of it, and tell whether every bit is the same."""
+    """Replay one bag and print the outcome; return whether every bit is the same."""
     from roboxim_core.models.library import ModelLibrary
     from roboxim_core.verdicts import Verdict
     from roboxim_eval.ports import SimClient, TaskClient
@@ -64,5 +64,5 @@ def _is_same(path: Path, clients: Any) -> bool:
             f"(recorded {report.recorded_hash}, replayed {report.replayed_hash})"
         )
         if changed := ModelLibrary().changed(reader.info.models):
-            click.echo(f"  not the same as when it was recorded: the files of {', '.join(changed)}")
+            click.echo(f"  changed since the recording: the files of {', '.join(changed)}")
     return report.same

@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     "cameras",
     multiple=True,
     metavar="NAME[=FILE]",
-    help="Camera to render: a recorded one, or one of config/cameras or a YAML file; may be repeated. "
+    help="Camera to render: a recorded one, a name in config/cameras or a YAML file; may be repeated. "
     "Default: the recorded ones.",
 )
 @click.option("--resolution", default="as-configured", help="SIZE or WIDTHxHEIGHT of every camera.")
-@click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as the cameras have it.")
+@click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as each camera is configured.")
 @click.option("--segmentation/--no-segmentation", default=None, help="Also record segmentation.")
 @click.option(
     "--light",
     "lights",
     multiple=True,
     metavar="NAME|YAML",
-    help="Lighting of config/lights or a YAML file, or one light such as "
+    help="Lighting: a name in config/lights, a YAML file, or one light such as "
     "'{kind: lamp, position: [0.5, 0.5, 1.2], intensity: 2}'; may be repeated. They replace the recorded lights.",
 )
 @click.option(
@@ -41,11 +41,16 @@ if TYPE_CHECKING:
     "textures",
     multiple=True,
     metavar="SURFACE=NAME",
-    help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated; no name: none.",
+    help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated; an empty NAME "
+    "removes the texture.",
 )
-@click.option("--background", type=click.Choice(["room", "plain"]), help="Walls around, or a plain colour.")
-@click.option("--look", default="", metavar="SCENE", help="Take lights and materials of a scene of config/scenes.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes, a renderer each.")
+@click.option(
+    "--background", type=click.Choice(["room", "plain"]), help="Surroundings: a room with walls, or a plain colour."
+)
+@click.option("--look", default="", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
+@click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Number of processes, each with a renderer."
+)
 def command(
     sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], resolution: str,
     depth: bool | None, segmentation: bool | None, lights: tuple[str, ...], textures: tuple[str, ...],
@@ -58,8 +63,8 @@ def command(
     roboxim rerender runs/demos --out runs/demos-left --camera workspace=workspace_left --camera wrist
     roboxim rerender runs/demos/episodes/demo-0-00000-0 --out runs/photo --renderer photo --resolution 512
 
-    SOURCES are bags, folders of bags or runs. Nothing needs to be running. Unchanged settings give the recorded images,
-    bit for bit on one type of machine. Ctrl-C stops; the same command goes on with the bags that are missing.
+    SOURCES are bags, folders of bags or runs. No running graph is needed. Unchanged settings give the recorded images,
+    bit for bit on one type of machine. Ctrl-C stops; the same command continues with the missing bags.
     """
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
@@ -96,7 +101,10 @@ def command(
         else f"all {report.there} episodes are in {out / 'episodes'} already; nothing to do"
     )
     if report.changed:
-        click.echo(f"note: changed since the recording, and drawn as they are now: {', '.join(report.changed)}")
+        click.echo(
+            "note: these models have changed since the recording and are drawn as they are now: "
+            + ", ".join(report.changed)
+        )
     first = next(iter(sorted((out / "episodes").iterdir())), None)
     if first is not None:
         picture = out / "first_episode.png"
@@ -105,7 +113,7 @@ def command(
 
 
 def _lighting(words: tuple[str, ...]) -> Lighting | None:
-    """Return the lights that the options ask for; none: the recorded ones."""
+    """Return the lights that the options name; none: the recorded ones."""
     from roboxim_bringup.runs.rerendering import Lighting
     from roboxim_core.config import from_plain, load_config, named_config, parse_yaml
     from roboxim_core.specs import LightSpec

@@ -17,7 +17,7 @@ def command() -> None:
 
 @command.command("list")
 @click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@click.option("-a", "--all", "hidden", is_flag=True, help="Also hidden ones: those that actions are made of.")
+@click.option("-a", "--all", "hidden", is_flag=True, help="Include hidden services, which implement actions.")
 @attach_options
 def list_services(show_types: bool, hidden: bool, run_id: str | None, domain: int | None) -> None:
     """List the services."""
@@ -65,7 +65,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     roboxim service call /sim/get_entities
     roboxim service call /planner/compute_fk '{state: {position: [0, -0.2, 0, -2.2, 0, 2.0, 0.785]}}'
 
-    The type may be left out; the exit code is 1 when the answer says that the call failed.
+    The type is optional. The exit code is 1 when the answer reports a failure.
     """
     type_name, text = split_type(words)
     from roboxim_bringup.attach import absolute
@@ -95,7 +95,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
 
 
 def _says_more(answer: dict[str, Any], empty: dict[str, Any]) -> bool:
-    """Tell whether a failed call's answer has more than its error, e.g. a part of a path; an index of -1 is nothing."""
+    """Return whether a failed call's answer holds more than its error, e.g. a partial path. An index of -1 is empty."""
     return any(
         value != empty[name] and value != -1
         for name, value in answer.items()
@@ -104,7 +104,7 @@ def _says_more(answer: dict[str, Any], empty: dict[str, Any]) -> bool:
 
 
 def split_type(words: tuple[str, ...]) -> tuple[str, str]:
-    """Tell ``[TYPE] [YAML]`` apart: a type has slashes and no spaces or braces."""
+    """Split ``[TYPE] [YAML]`` words. A type has slashes and no spaces or braces."""
     import re
 
     if len(words) > 2:

@@ -1,4 +1,4 @@
-"""Show which tasks there are, and what they ask for."""
+"""List the skills and tasks, and print the tasks of a seed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from roboxim_bringup.named import Models, Named
 
 @click.group()
 def command() -> None:
-    """Show which tasks there are, and what they ask for."""
+    """List the skills and tasks, and print the tasks of a seed."""
 
 
 @command.command("list")
-@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def list_tasks(as_json: bool) -> None:
     """List the skills with the objects that suit them, and the tasks of config/tasks and of your own folders.
 
-    A task whose file is wrong is an error at the end; the others are listed all the same.
+    A task with an invalid file is reported as an error at the end, after the others.
     """
     from roboxim_bringup.catalog import catalog
     from roboxim_core.errors import ConfigError
@@ -60,18 +60,18 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
 @click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
 @click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
-@click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="How many.")
-@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first.")
+@click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="Number of tasks.")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first task.")
 @click.option(
     "--purpose", type=click.Choice(["demo", "eval", "train", "test"]), default="demo", show_default=True,
-    help="What the episodes are for: each purpose has tasks of its own.",
+    help="Purpose of the episodes; each purpose has its own tasks.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="As JSON, one task a line.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, one task per line.")
 def sample(
     task: str, skill: str, objects: tuple[str, ...], distractors: str, colors: str, seed: int, count: int, first: int,
     purpose: str, as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Print the tasks of a seed: the very ones that generate and evaluate run.
+    r"""Print the tasks of a seed, exactly as generate and evaluate run them.
 
     \b
     roboxim tasks sample --seed 7

@@ -40,7 +40,7 @@ def print_type(name: str, run_id: str | None, domain: int | None) -> None:
 
 @command.command("info")
 @click.argument("name", shell_complete=complete("topics"))
-@click.option("-v", "--verbose", is_flag=True, help="Also nodes and QoS.")
+@click.option("-v", "--verbose", is_flag=True, help="Also print nodes and QoS.")
 @attach_options
 def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> None:
     """Print a topic's type and its publishers and subscribers."""
@@ -68,7 +68,7 @@ def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> No
 @click.option("--once", is_flag=True, help="End after the first message.")
 @click.option("--field", help="Print this field only, e.g. robot.joint_positions.")
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")
-@click.option("--timeout", type=float, help="End with an error when no message comes for so long [s].")
+@click.option("--timeout", type=float, help="Fail when no message arrives for this time [s].")
 @attach_options
 def echo(
     name: str,
@@ -97,7 +97,7 @@ def echo(
 @command.command("hz")
 @click.argument("name", shell_complete=complete("topics"))
 @click.option("--window", default=100, show_default=True, type=click.IntRange(2), help="Messages to average over.")
-@click.option("--duration", type=float, help="End after so long [s]; default: on Ctrl-C.")
+@click.option("--duration", type=float, help="End after this time [s]; default: on Ctrl-C.")
 @attach_options
 def hz(name: str, window: int, duration: float | None, run_id: str | None, domain: int | None) -> None:
     """Print the rate of a topic, in wall time, once a second."""
@@ -131,15 +131,15 @@ def hz(name: str, window: int, duration: float | None, run_id: str | None, domai
 
 
 SILENT_S = 2.0
-"""Silence after which a listening command says what is missing [s]."""
+"""Silence after which a listening command explains what is missing [s]."""
 STILL = (
-    "the simulation moves only when it is asked to, by a run of episodes or by hand: "
+    "the simulation advances only on request, by a run of episodes or by hand: "
     "roboxim action send_goal /sim/simulate_steps '{steps: 1000}'"
 )
 
 
 def _silence(name: str) -> str:
-    """Say that nothing has come yet, and how to make the simulation move."""
+    """Report that no message has arrived yet, and how to step the simulation."""
     return f"no message on {name} for {SILENT_S:g} s; {STILL}"
 
 
@@ -157,9 +157,9 @@ def _print_rate(stamps: list[float]) -> None:
 @click.argument("name", shell_complete=complete("topics"))
 @click.argument("type_name", metavar="TYPE")
 @click.argument("text", metavar="[YAML]", default="")
-@click.option("-1", "--once", is_flag=True, help="Publish once, when a subscriber is there.")
+@click.option("-1", "--once", is_flag=True, help="Publish one message once a subscriber is connected.")
 @click.option("-r", "--rate", default=1.0, show_default=True, help="Messages per second.")
-@click.option("-n", "--times", default=0, help="End after so many; 0: on Ctrl-C.")
+@click.option("-n", "--times", default=0, help="End after this number of messages; 0: on Ctrl-C.")
 @attach_options
 def pub(
     name: str, type_name: str, text: str, once: bool, rate: float, times: int, run_id: str | None, domain: int | None
@@ -174,7 +174,7 @@ def pub(
     with attached(run_id, domain) as peer:
         publisher = peer.node.create_publisher(type(message), absolute(name), STATE)
         peer.look_for(
-            lambda: publisher.get_subscription_count() or None, lambda: f"nobody subscribes to {absolute(name)}"
+            lambda: publisher.get_subscription_count() or None, lambda: f"no node subscribes to {absolute(name)}"
         )
         sent = 0
         following = time.monotonic()
@@ -223,10 +223,10 @@ def _listen(
     duration_s: float | None = None,
     silent: Callable[[], None] | None = None,
 ) -> None:
-    """Hand a topic's messages to ``take`` in this thread until Ctrl-C, or the time is up.
+    """Pass a topic's messages to ``take`` in this thread until Ctrl-C or the end of ``duration_s``.
 
-    ``fresh``: serialised, and only what is published from now on; for timing. ``silent`` is called once when nothing
-    has come for `SILENT_S`.
+    With ``fresh``, messages stay serialised and earlier ones are skipped; for timing. ``silent`` is called once when no
+    message has arrived for `SILENT_S`.
     """
     import queue
 

@@ -25,7 +25,7 @@ def command() -> None:
 @click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's.")
 @click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation.")
 @click.option("--config", type=click.Path(path_type=Path), help="YAML file with BCConfig's fields.")
-@click.option("--limit", type=click.IntRange(0), default=0, help="Use at most so many episodes; 0: all.")
+@click.option("--limit", type=click.IntRange(0), default=0, help="Largest number of episodes to use; 0: all.")
 def behaviour_cloning(
     dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, limit: int
 ) -> None:
@@ -34,7 +34,7 @@ def behaviour_cloning(
     \b
     roboxim train bc runs/demos-rlds --out runs/bc --steps 2000
 
-    Ctrl-C saves a checkpoint; the same command goes on and ends in the same weights.
+    Ctrl-C saves a checkpoint. The same command continues from it and ends with the same weights.
     """
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.training import read_bc_config, train_bc

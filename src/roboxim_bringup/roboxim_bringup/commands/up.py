@@ -25,7 +25,7 @@ from roboxim_bringup.named import Named
     help="Also serve a policy, e.g. random or mine=my_module:MyPolicy; may be repeated.",
 )  # fmt: skip
 @click.option("--id", "run_id", metavar="ID", help="Name of the run; default: a new one.")
-@click.option("--domain", type=click.IntRange(0, 232), help="ROS domain; default: one that nobody here uses.")
+@click.option("--domain", type=click.IntRange(0, 232), help="ROS domain; default: one that is unused on this machine.")
 @click.option("--detach", is_flag=True, help="Return when the graph is ready; end it with: roboxim down.")
 @namespace_option
 @membership_options
@@ -75,7 +75,7 @@ def command(
             click.echo(
                 f"run {run.id} is up in domain {run.domain}"
                 + (
-                    ": every host and user that reaches this machine can drive it"
+                    ": every host and user that reaches this machine can control it"
                     if open_network
                     else "; only you can reach it"
                 )
