@@ -114,7 +114,7 @@ def test_a_run_is_cancelled_and_goes_on(tmp_path):
         ({"episodes": "3"}, "episodes must be a whole number, got '3'"),
         ({"size": 5}, "size must be 16 to 4096 px"),
         ({"size": "128"}, "size must be a whole number or two"),
-        ({"out": "o" * 300}, "no name for a folder"),
+        ({"out": "o" * 300}, "not a valid folder"),
         ({"skill": "pick_upp"}, "unknown skill 'pick_upp'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Checks of a user's object that need the simulator, and a first YAML file for a mesh."""
+"""Checks of a user's object that need the simulator, and a draft YAML file for a mesh."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from roboxim_sim.bullet import pybullet
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
 
 YAWS = (0.0, 0.4, 1.1, 2.0, 2.9, -1.0)
-"""Turns about the vertical at which it must stay: a pose on an edge may hold at one of them [rad]."""
+"""Turns about the vertical at which an object must stay at rest: a pose on an edge may hold at one of them [rad]."""
 DENSITY = 400.0
-"""Guess for a new object [kg/m^3]."""
+"""Assumed density of a new object [kg/m^3]."""
 
 
 def check(target: str, library: ModelLibrary) -> list[Finding]:
@@ -36,7 +36,7 @@ def check(target: str, library: ModelLibrary) -> list[Finding]:
 
     Args:
         target: Id of an object, or path of its YAML file.
-        library: Where ids are looked up, and the gripper.
+        library: Library that resolves ids and holds the gripper.
 
     Raises:
         ConfigError: When there is no such object or file.
@@ -52,7 +52,7 @@ def check(target: str, library: ModelLibrary) -> list[Finding]:
 
 
 def _stability(model: ObjectModel) -> list[Finding]:
-    """Put it on a table, upright and toppled, and see whether it stays."""
+    """Check that an object stays at rest on a table, upright and toppled."""
     found = []
     client = pybullet.connect(pybullet.DIRECT)
     try:
@@ -64,7 +64,7 @@ def _stability(model: ObjectModel) -> list[Finding]:
                     Finding(
                         severity="error",
                         message=f"put on a table {what} it moves by up to {1e3 * moved:.0f} mm and turns by up to "
-                        f"{math.degrees(turned):.0f} deg within a second, so no scene with it would be settled: give "
+                        f"{math.degrees(turned):.0f} deg within a second, so scenes with it would not settle: give "
                         "it a pose or shapes that stand",
                     )
                 )
@@ -87,7 +87,7 @@ def _motion(client: int, model: ObjectModel, start: Pose, yaw_rad: float) -> tup
 
 
 def starter(mesh: Path) -> str:
-    """Return a first YAML file for a mesh: units guessed, a mass, a grasp from above where it is narrow enough.
+    """Return a draft YAML file for a mesh, with guessed units, a mass, and a grasp from above if the mesh is narrow.
 
     Raises:
         ConfigError: When the mesh cannot be read or is flat.
@@ -117,10 +117,10 @@ def starter(mesh: Path) -> str:
 
 
 def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
-    """Write a mesh with fewer triangles, its parts and their materials kept.
+    """Write a mesh with fewer triangles, with the same parts and materials.
 
     Returns:
-        Triangles before and after.
+        Numbers of triangles before and after.
 
     Raises:
         ConfigError: When the mesh cannot be read.
@@ -138,7 +138,7 @@ def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
 
 
 def _simplified(part: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
-    """Collapse edges; texture coordinates are those of the nearest vertex before."""
+    """Collapse edges. Texture coordinates come from the nearest original vertex."""
     welded = trimesh.Trimesh(part.vertices, part.faces, process=True)
     points, faces = fast_simplification.simplify(
         welded.vertices.astype(np.float32), welded.faces, target_count=triangles, agg=4.0

@@ -1,4 +1,4 @@
-"""The contact sheet of all objects: each alone on the default table, in the default look, in a picture of its own."""
+"""The contact sheet of objects: one picture per object, alone on the default table, in the default look."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from roboxim_core.rendering import Renderer, RenderWorld
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 
 AZIMUTH_RAD, ELEVATION_RAD = math.radians(40.0), math.radians(34.0)
-"""Where the camera is, seen from the object; its x axis points at azimuth 0."""
+"""Direction from the object to the camera; azimuth 0 is the object's x axis."""
 FOV_RAD = math.radians(28.0)
 MARGIN = 1.25
-"""Width of the picture relative to the object's."""
+"""Width of the picture relative to the object's width."""
 PLACE = (0.5, 0.0)
-"""Where the object stands on the table [m]."""
+"""Position of the object on the table [m]."""
 LABEL_PX = 22
 GAP_PX = 4
 
@@ -37,12 +37,12 @@ def object_world(entity: EntitySpec, library: ModelLibrary) -> RenderWorld:
 
 
 def draw_object(renderer: Renderer, library: ModelLibrary, entity: EntitySpec, pixels: int) -> Image.Image:
-    """Draw one object from close by.
+    """Draw one object close up.
 
     Args:
-        renderer: What draws.
-        library: Where the model comes from.
-        entity: Model, modifiers, joint positions; its pose is replaced.
+        renderer: Renderer.
+        library: Library of the model.
+        entity: Model, modifiers and joint positions; the pose is replaced.
         pixels: Width and height of the picture.
 
     Raises:
@@ -80,10 +80,10 @@ def _view(points: Array) -> Pose:
 
 
 def contact_sheet(pictures: Sequence[Image.Image], labels: Iterable[str] | None, columns: int) -> Image.Image:
-    """Return pictures of one size in rows.
+    """Arrange pictures of one size in rows.
 
     Args:
-        pictures: At least one.
+        pictures: Pictures, at least one.
         labels: Text under each; none: no text.
         columns: Pictures in a row.
     """

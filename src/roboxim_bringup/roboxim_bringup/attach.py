@@ -14,13 +14,14 @@ from roboxim_core.errors import ConfigError, UnavailableError, one_of
 
 T = TypeVar("T")
 LOOK_S = 3.0
-"""How long to look for something, in a graph whose nodes are all seen, before saying that it is not there [s]."""
+"""Longest search for a name in a graph whose nodes are all seen [s]."""
 PATIENCE_S = 60.0
-"""How long to wait for nodes that the run is known to have [s]: on a busy machine they are seen late."""
+"""Longest wait for the run's known nodes [s]; discovery is slow on a busy machine."""
 LOOK_PERIOD_S = 0.01
-"""Time between two looks at the graph [s]."""
+"""Time between two queries of the graph [s]."""
 QUIET_LOOKS = 25
-"""The graph counts as known when so many looks saw nothing new. Looks, not seconds: a busy machine does both slowly."""
+"""Number of queries without a change after which the graph counts as known. Queries, not seconds: a busy machine delays
+both."""
 
 
 def _complete_runs(*_: Any) -> list[str]:
@@ -30,7 +31,7 @@ def _complete_runs(*_: Any) -> list[str]:
 
 
 run_option = click.option(
-    "--run", "run_id", metavar="ID", help="Which run (see: roboxim runs); default: the only one.",
+    "--run", "run_id", metavar="ID", help="Run to attach to (see: roboxim runs); default: the only one.",
     shell_complete=_complete_runs,
 )  # fmt: skip
 
@@ -42,10 +43,10 @@ def attach_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def join_run(run_id: str | None, domain: int | None) -> Sequence[str]:
-    """Set the environment so that contexts of this process are in a run or a domain.
+    """Set the environment so that contexts of this process join a run or a domain.
 
     Returns:
-        Full names of nodes that the run is known to have.
+        Full names of the run's known nodes.
 
     Raises:
         ConfigError: When there is no such run, or both are given.
@@ -65,13 +66,13 @@ def join_run(run_id: str | None, domain: int | None) -> Sequence[str]:
 
 
 class Peer:
-    """A node in a graph that somebody else runs."""
+    """A node in a running graph of another process."""
 
     def __init__(self, expected: Sequence[str] = ()) -> None:
         """Join the domain that the environment names.
 
         Args:
-            expected: Full names of nodes that must be seen before the graph counts as known.
+            expected: Full names of nodes that must be discovered before the graph counts as known.
         """
         from roboxim_ros.clients import Clients
         from roboxim_ros.host import NodeHost
@@ -83,50 +84,50 @@ class Peer:
         self.node = self.clients.node
 
     def close(self) -> None:
-        """Leave in order: a peer that just vanishes delays what the next command hears."""
+        """Destroy the node in order; a peer that vanishes delays the next command's answers."""
         self.clients.close()
         self.host.close()
 
     def wake(self) -> None:
-        """Have the peer's thread notice what was just made on its node."""
+        """Wake the peer's thread, so that it serves a new subscription or client of the node."""
         self.clients.wake()
 
     def look_for(self, find: Callable[[], T | None], missing: Callable[[], str]) -> T:
-        """Wait until something is found in the graph.
+        """Wait until a search of the graph succeeds.
 
         Args:
-            find: Returns what it found, or none.
-            missing: Makes the error's message.
+            find: Returns the found value, or none.
+            missing: Returns the error's message.
 
         Raises:
             UnavailableError: With that message.
         """
         begun = time.monotonic()
         while (found := find()) is None:
-            if self._looked_enough(begun):
+            if self._search_is_over(begun):
                 raise UnavailableError(missing())
             time.sleep(LOOK_PERIOD_S)
         return found
 
     def settle(self) -> None:
-        """Wait until nothing new is heard of the graph."""
+        """Wait until the graph no longer changes."""
         seen: Any = None
         quiet = 0
         begun = time.monotonic()
-        while not self._looked_enough(begun) and quiet <= QUIET_LOOKS:
+        while not self._search_is_over(begun) and quiet <= QUIET_LOOKS:
             now = (self.nodes(hidden=True), self.topics(hidden=True), self.services(hidden=True))
             known = now == seen and len(now[0]) > 1 and self._is_complete()
             seen, quiet = now, quiet + 1 if known else 0
             time.sleep(LOOK_PERIOD_S)
 
     def _is_complete(self) -> bool:
-        """Tell whether all nodes have been seen that the run is known to have."""
+        """Return whether all of the run's known nodes have been discovered."""
         if self._complete_since is None and self.expected <= set(self.nodes(hidden=True)):
             self._complete_since = time.monotonic()
         return self._complete_since is not None
 
-    def _looked_enough(self, begun: float) -> bool:
-        """Tell whether what has not been seen since a time is not there."""
+    def _search_is_over(self, begun: float) -> bool:
+        """Return whether a search that began at a time [s] has lasted long enough to conclude absence."""
         now = time.monotonic()
         complete = self._is_complete() and now - max(begun, self._complete_since or 0.0) > LOOK_S
         return complete or now - begun > PATIENCE_S
@@ -142,7 +143,7 @@ class Peer:
         return _named(self.node.get_topic_names_and_types(), hidden)
 
     def services(self, *, hidden: bool = False) -> dict[str, list[str]]:
-        """Return the services and their types; those that actions are made of are hidden."""
+        """Return the services and their types; those that implement actions are hidden."""
         return _named(self.node.get_service_names_and_types(), hidden)
 
     def actions(self) -> dict[str, list[str]]:
@@ -155,13 +156,13 @@ class Peer:
         """Return the type of a service, topic or action.
 
         Args:
-            what: Which of them, for messages.
+            what: Kind of the name, for messages.
             name: Its name.
             listing: One of `services`, `topics`, `actions`.
 
         Raises:
-            UnavailableError: When the graph has none of that name; lists those it has.
-            ConfigError: When it has several types.
+            UnavailableError: When the graph has no such name; the message lists the known ones.
+            ConfigError: When the name has several types.
         """
         name = absolute(name)
         types = self.look_for(
@@ -204,7 +205,7 @@ def absolute(name: str) -> str:
 
 
 def is_own_service(name: str) -> bool:
-    """Tell a node's own services from those that every node has."""
+    """Return whether a service is a node's own, not one that every node has."""
     return not name.endswith(("_parameters", "_parameter_types", "_parameters_atomically", "/get_type_description"))
 
 

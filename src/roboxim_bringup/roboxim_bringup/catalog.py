@@ -1,9 +1,9 @@
-"""What there is to name on the command line: skills, tasks, objects, policies. Imports nothing heavy.
+"""Names for the command line: skills, tasks, objects, policies. Imports no heavy module.
 
 Listing skills with the objects that suit them, and checking every task, means importing numerics for seconds. The
-catalog is therefore kept in the user's cache folder with a fingerprint of all that it depends on: RoboXim's modules,
-the YAML files and the installed distributions. `roboxim tasks list`, tab completion and the first check of an option
-read it from there; whoever finds no fresh one makes it.
+catalog is therefore cached in the user's cache folder with a fingerprint of its sources: RoboXim's modules, the YAML
+files and the installed distributions. `roboxim tasks list`, tab completion and the first check of an option read the
+cache, and renew it when it is stale.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from typing import Any
 from roboxim_core.config_folders import config_dirs, config_names
 
 Catalog = dict[str, Any]
-"""Plain values: ``skills`` (name to instruction and roles), ``tasks`` (name to what it is about), ``broken`` (name of
-a task to what is wrong with its file), ``policies`` (name to its first sentence and options)."""
+"""Plain values: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task
+to the error in its file), ``policies`` (name to its first sentence and options)."""
 
 _PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_bringup")
 
 
 def catalog() -> Catalog:
-    """Return the catalog, made when there is no fresh one.
+    """Return the catalog; renew it when it is stale.
 
     Raises:
         ConfigError: When a configuration folder is missing.
@@ -46,16 +46,16 @@ def catalog() -> Catalog:
 
 
 def fresh_catalog() -> Catalog | None:
-    """Return the kept catalog if nothing that it depends on has changed since; else None."""
+    """Return the cached catalog if its sources are unchanged, else None."""
     kept = _read(_file())
     return kept["catalog"] if kept.get("fingerprint") == _fingerprint() else None
 
 
 def names_of(kind: str) -> list[str]:
-    """Return the names of a kind without waiting: what a user is typing is completed.
+    """Return the names of a kind at once, for tab completion.
 
-    Skills and policies are those of the newest catalog; when it is not fresh, a process of its own makes it for the
-    next time.
+    Skills and policies come from the cached catalog. When it is stale, a background process renews it for the next
+    call.
 
     Args:
         kind: ``skill``, ``policy``, or a kind of configuration: ``task``, ``object``, ``camera``, ...
@@ -74,7 +74,7 @@ def names_of(kind: str) -> list[str]:
 
 
 def _file() -> Path:
-    """Return where the catalog of this installation and these configuration folders is kept."""
+    """Return the cache file for this installation and these configuration folders."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     which = "\n".join([sys.prefix, *map(str, _folders())])
     return base / "roboxim" / f"catalog-{hashlib.blake2b(which.encode(), digest_size=6).hexdigest()}.json"
@@ -95,7 +95,7 @@ def _fingerprint() -> str:
             if path.suffix in (".py", ".yaml", ".yml"):
                 status = path.stat()
                 digest.update(f"{path}\n{status.st_mtime_ns} {status.st_size}\n".encode())
-    for place in sys.path:  # where distributions are installed: one may bring a plug-in
+    for place in sys.path:  # folders of installed distributions, which may bring plug-ins
         if "site-packages" in place:
             with contextlib.suppress(OSError):
                 digest.update(f"{place} {os.stat(place).st_mtime_ns}\n".encode())
@@ -111,7 +111,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:
-    """Write a file whole; where that cannot be done, the catalog is made again the next time."""
+    """Write a file atomically. If that fails, the next call makes the catalog again."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent)

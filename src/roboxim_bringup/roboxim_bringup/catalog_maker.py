@@ -1,4 +1,4 @@
-"""Makes the catalog of `roboxim_bringup.catalog`; imports the rooms. As a program it brings the kept one up to date."""
+"""Makes the catalog of `roboxim_bringup.catalog`; imports the rooms. Run as a program, it renews the cache."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _skills() -> dict[str, Any]:
 
 
 def _tasks() -> tuple[dict[str, Any], dict[str, str]]:
-    """Return what the tasks are about, and what is wrong with those whose file is."""
+    """Return the tasks' descriptions, and the errors of invalid task files."""
     from roboxim_tasks.config import TaskMix, load_task_config
 
     tasks: dict[str, Any] = {}
@@ -54,7 +54,7 @@ def _tasks() -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _policies() -> dict[str, Any]:
-    importlib.import_module("roboxim_policies.builtin")  # registers what ships
+    importlib.import_module("roboxim_policies.builtin")  # registers the built-in policies
     from roboxim_policies import POLICIES
 
     return {
@@ -70,7 +70,7 @@ def _policies() -> dict[str, Any]:
 
 
 def _first_sentence(text: str) -> str:
-    """Return the sentence that a file begins with, a comment of one line or more."""
+    """Return the first sentence of a file's leading comment."""
     lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
     comment = " ".join(line.lstrip("#").strip() for line in lines)
     end = re.search(r"[.!?](?=\s+[A-Z`]|$)", comment)

@@ -22,14 +22,14 @@ SECTIONS = {
     "Planning": ("planner",),
     "Recordings": ("bag", "replay", "rerender"),
     "Objects": ("assets",),
-    "Looking into a running graph, spelled as ros2 spells it": (
+    "Inspecting a running graph (spelled as in ros2)": (
         "node", "service", "topic", "action", "param", "interface",
     ),
 }  # fmt: skip
 
 
 class LazyGroup(click.Group):
-    """Subcommands are the files of ``commands/``."""
+    """The group of the subcommands in ``commands/``."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the files."""
@@ -74,7 +74,7 @@ class LazyGroup(click.Group):
 
 
 def _keep_lines(command: click.Command) -> None:
-    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph whose lines are kept."""
+    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph that is not rewrapped."""
     if command.help:
         command.help = command.help.replace("\\b\n", "\b\n")
     for sub in getattr(command, "commands", {}).values():
@@ -95,12 +95,12 @@ def group() -> None:
 
 
 def _terminate(number: int, _: FrameType | None) -> None:
-    """End like Ctrl-C does: goals are cancelled, workers ended, files closed."""
+    """End as on Ctrl-C: cancel goals, end workers, close files."""
     sys.exit(128 + number)
 
 
 def main() -> None:
-    """Run the command line. Exit codes: 0, 1 for an error, 2 for a wrong usage or configuration, 130 for Ctrl-C."""
+    """Run the command line. Exit codes: 0, 1 for an error, 2 for wrong usage or configuration, 130 for Ctrl-C."""
     parent = os.environ.pop("ROBOXIM_PARENT", None)
     if parent is not None:
         from roboxim_bringup.process import die_with_parent

@@ -1,6 +1,6 @@
-"""The episode loop's ports made of the rooms' cores: the same episodes, images and bags without a node graph.
+"""The episode loop's ports, served by the rooms' cores: the same episodes, images and bags without a node graph.
 
-For tests (an episode through the nodes must be this one, bit for bit) and for the benchmark of what the graph costs.
+For tests (an episode through the nodes must equal this one, bit for bit) and for the benchmark of the graph's overhead.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ class CoreTasks:
         return self._judge.start(state)
 
     def judge(self, state: StateRecord) -> Verdict:
-        """Fold the next tick."""
+        """Judge the next tick."""
         assert self._judge is not None
         return self._judge.step(state)
 
 
 class CoreActor(GuardedPolicy):
-    """A policy, called directly, behind the guard that it has in a node."""
+    """A policy, called directly, behind the same guard as in a node."""
 
     def __init__(self, policy: Policy) -> None:
         """Wrap a policy."""
@@ -83,10 +83,10 @@ class CoreActor(GuardedPolicy):
 
 
 class CoreSim:
-    """World and renderer; makes the very messages that the sim node publishes, when they are asked for."""
+    """World and renderer; makes the sim node's messages on request."""
 
     def __init__(self, library: ModelLibrary, renderer: str = "raster") -> None:
-        """Make the world and the renderer in this thread."""
+        """Make the world and the renderer in the calling thread."""
         self.library = library
         self.world = World(library)
         self._renderer = make_renderer(renderer)
@@ -135,7 +135,7 @@ class CoreSim:
         self.world.close()
 
     def _capture(self, record: StateRecord) -> None:
-        """Draw a tick's images; its messages are made when somebody asks for them."""
+        """Draw a tick's images; its messages are made on request."""
         cameras, self._messages = self.world.scene.cameras, {}
         if cameras:
             poses = self.world.camera_poses()
@@ -155,7 +155,7 @@ class CoreRecorder:
     """Writes bags."""
 
     def __init__(self, sim: CoreSim, output_dir: Path) -> None:
-        """Record a sim into a folder."""
+        """Record a sim's episodes into a folder."""
         self._sim = sim
         self._output_dir = output_dir
         self._recording: EpisodeRecording | None = None
@@ -180,7 +180,7 @@ class CoreRecorder:
         return path
 
     def abort(self) -> None:
-        """Drop an open bag."""
+        """Discard an open bag."""
         if self._recording is not None:
             self._recording.drop()
             self._recording = None
@@ -193,7 +193,7 @@ class CoreGraph:
         """Make every core.
 
         Args:
-            output_dir: Folder for bags.
+            output_dir: Folder of the bags.
             renderer: Renderer by name.
             policy: The actor; none: the expert.
         """

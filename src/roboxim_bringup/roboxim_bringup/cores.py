@@ -1,4 +1,4 @@
-"""The rooms' cores plugged into each other without a node graph, for tests and benchmarks."""
+"""The rooms' cores connected without a node graph, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CorePlanner:
     """The expert's planner port, served by the planner's core. Not thread-safe."""
 
     def __init__(self, library: ModelLibrary) -> None:
-        """Use the models of a library; each robot is loaded when a scene with it is first asked about."""
+        """Use the models of a library; each robot is loaded on first use."""
         self._library = library
         self._planners: dict[str, Planner] = {}
         self._last: tuple[tuple[object, ...], PlanningScene] | None = None
@@ -61,7 +61,7 @@ class CorePlanner:
         return plan.sample(SAMPLE_PERIOD_S).positions
 
     def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
-        """Return what is wrong with a joint path, or an empty text."""
+        """Return the fault of a joint path; empty when it is valid."""
         options = MotionOptions(padding_m=around.padding_m)
         times = np.arange(len(path)) * period_s
         finding = self._planner(around).check_trajectory(self._scene(around), path, times, options=options)
@@ -82,7 +82,7 @@ class CorePlanner:
         return replace(scene, gripper_opening=around.opening, allowed=allowed)
 
     def _snapshot(self, around: Surroundings) -> PlanningScene:
-        """Return what stands where; many motions are asked about in the same surroundings."""
+        """Return the scene's snapshot, cached because many motions are planned in the same surroundings."""
         asked = (around.scene, around.state, around.moved)
         if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], asked, strict=True)):
             self._last = asked, PlanningScene.from_state(around.scene, around.state_then, self._library)

@@ -1,4 +1,4 @@
-"""``roboxim up --detach``: the same command again, in a session of its own."""
+"""``roboxim up --detach``: start the same command in a new session."""
 
 from __future__ import annotations
 

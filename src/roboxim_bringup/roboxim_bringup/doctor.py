@@ -1,4 +1,4 @@
-"""What `roboxim doctor` looks at. Each check is one function; none of them changes anything."""
+"""The checks of `roboxim doctor`. Each check is one function; none changes anything."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LIBRARIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     """What it is."""
@@ -39,13 +39,13 @@ class Finding:
     remedy: str = ""
     """What to do."""
     without: str = ""
-    """What works, or does not, as things are."""
+    """Effect of the finding: which parts work or do not."""
     purpose: str = ""
-    """What an optional part is for."""
+    """Purpose of an optional part."""
 
 
 def examine() -> Iterator[Finding]:
-    """Look at this machine; yields each finding as soon as it is there."""
+    """Check this machine; yield each finding as soon as it is available."""
     for check in CHECKS:
         try:
             yield check()
@@ -125,7 +125,7 @@ def _compiler() -> Finding:
 
 
 OPTIONAL_RENDERERS = {"photo"}
-"""Only for rendering recorded episodes again; a check of its own."""
+"""The renderer ``photo`` is optional and has its own check."""
 
 
 def _plugins() -> Finding:
@@ -200,12 +200,12 @@ def _shared_memory() -> Finding:
         state="missing" if small else "ok",
         detail=f"{usage.free / MIB:.0f} MiB of {usage.total / MIB:.0f} MiB free, {left} files of Fast DDS",
         remedy="with no ROS process alive: fastdds shm clean; in Docker: --shm-size=512m",
-        without="nodes cannot talk: shared memory is all that they use",
+        without="nodes cannot communicate: shared memory is their only transport",
     )
 
 
 def _graph() -> Finding:
-    """Call a service of a node in another context, as two processes would."""
+    """Call a service between two contexts, as between two processes."""
     from std_srvs.srv import Empty
 
     from roboxim_ros.clients import Clients
@@ -234,7 +234,7 @@ def _graph() -> Finding:
             state="missing",
             detail=str(error),
             remedy="allow writing to /dev/shm; in a container, share it with the other processes (--ipc)",
-            without="no node finds another one",
+            without="nodes do not discover each other",
         )
     return Finding(name="graph", state="ok", detail=f"first answer after {time.monotonic() - started:.2f} s")
 
@@ -242,7 +242,7 @@ def _graph() -> Finding:
 def _network() -> Finding:
     wide = os.environ.get("ROBOXIM_TRANSPORT") == "network"
     return Finding(
-        name="who can come in",
+        name="who can reach a graph",
         state="warning" if wide else "ok",
         detail="every host and user that reaches this machine can call every service and read every topic"
         if wide

@@ -1,4 +1,4 @@
-"""Command line options made of a configuration's fields: its names, types, defaults and docstrings."""
+"""Command-line options built from a configuration's fields: names, types, defaults and docstrings."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[cl
 
 
 def field_docs(cls: type[Any]) -> dict[str, str]:
-    """Return the docstring under each field of a class itself, without those that it inherits."""
+    """Return the docstrings of a class's own fields, without inherited ones."""
     [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
     assert isinstance(tree, ast.ClassDef)
     docs = {}
@@ -52,5 +52,5 @@ def _option(name: str, kind: Any, default: Any, doc: str) -> click.Option:
     if get_origin(kind) is Literal:
         kind = click.Choice(get_args(kind))
     elif kind not in (int, float, str):
-        raise ConfigError(f"field '{name}' is of type {kind}, which has no command line option")
+        raise ConfigError(f"field '{name}' is of type {kind}, which has no command-line option")
     return click.Option([flag], type=kind, default=default, show_default=True, help=doc)

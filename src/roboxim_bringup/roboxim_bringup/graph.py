@@ -1,4 +1,4 @@
-"""Which nodes there are, and how a graph of them is started in this process."""
+"""The table of nodes, and how to start a graph of them in this process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NODES = {
     "recorder": "roboxim_recorder.node:RecorderNode",
     "evaluator": "roboxim_eval.node:EvaluatorNode",
 }
-"""Name to ``module:class``; the evaluator last, so that its services tell that the graph is whole."""
+"""Name to ``module:class``; the evaluator is last, so that its services mean that the graph is complete."""
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """Node name to parameter name to value; the empty node name: every node that declares the parameter."""
@@ -48,7 +48,7 @@ def node_class(name: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class GraphConfig:
-    """What `start_graph` takes, as a value that another process can be given."""
+    """Arguments of `start_graph`, as a value that can be sent to another process."""
 
     namespace: str = ""
     """Namespace of the whole graph."""
@@ -70,7 +70,7 @@ class Graph:
 
         Args:
             host: The `roboxim_ros.host.NodeHost` that spins them.
-            namespace: Namespace of all of them.
+            namespace: Namespace of all nodes.
         """
         self.host = host
         self.namespace = namespace
@@ -126,7 +126,7 @@ def start_graph(
     policies: Sequence[PolicyLaunch] = (),
     check_common: bool = True,
 ) -> Graph:
-    """Start nodes in this process; returns when all of them serve.
+    """Start nodes in this process; return when all of them serve.
 
     Args:
         host: A `roboxim_ros.host.NodeHost`.
@@ -155,10 +155,10 @@ def start_graph(
 def split_parameters(
     parameters: Parameters | None, nodes: Sequence[str], policies: Sequence[PolicyLaunch]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Return the parameters for every node, and those by node.
+    """Split parameters into those for every node and those by node.
 
     Raises:
-        ConfigError: When there are some for a node that is not started.
+        ConfigError: When parameters are given for a node that is not started.
     """
     given = {name: dict(values) for name, values in (parameters or {}).items()}
     common = given.pop("", {})
@@ -170,14 +170,14 @@ def split_parameters(
 
 
 def check_declared(parameters: Iterable[str], declared: Mapping[str, set[str]]) -> None:
-    """Refuse a parameter that nobody declares; ROS would ignore it in silence.
+    """Refuse a parameter that no node declares; ROS would ignore it silently.
 
     Args:
         parameters: Names.
-        declared: Node name to the names that it declares.
+        declared: Node name to the parameters that it declares.
 
     Raises:
-        ConfigError: Listing the names that there are.
+        ConfigError: When a name is unknown; the message lists the known names.
     """
     everything = set().union(*declared.values()) - {"use_sim_time", "start_type_description_service"}
     for name in parameters:

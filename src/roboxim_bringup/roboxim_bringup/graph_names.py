@@ -1,4 +1,4 @@
-"""Tab completion of what a running graph has: topics, services, actions, nodes."""
+"""Tab completion of a running graph's topics, services, actions and nodes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import click
 from roboxim_core.errors import RoboximError
 
 FRESH_S = 20.0
-"""For so long the names that one completion has seen serve the next ones [s]."""
+"""Time for which one completion's names serve the next ones [s]."""
 
 
 def complete(kind: str) -> Callable[[click.Context, click.Parameter, str], list[str]]:
@@ -25,7 +25,7 @@ def complete(kind: str) -> Callable[[click.Context, click.Parameter, str], list[
     """
 
     def names(ctx: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
-        # What cannot be looked up completes to nothing; the command itself says why.
+        # A failed look-up completes to nothing; the command itself reports the error.
         with contextlib.suppress(RoboximError, OSError):
             found = _graph(ctx.params.get("run_id"))[kind]
             slash = "" if incomplete.startswith("/") else "/"

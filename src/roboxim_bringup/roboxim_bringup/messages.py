@@ -1,7 +1,7 @@
-"""Messages by name: look-up of types, YAML to messages and back, the text of interface files.
+"""Messages by name: look-up of types, conversion from and to YAML, text of interface files.
 
-The setters of generated messages accept anything and a wrong type then ends the process inside the middleware, so
-everything is checked here.
+Generated messages accept values of a wrong type, which then end the process inside the middleware. Every value is
+therefore checked here.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _INT_RANGES = {
     for sign in ("", "u")
 } | {"octet": (0, 255)}
 SHOWN_ELEMENTS = 64
-"""Longer arrays are shortened to so many elements unless asked for in full."""
+"""Number of elements to which longer arrays are shortened, unless the user asks for all."""
 WHOLE_MESSAGES, SHOWN_MESSAGES = 16, 4
-"""Arrays of more messages than the first, e.g. a trajectory's points, are shortened to the second: each takes several
-lines."""
+"""Arrays of more messages than the first number, e.g. a trajectory's points, are shortened to the second: each message
+takes several lines."""
 
 
 def _share_folders() -> list[Path]:
@@ -117,10 +117,10 @@ def message_from_plain(cls: Any, data: Any, *, where: str = "") -> Any:
     Args:
         cls: Message class.
         data: Field name to value; fields left out keep their defaults. ``None``: all of them.
-        where: Path of the message inside the one that the user wrote, for messages.
+        where: Path of the message inside the user's message, for errors.
 
     Raises:
-        ConfigError: Naming the field that is unknown or does not fit, with what was expected.
+        ConfigError: When a field is unknown or does not fit; the message names it and the expected value.
     """
     message = cls()
     if data is None:
@@ -183,7 +183,7 @@ def _sequence(kind: Any, value: Any, path: str) -> Any:
     if isinstance(kind, Array) and isinstance(kind.value_type, BasicType):
         typename = {"float": "float32", "double": "float64"}.get(kind.value_type.typename, kind.value_type.typename)
         if typename not in ("boolean", "octet", "char"):
-            return np.array(items, typename)  # what the generated classes hold
+            return np.array(items, typename)  # the type in generated classes
     return items
 
 
@@ -192,8 +192,8 @@ def message_to_plain(message: Any, *, full: bool = False) -> Any:
 
     Args:
         message: The message.
-        full: Keep long arrays; otherwise they are cut to `SHOWN_ELEMENTS`, or `SHOWN_MESSAGES` of more than
-            `WHOLE_MESSAGES`, the last element saying so.
+        full: Keep long arrays; otherwise arrays are cut to `SHOWN_ELEMENTS` elements, arrays of more than
+            `WHOLE_MESSAGES` messages to `SHOWN_MESSAGES`; a last element reports the cut.
     """
     if hasattr(message, "get_fields_and_field_types"):
         kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
@@ -212,7 +212,7 @@ def _plain(value: Any, kind: Any, full: bool) -> Any:
             items.append(f"... {len(value) - len(items)} more, {len(value)} in all (--full shows them)")
         return items
     if isinstance(kind, BasicType) and kind.typename == "float":
-        return float(str(np.float32(value)))  # as short as the 32 bits allow
+        return float(str(np.float32(value)))  # the shortest text that gives the same 32 bits
     if isinstance(value, bytes):
         return value[0]
     return value

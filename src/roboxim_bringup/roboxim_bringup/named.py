@@ -1,4 +1,4 @@
-"""Option types that know their names: for tab completion, and to refuse before anything is imported."""
+"""Option types with known names, for tab completion and for refusing unknown names before heavy imports."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Named(click.ParamType[str]):
         self._names = names
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Refuse what is certainly no name; a policy may also be a class or a file, a task a file.
+        """Refuse unknown names. A policy may also be a class or a file, a task a file.
 
         Raises:
-            ConfigError: Naming the nearest name.
+            ConfigError: When the name is unknown; the message suggests the nearest.
         """
         text = str(value)
         if not text or is_path(text) or ":" in text or "=" in text:
@@ -43,7 +43,7 @@ class Named(click.ParamType[str]):
         return text
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return the names that begin like what is typed; of a list, or ``ROLE=``, the last part."""
+        """Return the names that begin with the typed text; in a list or after ``ROLE=``, with its last part."""
         head, separator, last = incomplete.rpartition("," if "," in incomplete else "=")
         with contextlib.suppress(RoboximError):
             names = sorted({*names_of(self.kind), *self._names})
@@ -51,7 +51,7 @@ class Named(click.ParamType[str]):
         return []
 
     def _known(self) -> list[str]:
-        """Return all valid names if they are known for certain."""
+        """Return all valid names, or none when they are not certain."""
         if self.kind == "task":
             return names_of("task")
         kept = (fresh_catalog() or {}).get("skills" if self.kind == "skill" else "policies", {})
@@ -67,7 +67,7 @@ class Models(Named):
         """Refuse unknown objects.
 
         Raises:
-            ConfigError: Naming the nearest one.
+            ConfigError: When an object is unknown; the message suggests the nearest.
         """
         text = str(value)
         known = names_of(self.kind)

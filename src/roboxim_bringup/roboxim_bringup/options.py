@@ -1,4 +1,4 @@
-"""Command line options that several commands share."""
+"""Command-line options that several commands share."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import click
 from roboxim_bringup.named import Models, Named
 
 RENDERERS = ("photo", "raster", "tiny")
-"""Those that ship; `doctor` says which of them this machine has."""
+"""The built-in renderers; `doctor` reports which of them work on this machine."""
 Decorator = Callable[[Any], Any]
 
 
 def episode_options(*, episodes: int, out: str) -> Decorator:
-    """Return a decorator that adds the options of a run of episodes.
+    """Return a decorator that adds the options of every run of episodes.
 
     Args:
         episodes: Default number.
@@ -56,7 +56,7 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         click.option("--segmentation", is_flag=True, help="Also record segmentation."),
         click.option(
             "--repair", is_flag=True,
-            help="Run episodes again whose bag or result is lost or damaged, instead of refusing to go on.",
+            help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
         ),
     ]  # fmt: skip
 
@@ -72,7 +72,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """Parse an image size: ``128`` or ``128x96`` (width x height), or ``as-configured`` (0, 0).
 
     Raises:
-        ConfigError: When it is neither.
+        ConfigError: When the text is neither.
     """
     from roboxim_core.errors import ConfigError
 

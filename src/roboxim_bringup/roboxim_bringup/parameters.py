@@ -1,4 +1,4 @@
-"""Parameters on the command line, spelled as ROS 2 spells them."""
+"""Parameters on the command line, in ROS 2's spelling."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboxim_core.errors import ConfigError
 
 
 def parse_assignments(assignments: Iterable[str], *, node: str = "") -> dict[str, dict[str, Any]]:
-    """Parse ``name:=value`` and ``node:name:=value``, the value being YAML.
+    """Parse ``name:=value`` and ``node:name:=value`` with YAML values.
 
     Args:
         assignments: The words.
@@ -43,7 +43,7 @@ def parse_policy(word: str) -> PolicyLaunch:
 
 
 def parse_options(assignments: Iterable[str]) -> dict[str, Any]:
-    """Parse ``key=value`` words, the value being YAML.
+    """Parse ``key=value`` words with YAML values.
 
     Raises:
         ConfigError: When a word is not of this form.
@@ -64,7 +64,7 @@ def read_params_files(files: Iterable[str | Path], *, namespace: str = "") -> di
 
     Args:
         files: Later ones win.
-        namespace: Namespace of the graph; node names in it may be given with or without it.
+        namespace: Namespace of the graph; the files may give node names with or without it.
 
     Returns:
         Node name to parameter name to value; nested names are joined with dots.

@@ -1,4 +1,4 @@
-"""Prints the events of a run: bars on a terminal, a line now and then in a log."""
+"""Prints the events of a run: bars on a terminal, periodic lines in a log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from roboxim_bringup.runs.events import (
 
 
 class EventPrinter:
-    """Prints what it is called with. A context manager, so that a bar ends with the run."""
+    """Prints each event it is called with. A context manager, so that a bar ends with the run."""
 
     def __init__(self) -> None:
         """Make the printer."""
@@ -44,24 +44,24 @@ class EventPrinter:
                 self._stack.close()
                 self._bar = None
             case Notice():
-                self._say(event.text)
+                self._print(event.text)
             case PictureWritten():
-                self._say(f"a picture: {event.path}")
+                self._print(f"a picture: {event.path}")
             case PolicyResumed():
-                rest = "nothing is run" if event.there == event.episodes else "the others are run now"
-                self._say(
-                    f"{event.policy}: {event.there} of {event.episodes} episodes were there already, from "
+                rest = "nothing is run" if event.there == event.episodes else "the others follow"
+                self._print(
+                    f"{event.policy}: {event.there} of {event.episodes} episodes were done already, from "
                     f"{event.since}; {rest}"
                 )
             case PolicyMeasured():
-                self._say(f"{event.policy}: {rate_line(event.results)}")
+                self._print(f"{event.policy}: {rate_line(event.results)}")
                 for line in failures(event.results):
-                    self._say(f"  {line}")
+                    self._print(f"  {line}")
             case Interrupted():
                 click.echo(event.text, err=True)
 
-    def _say(self, text: str) -> None:
-        """Print a line above the bar, if there is one."""
+    def _print(self, text: str) -> None:
+        """Print a line, above the bar if one is shown."""
         if self._bar is not None:
             self._bar.say(text)
         else:

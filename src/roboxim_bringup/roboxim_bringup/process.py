@@ -19,7 +19,7 @@ def die_with_parent(parent: int) -> None:
     """Have the kernel kill this process when the thread that started it ends.
 
     Args:
-        parent: Process id of the parent; if it has gone already, this process ends here.
+        parent: Process id of the parent; if it has ended already, this process ends at once.
     """
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
@@ -42,9 +42,9 @@ def spawn(
     Args:
         module: A module that calls `die_with_parent` with ``$ROBOXIM_PARENT`` when it starts.
         arguments: Its arguments.
-        output: Where its stdout and stderr go; none: where this process's go.
+        output: Destination of its stdout and stderr; none: as for this process.
         ready: Write end of a pipe, which the child gets as ``$ROBOXIM_READY``; see `tell_ready`.
-        environment: Environment variables beside those of this process.
+        environment: Environment variables in addition to those of this process.
         pass_fds: File descriptors that it inherits.
     """
     # One thread per library: the parallelism is in the processes.
@@ -69,7 +69,7 @@ def spawn(
 
 
 def tell_ready() -> None:
-    """Tell the parent that this process has started whole; nothing when it does not wait for that."""
+    """Signal to the parent that this process has started completely; do nothing if the parent does not wait for it."""
     pipe = os.environ.pop("ROBOXIM_READY", None)
     if pipe is not None:
         os.write(int(pipe), b"1")
@@ -77,11 +77,11 @@ def tell_ready() -> None:
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]], *, grace_s: float = 8.0) -> None:
-    """End processes: SIGTERM to all, SIGKILL to those that are still there after the grace.
+    """End processes: send SIGTERM to all, and SIGKILL to those that outlive the grace time.
 
     Args:
         processes: The processes.
-        grace_s: How long they may take [s].
+        grace_s: Time to end after SIGTERM [s].
     """
     alive = [process for process in processes if process.poll() is None]
     for process in alive:
@@ -95,7 +95,7 @@ def stop(processes: Iterable[subprocess.Popen[bytes]], *, grace_s: float = 8.0) 
 
 
 def describe_exit(returncode: int) -> str:
-    """Say how a process ended, e.g. ``killed by SIGKILL`` or ``exit code 1``."""
+    """Return how a process ended, e.g. ``killed by SIGKILL`` or ``exit code 1``."""
     if returncode < 0:
         return f"killed by {signal.Signals(-returncode).name}"
     return f"exit code {returncode}"

@@ -1,4 +1,4 @@
-"""Progress for people: bars on a terminal, a line now and then in a log."""
+"""Progress display: bars on a terminal, periodic lines in a log."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class ProgressLine:
         """Prepare the bar.
 
         Args:
-            title: What is going on, a few words.
-            total: Units in all.
-            done: Units done before this start.
-            unit: What is counted, e.g. ``ticks``; empty: what the title names.
+            title: Title of the work, a few words.
+            total: Total number of units.
+            done: Number of units done before this start.
+            unit: Unit of the count, e.g. ``ticks``; empty: as the title names.
         """
         self._title, self._total, self._done = title, total, done
         self._unit = f" {unit}" if unit else ""
         self._note = ""
-        self._told: tuple[int, str] | None = None
+        self._shown: tuple[int, str] | None = None
         self._started = self._last = time.monotonic()
         self._bar: Progress | None = None
         if sys.stdout.isatty():
@@ -49,19 +49,19 @@ class ProgressLine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the last state on the screen."""
+        """Stop the bar and keep its last state on the screen."""
         if self._bar is not None:
             self._bar.stop()
-        elif error is None and self._told != (self._done, self._note):
+        elif error is None and self._shown != (self._done, self._note):
             self._line()
 
     def update(self, done: int, note: str = "", *, total: int | None = None) -> None:
-        """Show how far it is.
+        """Show the progress.
 
         Args:
-            done: Units done.
-            note: What there is to say, short.
-            total: Units in all, where it was not known before.
+            done: Number of units done.
+            note: A short note.
+            total: Total number of units, if it was unknown before.
         """
         self._done, self._note = done, note
         self._total = self._total if total is None else total
@@ -71,14 +71,14 @@ class ProgressLine:
             self._line()
 
     def say(self, text: str) -> None:
-        """Say something that stays on the screen."""
+        """Print a line that stays on the screen."""
         if self._bar is not None:
             self._bar.console.print(text, markup=False, highlight=False)
         else:
             click.echo(text)
 
     def _line(self) -> None:
-        self._last, self._told = time.monotonic(), (self._done, self._note)
+        self._last, self._shown = time.monotonic(), (self._done, self._note)
         seconds = self._last - self._started
         note = f"; {self._note}" if self._note else ""
         click.echo(f"{self._title}: {self._done} of {self._total}{self._unit} after {seconds:.0f} s{note}")

@@ -1,4 +1,4 @@
-"""One process per node: starts them, starts a dead one again, ends them all."""
+"""One process per node: starts them, restarts a dead one, ends them all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from roboxim_core.errors import RoboximError, UnavailableError
 
 READY_S = 300.0
 QUICK_DEATH_S = 60.0
-"""A process that dies sooner than this after its start counts as unable to start [s]."""
+"""Time after its start within which a dying process counts as unable to start [s]."""
 MAX_QUICK_DEATHS = 3
 
 
@@ -33,14 +33,17 @@ class Child:
     process: subprocess.Popen[bytes]
     """The process."""
     started: float
-    """When, on the monotonic clock [s]."""
+    """Time of the start, monotonic clock [s]."""
     pipe: int
-    """Read end of the pipe that it writes to when it has started whole."""
+    """Read end of the pipe that the process writes to when it has started completely."""
     quick_deaths: int = 0
-    """Deaths in a row soon after the start."""
+    """Consecutive deaths soon after the start."""
 
     def ready(self) -> bool:
-        """Tell whether it has said that it started whole; a node in the graph may still find its parameters wrong."""
+        """Return whether the process has reported a complete start.
+
+        A node that is visible in the graph may still refuse its parameters.
+        """
         if self.pipe >= 0 and select.select([self.pipe], [], [], 0)[0]:
             said = os.read(self.pipe, 1)
             os.close(self.pipe)
@@ -73,7 +76,7 @@ class Supervisor:
 
         Args:
             nodes: Which of `graph.NODES`.
-            policies: Policies, each in a process of its own too.
+            policies: Policies, each also in its own process.
             namespace: Namespace of the graph.
             parameters: Parameters by node; the empty name: every node that declares them.
 
@@ -113,8 +116,8 @@ class Supervisor:
         """Wait until every node is in the graph.
 
         Raises:
-            RoboximError: When a process ends before, or it takes too long.
-            ConfigError: When no node declares a parameter that is given for all.
+            RoboximError: When a process ends early, or the start takes too long.
+            ConfigError: When no node declares a parameter given for all nodes.
         """
         from roboxim_bringup.attach import Peer, parameter_names
 
@@ -140,10 +143,10 @@ class Supervisor:
             peer.close()
 
     def supervise(self) -> bool:
-        """Start dead processes again, saying so.
+        """Restart dead processes, with a message.
 
         Raises:
-            RoboximError: When one keeps dying as soon as it is started.
+            RoboximError: When a process dies repeatedly right after its start.
         """
         for child in self.children:
             code = child.process.poll()
@@ -169,7 +172,7 @@ class Supervisor:
 
 
 def _start(config: GraphConfig) -> tuple[subprocess.Popen[bytes], int]:
-    """Start a process; return it and the read end of the pipe that it writes to when it is ready."""
+    """Start a process; return it and the read end of its ready pipe."""
     from roboxim_core.config import to_json
 
     read, write = os.pipe()

@@ -1,4 +1,4 @@
-"""What the command line says of a task, as the YAML text that the task node gets."""
+"""Conversion of the command line's task options to the YAML text for the task node."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def task_text(
     """Return a task configuration as YAML text, with the command line's overrides.
 
     Args:
-        task: Name in ``config/tasks`` or a file; empty: that of the skill, or the default one.
+        task: Name in ``config/tasks`` or a file; empty: the skill's task, or the default task.
         skill: A skill, whose own configuration is ``config/tasks/<skill>.yaml`` if there is one.
-        objects: ``[ROLE=]MODEL[,MODEL]``, the role ``target`` unless it is given.
+        objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
         distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
         colors: Comma-separated colours of the target; empty: as configured.
 
     Raises:
-        ConfigError: When there is no such task or skill, or the result is not valid.
+        ConfigError: When the task or skill is unknown, or the result is not valid.
     """
     from roboxim_tasks.config import any_task_config
 
@@ -59,7 +59,7 @@ def task_text(
 
 
 def _base(task: str, skill: str) -> tuple[str, str]:
-    """Return a task configuration's text, and where it stands."""
+    """Return a task configuration's text and its source."""
     from roboxim_tasks.skills import SKILLS
 
     if task and skill:
@@ -77,7 +77,7 @@ def _read(file: Path) -> tuple[str, str]:
 
 
 def _set_models(data: dict[str, Any], item: str) -> None:
-    """Set the models of a role, and drop the modifiers and those of their values that none of the models takes."""
+    """Set the models of a role. Drop modifiers and modifier values that none of the models supports."""
     from roboxim_core.models.library import ModelLibrary
     from roboxim_core.models.modifiers import PHYSICAL
 
@@ -102,7 +102,7 @@ def _set_models(data: dict[str, Any], item: str) -> None:
 
 
 def _only(choice: dict[str, Any], allowed: Collection[Any]) -> dict[str, Any]:
-    """Return a list's values that are allowed, with their weights; empty when none is."""
+    """Return the allowed values of a choice with their weights; empty when none is allowed."""
     places = [i for i, value in enumerate(choice["values"]) if value in allowed]
     lists = {key: [choice[key][i] for i in places] for key in ("values", "weights") if choice.get(key)}
     return {**choice, **lists} if places else {}

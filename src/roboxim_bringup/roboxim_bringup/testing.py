@@ -1,4 +1,4 @@
-"""For pytest: the whole graph in this process, in a domain of its own.
+"""Pytest fixtures: the whole graph in this process, in its own domain.
 
 Import the fixture into your ``conftest.py``::
 
@@ -30,7 +30,7 @@ def graph_parameters() -> Mapping[str, Mapping[str, Any]]:
 
 @pytest.fixture
 def graph(graph_parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[Graph]:
-    """All nodes of the graph, in this process; bags may be written below the temporary folder, as ``tmp_path`` is."""
+    """Start all nodes of the graph in this process. Bags may be written to the temporary folder, e.g. ``tmp_path``."""
     from roboxim_ros.host import NodeHost
     from roboxim_ros.runs import free_domain
 

@@ -16,9 +16,9 @@ from roboxim_tasks.trials import Trial
 from roboxim_tasks.trials.actor import TrialActor
 
 MAX_STEPS = 700
-"""Slow ways take long."""
+"""Longest trial; slow strategies take long."""
 TRIES = 5
-"""Scenes that are drawn for an episode until the arm can do what the trial says."""
+"""Largest number of scenes drawn for an episode until the arm can execute the trial."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,19 +30,19 @@ class TrialOutcome:
     index: int
     """Number of the scene."""
     as_expected: bool
-    """Whether an honest way succeeded, or a cheat failed at every tick."""
+    """Whether an honest strategy succeeded, or a cheat failed at every tick."""
     reason: str
     """The last verdict's reason, or the error's; empty: success."""
     message: str = ""
-    """What an error says."""
+    """Message of the error; empty without one."""
 
     def plain(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the outcome as plain data."""
         return asdict(self)
 
 
 class _Draws:
-    """The scenes' port, which draws each scene once for all trials with the same configuration."""
+    """The scene port, which draws each scene once for all trials with the same configuration."""
 
     def __init__(self, scenes: Any) -> None:
         self._scenes = scenes
@@ -82,8 +82,8 @@ class TrialRuns:
     def run(self, trial: Trial, index: int) -> TrialOutcome:
         """Run a trial in a scene.
 
-        Non-obvious: a scene is drawn so that the expert can solve it; the arm may be unable to do something else there.
-        Then another scene of the same index is tried, as for an episode whose reset is infeasible.
+        Non-obvious: a scene is drawn so that the expert can solve it; the arm may be unable to execute another strategy
+        there. Then another scene of the same index is tried, as for an episode whose reset is infeasible.
         """
         ports = replace(self._cores.ports, scenes=self._scenes, actor=TrialActor(trial, self._library, self._planner))
         config = RunConfig(purpose="test", keep="none", max_steps=MAX_STEPS, task_config=trial.config())

@@ -1,4 +1,4 @@
-"""YAML in and out of the command line, as plain Python values."""
+"""YAML input and output of the command line, as plain Python values."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ def parse(text: str, *, source: str) -> Any:
 
     Args:
         text: The YAML.
-        source: What it is, for messages.
+        source: Description of the text, for messages.
 
     Raises:
-        ConfigError: When it is not YAML, with the line.
+        ConfigError: When the text is not YAML; the message names the line.
     """
-    from roboxim_core.config import parse_yaml  # here: it takes a quarter of a second that most commands save
+    from roboxim_core.config import parse_yaml  # here: takes 0.25 s, which most commands avoid
 
     return plain(parse_yaml(text, source=source))
 
 
 def plain(value: Any) -> Any:
-    """Strip the parser's own types, which remember lines and spellings."""
+    """Convert the parser's own types, which keep lines and spellings, to plain values."""
     if isinstance(value, dict):
         return {plain(key): plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -35,7 +35,7 @@ def plain(value: Any) -> Any:
 
 
 class _Dumper(yaml.CSafeDumper):
-    """Keeps texts of several lines readable."""
+    """A dumper that keeps texts of several lines readable."""
 
 
 def _text(dumper: yaml.CSafeDumper, value: str) -> yaml.Node:

@@ -44,7 +44,7 @@ def test_training_needs_a_data_set_not_a_run(run, tmp_path):
 
 def test_training_refuses_a_file_as_its_folder_and_an_empty_configuration(run, tmp_path):
     (tmp_path / "file").touch()
-    assert "it is a file; choose another --out" in mistake("train", "bc", run, "--out", tmp_path / "file")
+    assert "it is a file; choose another output folder" in mistake("train", "bc", run, "--out", tmp_path / "file")
     assert "is empty" in mistake("train", "bc", run, "--config", tmp_path / "file")
 
 

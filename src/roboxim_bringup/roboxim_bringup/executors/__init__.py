@@ -1,6 +1,6 @@
-"""Executors: run jobs that are plain data, in whatever place, with the same results.
+"""Executors: run jobs that are plain data, anywhere, with the same results.
 
-`protocol` says what a job, a worker and an executor are; `local` runs jobs on processes of this machine, `inline` in
+`protocol` defines jobs, workers and executors; `local` runs jobs on processes of this machine, `inline` in
 the calling process. A run of any kind (episodes, rendering, a benchmark) hands its jobs to one of them.
 """
 

@@ -18,7 +18,7 @@ from roboxim_bringup.executors.protocol import (
 )
 
 MAX_TRIES = 3
-"""Workers that a job may cost."""
+"""Number of workers that may die at one job."""
 
 
 class InlineExecutor:
@@ -54,7 +54,7 @@ class InlineExecutor:
                         break
                     except WorkerBrokenError as broken:
                         outcome = Lost(key=job.key, message=str(broken))
-                        on_note(Note(worker=0, key=job.key, text=f"the worker broke at {job.key} ({broken})"))
+                        on_note(Note(worker=0, key=job.key, text=f"the worker failed at {job.key} ({broken})"))
                         worker.close()
                         before_retry(job.key)
                         if attempt < MAX_TRIES or job is not jobs[-1]:

@@ -1,9 +1,10 @@
 """Runs jobs on worker processes of this machine.
 
 Non-obvious:
-- A worker that is started again gets a *new* number, by which a graph names its namespace. The services of a dead graph
+- A restarted worker gets a *new* number, after which its graph's namespace is named. The services of a dead graph
   stay visible until their lease runs out, and a goal sent to them would never be answered.
-- Each worker has a thread here, which starts its process and lives as long as it: the kernel kills a child when the
+- Each worker has a thread here, which starts its process and lives as long as the process: the kernel kills a child
+  when the
   *thread* that started it ends.
 - A worker is a program of its own (``python -m roboxim_bringup.executors.worker``), not a `multiprocessing` process:
   that would import the caller's main module, so a script without ``if __name__ == "__main__"`` would start itself.
@@ -30,27 +31,27 @@ from roboxim_bringup.process import describe_exit, spawn, stop
 from roboxim_core.errors import UnavailableError, raise_for_code
 
 MAX_TRIES = 3
-"""Workers that a job may cost before it is given up."""
+"""Number of workers that may die at one job before it is given up."""
 READY_S = 300.0
-"""Longest start of a worker [s]; a policy may compile."""
+"""Longest start of a worker [s]; a policy may compile meanwhile."""
 STALL_S = 300.0
-"""A worker that reports nothing for so long counts as dead [s]."""
+"""A worker that is silent for this time counts as dead [s]."""
 GRACE_S = 3.0
-"""How long a worker may take to end [s]."""
+"""Longest time for a worker to end [s]."""
 LOG_LINES = 15
-"""Lines of a dead worker's log that an error shows."""
+"""Number of lines of a dead worker's log in an error message."""
 
 
 class LocalExecutor:
     """Runs jobs on processes of this machine."""
 
     def __init__(self, workers: int = 1, *, log_dir: Path | str | None = None, stall_s: float = STALL_S) -> None:
-        """Make the executor; nothing is started yet.
+        """Make the executor. `run` starts the workers.
 
         Args:
-            workers: Processes, >= 1; no more than there are jobs are started.
-            log_dir: Where the workers' output goes, ``worker-<n>.log``; none: a temporary folder.
-            stall_s: A worker that reports nothing for so long counts as dead [s].
+            workers: Largest number of processes, >= 1; never more than jobs.
+            log_dir: Folder of the workers' output, ``worker-<n>.log``; none: a temporary folder.
+            stall_s: A worker that is silent for this time counts as dead [s].
         """
         self.workers = workers
         self.stall_s = stall_s
@@ -95,7 +96,7 @@ class LocalExecutor:
                     thread.join()
 
     def pids(self) -> list[int]:
-        """Return the process ids of the workers that run."""
+        """Return the process ids of the running workers."""
         return [slot.process.pid for slot in self._slots if slot.process is not None]
 
 
@@ -113,7 +114,7 @@ def _next_event(events: queue.Queue[_Event], cancellation: Cancellation | None) 
 
 
 class _Pool:
-    """What the threads of one run share."""
+    """State that the threads of one run share."""
 
     def __init__(
         self, work: Work, jobs: Sequence[Job], log_dir: Path, stall_s: float, before_retry: Callable[[str], None]
@@ -128,7 +129,7 @@ class _Pool:
 
 
 class _Slot(threading.Thread):
-    """The thread of one worker process: starts it, feeds it, starts it again when it dies."""
+    """The thread of one worker process: starts it, sends it jobs, restarts it when it dies."""
 
     def __init__(self, pool: _Pool, slot: int) -> None:
         super().__init__(name=f"worker-{slot}", daemon=True)
@@ -141,12 +142,12 @@ class _Slot(threading.Thread):
 
     def run(self) -> None:
         try:
-            self._start_patiently()
+            self._start_with_retry()
             while (job := self._next()) is not None:
                 self.pool.events.put(self._do(job))
         except _Closing:
             pass
-        except BaseException as error:  # handed to whoever iterates over the results
+        except BaseException as error:  # raised in the thread that iterates over the results
             self.pool.events.put(error)
         finally:
             self._end()
@@ -163,7 +164,7 @@ class _Slot(threading.Thread):
         for attempt in range(1, MAX_TRIES + 1):
             try:
                 if self.process is None:
-                    self._start_patiently()
+                    self._start_with_retry()
                 return Done(key=job.key, value=self._exchange(job))
             except _WorkerDied as death:
                 message = f"{MAX_TRIES} workers died at it; the last one (its log: {self._log}): {death}"
@@ -191,10 +192,10 @@ class _Slot(threading.Thread):
         try:
             self._connection.send_bytes(json.dumps(data).encode())
         except OSError:
-            raise _WorkerDied(self._obituary()) from None
+            raise _WorkerDied(self._describe_death()) from None
 
     def _receive(self, ready_within_s: float = float("inf")) -> tuple[str, Any]:
-        """Return the worker's next message; give up when there is nobody to wait for."""
+        """Return the worker's next message; raise when the worker cannot send one any more."""
         assert self._connection is not None
         assert self.process is not None
         self._heard = time.monotonic()
@@ -203,15 +204,15 @@ class _Slot(threading.Thread):
             if self.pool.closing.is_set():
                 raise _Closing
             if self.process.poll() is not None:
-                raise _WorkerDied(self._obituary())
+                raise _WorkerDied(self._describe_death())
             if silence > ready_within_s:
                 raise UnavailableError(f"a worker is not ready after {ready_within_s:g} s; its log: {self._log}")
             if silence > self.pool.stall_s:
-                raise _WorkerDied(f"nothing heard of it for {self.pool.stall_s:g} s")
+                raise _WorkerDied(f"no message from it for {self.pool.stall_s:g} s")
         try:
             kind, content = json.loads(self._connection.recv_bytes())
         except (EOFError, OSError):
-            raise _WorkerDied(self._obituary()) from None
+            raise _WorkerDied(self._describe_death()) from None
         return kind, content
 
     def _raise_for(self, kind: str, content: Any) -> None:
@@ -220,8 +221,8 @@ class _Slot(threading.Thread):
         code, message = content
         raise_for_code(code, message)
 
-    def _start_patiently(self) -> None:
-        """Start the process; once more if something kills it, but not if it gives an error itself."""
+    def _start_with_retry(self) -> None:
+        """Start the process. Retry when a signal kills it, but not when it reports an error."""
         for attempt in range(1, MAX_TRIES + 1):
             try:
                 self._start()
@@ -256,9 +257,9 @@ class _Slot(threading.Thread):
             stop([self.process], grace_s=GRACE_S)
             self.process = None
 
-    def _obituary(self) -> str:
+    def _describe_death(self) -> str:
         assert self.process is not None
-        with contextlib.suppress(subprocess.TimeoutExpired):  # so that the exit code is its own
+        with contextlib.suppress(subprocess.TimeoutExpired):  # let it exit by itself, for its own exit code
             self.process.wait(GRACE_S)
         stop([self.process], grace_s=GRACE_S)
         lines = self._log.read_text(errors="replace").strip().splitlines()
@@ -267,7 +268,7 @@ class _Slot(threading.Thread):
 
 
 class _WorkerDied(Exception):
-    """The worker's process ended, or is beyond use."""
+    """The worker's process ended or is unusable."""
 
 
 class _Closing(Exception):

@@ -1,8 +1,8 @@
-"""What a job, a worker and an executor are.
+"""Jobs, workers and executors: the protocol between them.
 
 A job and its result are plain data (dicts, lists, strings, numbers, booleans, none), so that they can travel to another
-process or machine as JSON. A result depends on the work and the job alone: never on the worker that ran it, on their
-number, or on the order.
+process or machine as JSON. A result depends on the work and the job alone: never on the worker, the number of workers,
+or the order.
 """
 
 from __future__ import annotations
@@ -18,39 +18,39 @@ from roboxim_core.errors import ErrorCode, RoboximError
 
 
 class Cancellation(Protocol):
-    """Tells whether a run is to end early; a `threading.Event` is one."""
+    """A request to end a run early, e.g. a `threading.Event`."""
 
     def is_set(self) -> bool:
-        """Tell whether the run is to end."""
+        """Return whether the run must end."""
         ...
 
 
 class CancelledError(RoboximError):
-    """A run was cancelled; the same call goes on with what is missing."""
+    """A run was cancelled; the same call continues with the missing parts."""
 
     code = ErrorCode.CANCELLED
 
 
 class WorkerBrokenError(Exception):
-    """Raised by a worker that can do no further job; a fresh worker repeats the job."""
+    """A worker can do no further job; a new worker repeats the job."""
 
 
 class Worker(Protocol):
-    """Does jobs, one after the other, in the thread that made it."""
+    """Runs jobs one after the other, in the thread that made it."""
 
     def run(self, job: Any, note: Callable[[Any], None]) -> Any:
-        """Do a job.
+        """Run a job.
 
         Args:
             job: The job's data.
-            note: Reports progress, plain data; call it at least every few minutes.
+            note: Reports progress as plain data; call it at least every few minutes.
 
         Returns:
-            The result, plain data.
+            The result, as plain data.
 
         Raises:
-            RoboximError: A fault that a fresh worker does not cure; it ends the whole run.
-            WorkerBrokenError: A fault of the worker itself; a fresh one repeats the job.
+            RoboximError: On a fault that a new worker does not recover from; it ends the whole run.
+            WorkerBrokenError: On a fault of the worker itself; a new worker repeats the job.
         """
         ...
 
@@ -61,22 +61,22 @@ class Worker(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """What workers do, as plain data."""
+    """What the workers of a run do, as plain data."""
 
     worker: str
-    """``module:name`` of a callable ``(settings, number) -> Worker``; every worker that starts gets a new number."""
+    """``module:name`` of a callable ``(settings, number) -> Worker``; every started worker gets a new number."""
     settings: Any = None
-    """What is the same for all jobs, plain data."""
+    """Settings that all jobs share, as plain data."""
     environment: dict[str, str] = field(default_factory=dict)
-    """Environment variables of the worker's process, beside those of this one."""
+    """Environment variables of the worker's process, in addition to this process's."""
     python_path: tuple[str, ...] = ()
-    """Folders to import the worker's module from, before the installed ones."""
+    """Folders searched for the worker's module before the installed packages."""
 
     def make_worker(self, number: int) -> Worker:
         """Make a worker in this process and thread.
 
         Args:
-            number: Its number, never given to another worker of the run.
+            number: Number of the worker, unique in the run.
 
         Raises:
             RoboximError: When the settings are wrong.
@@ -92,23 +92,23 @@ class Job:
     """One piece of work."""
 
     key: str
-    """Names the job; unique in its run."""
+    """Name of the job, unique in its run."""
     data: Any = None
-    """What the worker is given, plain data."""
+    """Input of the worker, as plain data."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """What a worker is doing."""
+    """A message from a worker."""
 
     worker: int
-    """Which of the workers that run side by side, from 0."""
+    """Index of the parallel worker, from 0."""
     key: str
     """Its job."""
     data: Any = None
-    """Progress that the worker reported, plain data; none with a text."""
+    """Reported progress, as plain data; none with a text."""
     text: str = ""
-    """Something that the user should know, e.g. that a worker is started again."""
+    """Message for the user, e.g. that a worker is restarted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,17 +118,17 @@ class Done:
     key: str
     """The job."""
     value: Any
-    """Its result, plain data."""
+    """Result of the job, as plain data."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lost:
-    """A job that cost all its workers."""
+    """A job whose workers all died."""
 
     key: str
     """The job."""
     message: str
-    """How the last worker died, with the end of its log."""
+    """Cause of the last worker's death, with the end of its log."""
 
 
 class Executor(Protocol):
@@ -143,27 +143,27 @@ class Executor(Protocol):
         before_retry: Callable[[str], None] = lambda _: None,
         cancellation: Cancellation | None = None,
     ) -> Iterator[Done | Lost]:
-        """Run jobs; yield each result as soon as it is there, in whatever order they finish.
+        """Run jobs, and yield each result as soon as it is available, in any order.
 
-        Leaving the iteration early, by an exception or Ctrl-C, ends the workers: running jobs are lost.
+        Leaving the iteration early, by an exception or Ctrl-C, ends the workers and loses running jobs.
 
         Args:
-            work: What workers do.
+            work: The workers' work.
             jobs: The jobs.
-            on_note: Called with what workers report, in the thread that iterates.
+            on_note: Called with the workers' messages, in the thread that iterates.
             before_retry: Called with the key of a job whose worker died, before another worker repeats it, possibly in
-                another thread: to remove what the dead one left.
+                another thread. It removes what the dead worker left.
             cancellation: Ends the run when it is set.
 
         Raises:
             CancelledError: When the run was cancelled.
-            RoboximError: When a job has a fault that a fresh worker does not cure.
+            RoboximError: When a job has a fault that a new worker does not recover from.
         """
         ...
 
 
 def as_json(value: Any) -> Any:
-    """Return plain data as it is after a journey as JSON, so that no executor passes on more than another.
+    """Return plain data after a round trip through JSON, so that all executors pass on the same values.
 
     Raises:
         TypeError: When the value is not plain data.

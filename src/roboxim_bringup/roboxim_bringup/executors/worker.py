@@ -23,7 +23,7 @@ from roboxim_core.errors import ErrorCode, RoboximError
 
 
 def main() -> int:
-    """Do jobs until there are no more; return the exit code."""
+    """Run jobs until the connection closes; return the exit code."""
     die_with_parent(int(os.environ.pop("ROBOXIM_PARENT")))
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
@@ -40,7 +40,7 @@ def main() -> int:
             data = json.loads(connection.recv_bytes())
             worker = Work(**{**data, "python_path": tuple(data["python_path"])}).make_worker(number)
         except (Exception, SystemExit) as error:
-            send("failed", _told(error))
+            send("failed", _code_and_message(error))
             return 1
         try:
             send("ready")
@@ -61,11 +61,11 @@ def _serve(worker: Worker, connection: Connection[Any, Any], send: Any) -> int:
             send("broken", str(broken))
             return 1
         except Exception as error:
-            send("failed", _told(error))
+            send("failed", _code_and_message(error))
 
 
-def _told(error: BaseException) -> tuple[int, str]:
-    """Return an error as its code and message."""
+def _code_and_message(error: BaseException) -> tuple[int, str]:
+    """Return an error's code and message."""
     if isinstance(error, RoboximError):
         return int(error.code), str(error)
     traceback.print_exception(error)
@@ -73,7 +73,7 @@ def _told(error: BaseException) -> tuple[int, str]:
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    """End as if the program had ended: everything is closed."""
+    """End as by a normal exit, so that everything is closed."""
     sys.exit(128 + number)
 
 

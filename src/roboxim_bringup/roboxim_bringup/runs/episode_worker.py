@@ -1,4 +1,4 @@
-"""The worker of runs of episodes: a whole graph in this process, asked for one episode at a time."""
+"""The worker for runs of episodes: a whole graph in this process that runs one episode at a time."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from roboxim_ros.host import NodeHost
 READY_S = 60.0
 """Longest wait for the graph's own evaluator [s]."""
 STALL_S = 300.0
-"""A graph of which nothing is heard for so long is beyond use [s]."""
+"""A graph that is silent for this time counts as broken [s]."""
 WORKER_FAULTS = {ErrorCode.UNAVAILABLE, ErrorCode.TIMEOUT, ErrorCode.POLICY_DIED}
-"""Errors of a worker's own graph, which a fresh worker cures; all others end the run."""
+"""Errors of a worker's own graph, which a new worker recovers from; all other errors end the run."""
 
 
 class EpisodeWorker:
-    """Runs episodes on a graph of its own, in the namespace ``/w<number>``."""
+    """Runs episodes on its own graph, in the namespace ``/w<number>``."""
 
     def __init__(self, settings: Mapping[str, Any], number: int) -> None:
         """Start the graph; returns when it serves.
@@ -79,11 +79,11 @@ class EpisodeWorker:
         return result
 
     def _check(self) -> None:
-        """Give up when there is nobody to wait for."""
+        """Raise when the graph can no longer answer."""
         if not self._host.alive():
             raise WorkerBrokenError(f"node {', '.join(self._host.dead())} has died; its traceback is in the log")
         if time.monotonic() - self._heard > STALL_S:
-            raise WorkerBrokenError(f"nothing heard of its graph for {STALL_S:g} s")
+            raise WorkerBrokenError(f"no message from its graph for {STALL_S:g} s")
 
     def close(self) -> None:
         """End the graph."""

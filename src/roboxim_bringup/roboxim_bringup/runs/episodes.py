@@ -1,4 +1,4 @@
-"""What generation and evaluation share: episodes of a run on workers, resumable."""
+"""Episodes of a run on workers, resumable; shared by generation and evaluation."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from roboxim_core.errors import ConfigError
 from roboxim_sim.rendering import RENDERERS
 
 WORKER_DIED = "worker_died"
-"""Reason of an episode that cost all its workers; going on with the run tries it again."""
+"""Reason of an episode whose workers all died; resuming the run tries it again."""
 SIZE_PX = (16, 4096)
 """Smallest and largest side of an image."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodesConfig:
-    """What every run of episodes is asked for."""
+    """Configuration shared by all runs of episodes."""
 
     out: Path | str
     """The run's folder."""
@@ -67,10 +67,10 @@ class EpisodesConfig:
     segmentation: bool = False
     """Whether the cameras also give segmentation."""
     repair: bool = False
-    """Whether to run again the episodes whose bag or result is lost or damaged, instead of refusing to go on."""
+    """Whether to repeat the episodes whose bag or result is lost or damaged, instead of refusing to continue."""
 
     def __post_init__(self) -> None:
-        """Check what needs no other file.
+        """Check the values that need no other file.
 
         Raises:
             ConfigError: On a number out of range, an unknown renderer, or a folder's name that is too long.
@@ -113,10 +113,10 @@ class EpisodesConfig:
         )
 
     def run_config(self, task_config: str, **more: Any) -> RunConfig:
-        """Return how the episode loop is to run.
+        """Return the episode loop's configuration.
 
         Args:
-            task_config: As `task_text` gives it.
+            task_config: As `task_text` returns it.
             **more: Further fields.
         """
         width, height = self.image_size
@@ -132,7 +132,7 @@ class EpisodesJob:
     """Episodes to run."""
 
     config: RunConfig
-    """How; its ``output_dir`` is the run's folder."""
+    """The episode loop's configuration; its ``output_dir`` is the run's folder."""
     episodes: int
     """How many."""
     workers: int = 1
@@ -142,10 +142,10 @@ class EpisodesJob:
     policies: tuple[PolicyLaunch, ...] = field(default=())
     """Policies that every worker serves."""
     policy_files: Mapping[str, str] = field(default_factory=dict)
-    """What they are made of: file to its content's hash; see `roboxim_policies.identity`."""
+    """Files that define the policies, each with its content's hash; see `roboxim_policies.identity`."""
 
     def __post_init__(self) -> None:
-        """Check the renderer's name; whether it works here shows when a scene is loaded.
+        """Check the renderer's name. Whether the renderer works here shows only when a scene is loaded.
 
         Raises:
             ConfigError: When no renderer has the name.
@@ -154,15 +154,15 @@ class EpisodesJob:
 
     @property
     def looking_renderer(self) -> str:
-        """Renderer by which scenes are found to show their objects: ``raster`` for all but a machine without GL.
+        """Renderer of the visibility check: ``tiny`` if it draws the images (no GL), else ``raster``.
 
-        So a run has the same scenes whatever draws its images, unless that is ``tiny``.
+        A run thus has the same scenes with every renderer but ``tiny``.
         """
         return "tiny" if self.renderer == "tiny" else "raster"
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the results depend on, as plain data."""
+        """Everything that the results depend on, as plain data."""
         config = to_plain(self.config)
         del config["output_dir"]
         return {
@@ -175,13 +175,13 @@ class EpisodesJob:
         }
 
     def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
-        """Return by index which of a folder's results are of this job and need no other try."""
+        """Return, by index, a folder's results that belong to this job and need no further attempt."""
         return {
             result.index: result for result in results if result.index < self.episodes and result.reason != WORKER_DIED
         }
 
     def work(self, environment: Mapping[str, str]) -> Work:
-        """Return what the workers do.
+        """Return the workers' work.
 
         Args:
             environment: Environment variables by which a process takes part in the run.
@@ -195,11 +195,11 @@ class EpisodesJob:
 
 
 def episodes_work(graph: GraphConfig, config: RunConfig, environment: Mapping[str, str]) -> Work:
-    """Return the work of processes that run episodes, each with a whole graph; a job's data is an index.
+    """Return the work of processes that run episodes, each with a whole graph. A job's data is an index.
 
     Args:
-        graph: What each starts; its namespace is replaced by ``/w<number>``.
-        config: How episodes are run.
+        graph: Graph that each process starts; ``/w<number>`` replaces its namespace.
+        config: Configuration of the episode loop.
         environment: Environment variables by which a process takes part in the run.
     """
     return Work(
@@ -211,12 +211,12 @@ def episodes_work(graph: GraphConfig, config: RunConfig, environment: Mapping[st
 
 @contextlib.contextmanager
 def run_environment(kind: str) -> Iterator[dict[str, str]]:
-    """Take a ROS domain for a run and make the run known to other terminals.
+    """Reserve a ROS domain for a run and register the run for other terminals.
 
-    This process does not take part, so its environment is as before.
+    This process does not take part, so its environment stays unchanged.
 
     Args:
-        kind: What the run does, e.g. ``generate``.
+        kind: Kind of the run, e.g. ``generate``.
 
     Yields:
         Environment variables by which a worker takes part.
@@ -253,16 +253,16 @@ def run_episodes(
     executor: Executor | None = None,
     repair: bool = False,
 ) -> list[EpisodeResult]:
-    """Run the episodes of a job that its folder does not have yet.
+    """Run those episodes of a job that its folder lacks.
 
     Args:
-        job: What to run.
+        job: Episodes to run.
         title: Title of the stage.
         environment: See `run_environment`.
-        on_event: Told what happens.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
-        repair: Run again what is lost or damaged.
+        repair: Repeat episodes that are lost or damaged.
 
     Returns:
         All results, in the order of their indices.
@@ -271,11 +271,11 @@ def run_episodes(
         CancelledError: When the run was cancelled.
         ConfigError: When the folder holds another run.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
-        RoboximError: When a graph has a fault that a fresh worker does not cure.
+        RoboximError: When a graph has a fault that a new worker does not recover from.
     """
     folder = RunFolder(job.config.output_dir)
-    with telling_interruption(on_event, lambda: _state(folder)), folder.opened(job.identity, repair=repair):
-        done = _whole(job, folder, repair)
+    with telling_interruption(on_event, lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
+        done = _finished(job, folder, repair)
         missing = [index for index in range(job.episodes) if index not in done]
         for index in missing:
             folder.discard(index)
@@ -292,8 +292,8 @@ def run_episodes(
         return [done[index] for index in sorted(done)]
 
 
-def _whole(job: EpisodesJob, folder: RunFolder, repair: bool) -> dict[int, EpisodeResult]:
-    """Return the results that need no other try; with vanished bags they are not whole."""
+def _finished(job: EpisodesJob, folder: RunFolder, repair: bool) -> dict[int, EpisodeResult]:
+    """Return the finished results, and refuse them when bags have vanished."""
     done = job.done(folder.results())
     if not repair:
         require_bags(folder, done.values())
@@ -324,7 +324,7 @@ def _results(
 
 
 def episode_jobs(indices: Iterable[int]) -> list[ExecutorJob]:
-    """Return the jobs of some indices."""
+    """Return the jobs for the given indices."""
     return [ExecutorJob(key=f"index {index}", data=index) for index in indices]
 
 
@@ -334,7 +334,7 @@ def index_of(key: str) -> int:
 
 
 def episode_result(outcome: Done | Lost, config: RunConfig) -> EpisodeResult:
-    """Return the result of an episode's job; one that cost all its workers is an error by name."""
+    """Return the result of an episode's job. A job whose workers all died becomes the error `WORKER_DIED`."""
     if isinstance(outcome, Done):
         return from_plain(outcome.value, EpisodeResult, source="a worker's result")
     index = index_of(outcome.key)
@@ -347,11 +347,11 @@ def episode_result(outcome: Done | Lost, config: RunConfig) -> EpisodeResult:
     )
 
 
-def _state(folder: RunFolder) -> str:
+def _describe_progress(folder: RunFolder) -> str:
     done = len(folder.log.read())
     return (
         f"{done} episode{'s are' if done != 1 else ' is'} done in {folder.path}; "
-        "the same command goes on with what is missing"
+        "the same call or command runs the missing episodes"
     )
 
 
@@ -361,7 +361,7 @@ def _tally(results: Iterable[EpisodeResult]) -> str:
 
 
 def failures(results: Iterable[EpisodeResult], most: int = 10) -> list[str]:
-    """Say in a line each which episodes did not succeed, and why.
+    """Return a line for each episode that did not succeed, with the reason.
 
     Args:
         results: The results.

@@ -1,7 +1,7 @@
 """Evaluates policies in fresh scenes, counts successes, and writes a report.
 
-Tasks, statistics and the report are imported where they are needed: they take seconds, and a mistake in a policy's name
-or folder is refused without them.
+Tasks, statistics and the report are imported where they are needed: the imports take seconds, and a mistake in a
+policy's name or folder is refused before them.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ SHOWN = 12
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig(EpisodesConfig):
-    """What is to be evaluated."""
+    """Configuration of an evaluation."""
 
     policies: str | PolicySpec | Sequence[str | PolicySpec]
-    """The policies; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``."""
+    """Policies under test; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``."""
     out: Path | str = "runs/evaluation"
-    """Folder of the report and of a folder for each policy."""
+    """Folder of the report, with a subfolder for each policy."""
     episodes: int = 20
     """Episodes per policy; every policy meets the same scenes."""
     max_steps: int = 0
@@ -49,14 +49,14 @@ class EvaluationConfig(EpisodesConfig):
     policy_timeout_s: float = 30.0
     """Longest wait for an answer [s]."""
     other_robot: bool = False
-    """Whether to run a policy also with another robot than it was trained with."""
+    """Whether to allow a robot other than the one that a policy was trained with."""
     command: str = ""
-    """How to reproduce the report, for people; empty: a call of `evaluate`."""
+    """Command that reproduces the report, shown in it; empty: the call of `evaluate`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyResult:
-    """How one policy did."""
+    """Result of one policy."""
 
     name: str
     """Its name."""
@@ -67,26 +67,26 @@ class PolicyResult:
 
     @property
     def measured(self) -> bool:
-        """Whether the results measure the policy: not where most episodes ended in errors."""
+        """Whether the results measure the policy; false when most episodes ended in errors."""
         from roboxim_eval.statistics import is_measured
 
         return is_measured(self.results)
 
     @property
     def rate(self) -> SuccessRate:
-        """Success rate with its interval; an error counts as no success."""
+        """Success rate with its interval; an error counts as a failure."""
         from roboxim_eval.statistics import rate_of
 
         return rate_of(self.results)
 
     @property
     def success_rate(self) -> float | None:
-        """Share of successes, 0..1; none where that measures nothing."""
+        """Share of successes, 0..1; none when `measured` is false."""
         return self.rate.rate if self.measured else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of the success rate; none where that measures nothing."""
+        """The 95 % interval of the success rate; none when `measured` is false."""
         return (self.rate.low, self.rate.high) if self.measured else None
 
     @property
@@ -97,16 +97,16 @@ class PolicyResult:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationResult:
-    """What came of an evaluation; ``evaluation["bc"]`` is one policy's result."""
+    """Result of an evaluation; ``evaluation["bc"]`` is one policy's result."""
 
     policies: Mapping[str, PolicyResult]
     """Name to result, the policy under test first."""
     report: Path
     """The report, ``<out>/report.html``."""
     comparison: str
-    """How the first policy compares with the others; empty for one policy."""
+    """Comparison of the first policy with the others, in words; empty for one policy."""
     privileged: tuple[str, ...]
-    """Policies that were told task, scene and state, which no policy under test may see."""
+    """Policies that received the task, scene and state, which a policy under test must not see."""
 
     def __getitem__(self, name: str) -> PolicyResult:
         """Return a policy's result.
@@ -125,12 +125,12 @@ class EvaluationResult:
 
     @property
     def success_rate(self) -> float | None:
-        """Success rate of the policy under test, 0..1; none where that measures nothing."""
+        """Success rate of the policy under test, 0..1; none when it was not measured."""
         return self.first.success_rate
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of that rate; none where that measures nothing."""
+        """The 95 % interval of that rate; none when the policy was not measured."""
         return self.first.interval
 
     @property
@@ -148,8 +148,8 @@ class EvaluationResult:
         if broken:
             names = " and ".join(policy.name for policy in broken)
             raise EvaluationError(
-                f"{names} could not be measured: most episodes ended in errors, and their reasons say what to "
-                "change; then choose another --out or remove "
+                f"{names} could not be measured: most episodes ended in errors. Fix what their "
+                f"reasons name; then choose another output folder (--out or out=) or remove "
                 f"{', '.join(str(policy.folder) for policy in broken)}"
             )
 
@@ -161,24 +161,24 @@ def evaluate(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
 ) -> EvaluationResult:
-    """Run policies in fresh scenes and write a report; go on with the episodes that are missing.
+    """Run policies in fresh scenes and write a report. Episodes that the folder has are not run again.
 
     Evaluation scenes are never those of demonstrations, whatever the seed. A policy whose file or checkpoint has
     changed since needs another folder.
 
     Args:
-        config: What to evaluate.
-        on_event: Told what happens.
+        config: Configuration of the evaluation.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
 
     Raises:
         CancelledError: When the run was cancelled.
-        ConfigError: When something is wrong that can be known before a worker starts, e.g. an unknown camera.
-        EvaluationError: When a policy's files changed meanwhile.
-        PolicyError: When the module of a policy raises.
+        ConfigError: When a check before the workers' start fails, e.g. on an unknown camera.
+        EvaluationError: When a policy's files changed during the evaluation.
+        PolicyError: When a policy's module raises on import.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
-        RoboximError: When a graph has a fault that a fresh worker does not cure.
+        RoboximError: When a graph has a fault that a new worker does not recover from.
     """
     named = config.policies
     chosen = find_policies([named] if isinstance(named, str | PolicySpec) else named)
@@ -194,15 +194,15 @@ def evaluate(
     with run_environment("evaluate") as environment:
         for policy in chosen:
             job = jobs[policy.name]
-            there = _tell_resumed(policy.name, job, on_event, repair=config.repair)
+            there = _report_resume(policy.name, job, on_event, repair=config.repair)
             results = run_episodes(
                 job, f"rollouts of {policy.name}", environment, on_event=on_event, cancellation=cancellation,
                 executor=executor, repair=config.repair,
             )  # fmt: skip
             if there < job.episodes and policy.files(out) != job.policy_files:
                 raise EvaluationError(
-                    f"the files of policy '{policy.name}' changed while it was evaluated, so its episodes may be of "
-                    f"two policies; remove {out / policy.name} and run the same command again"
+                    f"the files of policy '{policy.name}' changed while it was evaluated, so its episodes may mix "
+                    f"two policies; remove {out / policy.name} and evaluate again"
                 )
             found[policy.name] = PolicyResult(name=policy.name, results=tuple(results), folder=out / policy.name)
             on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
@@ -222,7 +222,7 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str) -> Ep
     )  # fmt: skip
 
 
-# ------------------------------------------------------------------ what is refused before a worker starts
+# ------------------------------------------------------------------ checks before a worker starts
 
 
 def _cells(task_config: str) -> Sequence[TaskConfig]:
@@ -237,7 +237,7 @@ def _scene(cell: TaskConfig) -> SceneSpec:
 
 
 def _require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
-    """Refuse a policy that asks for a camera that a scene of the task lacks, as far as that is known by now."""
+    """Refuse a policy that needs a camera which the task's scenes lack, where its cameras are known."""
     for cell in cells:
         reset = cell.reset.get("cameras")
         have = list(reset.names) if reset else [camera.name for camera in _scene(cell).cameras]
@@ -245,13 +245,13 @@ def _require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]
             for camera in policy.cameras:
                 if camera not in have:
                     raise ConfigError(
-                        f"policy '{policy.name}' looks through camera '{camera}', which the task's scenes lack; "
+                        f"policy '{policy.name}' needs camera '{camera}', which the task's scenes lack; "
                         f"{one_of(have, camera)}"
                     )
 
 
 def _require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
-    """Refuse a policy that was trained with another robot than the task has."""
+    """Refuse a policy that was trained with a robot other than the task's."""
     trained = {policy.name: policy.robot for policy in chosen if policy.robot}
     if not trained:
         return
@@ -260,12 +260,12 @@ def _require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig])
         if robots != {robot}:
             raise ConfigError(
                 f"policy '{name}' was trained with the robot '{robot}', the task has {' and '.join(sorted(robots))}; "
-                "choose a task with its robot, or ask for this with --other-robot"
+                "choose a task with its robot, or allow this with --other-robot or other_robot=True"
             )
 
 
 def _require_same_policy(name: str, job: EpisodesJob, folder: Path, *, repair: bool) -> None:
-    """Refuse a folder whose results are not of the policy as it is now, or not of this run, before anything starts."""
+    """Refuse a folder with results of another run, or of an earlier state of the policy."""
     run = RunFolder(folder)
     if not run.path.exists():
         return
@@ -282,22 +282,22 @@ def _require_same_files(name: str, job: EpisodesJob, run: RunFolder, episodes: i
     stored = run.config()
     files = stored.get("policy_files")
     holds = f"{run.path} holds {episodes} episode{'s' * (episodes != 1)}"
-    todo = f"choose another --out, or remove {run.path} to run it again"
+    todo = f"choose another output folder (--out or out=), or remove {run.path} to run it again"
     if files is None:
         raise ConfigError(
-            f"{holds} from an older version, which did not record what a policy is made of: they may be of another "
+            f"{holds} from an older version, which did not record a policy's files: they may come from another "
             f"state of {', '.join(job.policy_files)}; {todo}"
         )
     if files != job.policy_files and stored.get("policies") == job.identity["policies"]:
         now = job.policy_files
         changes = [f"{file} has changed" for file in files if file in now and now[file] != files[file]]
-        changes += [f"{file} is a part of it now" for file in now if file not in files]
-        changes += [f"{file} was a part of it then" for file in files if file not in now]
+        changes += [f"{file} is new" for file in now if file not in files]
+        changes += [f"{file} is no longer part of it" for file in files if file not in now]
         raise ConfigError(f"{holds} of an earlier state of policy '{name}': {', '.join(changes)}; {todo}")
 
 
-def _tell_resumed(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: bool) -> int:
-    """Tell how many of a job's episodes an earlier run has, and when it had them; return the number."""
+def _report_resume(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: bool) -> int:
+    """Report how many of a job's episodes an earlier run finished, and when; return the number."""
     run = RunFolder(job.config.output_dir)
     done = job.done(run.results()).values()
     there = len(done) - (len(run.without_bag(done)) if repair else 0)
@@ -307,11 +307,11 @@ def _tell_resumed(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: boo
     return there
 
 
-# ------------------------------------------------------------------ what is reported
+# ------------------------------------------------------------------ report
 
 
 def rate_line(results: Sequence[EpisodeResult]) -> str:
-    """Say how a policy did: its rate with the interval, and errors; the errors alone where most episodes ended so."""
+    """Return a policy's success rate with its interval, and its errors; only the errors when they are most episodes."""
     from roboxim_eval.statistics import error_line, is_measured, rate_of
 
     errors = error_line(results)
@@ -321,7 +321,7 @@ def rate_line(results: Sequence[EpisodeResult]) -> str:
 
 
 def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob]) -> dict[str, str]:
-    """Return what each policy is made of, for the report."""
+    """Return each policy's options and files, for the report."""
     facts = {}
     for policy in chosen:
         files = (f"{file} {digest[:16]}" for file, digest in jobs[policy.name].policy_files.items())
@@ -364,7 +364,7 @@ def _report(
         if info.actor_version:
             versions[f"policy {result.name}"] = info.actor_version
         if info.actor_privileged:
-            facts[f"policy {result.name} is privileged"] = "it sees task, scene and state"
+            facts[f"policy {result.name} is privileged"] = "it sees the task, scene and state"
             privileged.append(result.name)
     runs = [_policy_run(result) for result in found.values()]
     report = Report(
@@ -378,7 +378,7 @@ def _report(
 
 
 def _first_info(result: PolicyResult) -> EpisodeInfo | None:
-    """Return what a policy's first bag says of itself; none without a bag."""
+    """Return the episode information of a policy's first bag; none without a bag."""
     from roboxim_recorder.bag import BagReader
 
     first = next((episode for episode in result.results if episode.bag), None)
@@ -397,7 +397,7 @@ def _call(config: EvaluationConfig) -> str:
 
 
 def command_line(words: Sequence[str]) -> str:
-    """Return how to reproduce a report by the command line.
+    """Return the command line that reproduces a report.
 
     Args:
         words: The command's arguments.

@@ -1,4 +1,4 @@
-"""What a run tells while it goes on: frozen values, given to its ``on_event`` in the thread that called it."""
+"""Events of a run: frozen values, passed to its ``on_event`` in the thread that called it."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from roboxim_core.episode import EpisodeResult
 
 @dataclass(frozen=True, kw_only=True)
 class StageStarted:
-    """A countable piece of work begins; it ends with `StageFinished`, or with an error."""
+    """A countable stage of work begins; it ends with `StageFinished`, or with an error."""
 
     title: str
-    """What is done, a few words."""
+    """Title of the stage, a few words."""
     total: int
-    """Units in all; 1 where that is not known yet."""
+    """Total number of units; 1 while it is unknown."""
     done: int = 0
     """Units done before."""
     unit: str = ""
-    """What is counted; empty: what the title names."""
+    """Unit of the count; empty: as the title names."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageProgress:
-    """How far the stage is."""
+    """Progress of a stage."""
 
     done: int
     """Units done."""
     total: int
     """Units in all."""
     note: str = ""
-    """What there is to say, short."""
+    """A short note on the progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class StageFinished:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeFinished:
-    """An episode was run; its result is on the disk."""
+    """An episode has finished; its result is on the disk."""
 
     folder: Path
     """The run's folder."""
@@ -54,21 +54,21 @@ class EpisodeFinished:
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyResumed:
-    """Some episodes of a policy were run by an earlier call."""
+    """An earlier call has run some episodes of a policy."""
 
     policy: str
     """Name of the policy."""
     there: int
-    """Episodes that are there."""
+    """Finished episodes."""
     episodes: int
-    """Episodes that are asked for."""
+    """Requested episodes."""
     since: str
     """When the last of them ended, local time, ``YYYY-MM-DD HH:MM``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyMeasured:
-    """All episodes of a policy are done."""
+    """All episodes of a policy are finished."""
 
     policy: str
     """Name of the policy."""
@@ -78,7 +78,7 @@ class PolicyMeasured:
 
 @dataclass(frozen=True, kw_only=True)
 class PictureWritten:
-    """There is something to look at."""
+    """A picture has been written."""
 
     path: Path
     """The picture."""
@@ -86,7 +86,7 @@ class PictureWritten:
 
 @dataclass(frozen=True, kw_only=True)
 class Notice:
-    """Something that the user should know."""
+    """A message for the user."""
 
     text: str
     """One sentence."""
@@ -94,10 +94,10 @@ class Notice:
 
 @dataclass(frozen=True, kw_only=True)
 class Interrupted:
-    """The run ends early, by Ctrl-C or by its cancellation; the same call goes on with what is missing."""
+    """The run ends early, by Ctrl-C or by its cancellation; the same call continues with the missing parts."""
 
     text: str
-    """What is there, e.g. ``3 episodes are done in runs/demos``."""
+    """Finished work, e.g. ``3 episodes are done in runs/demos``."""
 
 
 Event = (
@@ -122,11 +122,11 @@ def ignore(_: Event) -> None:
 
 @contextmanager
 def telling_interruption(on_event: OnEvent, state: Callable[[], str]) -> Iterator[None]:
-    """Tell `Interrupted` when the block is left by Ctrl-C or by a cancellation, and go on raising.
+    """Report `Interrupted` when Ctrl-C or a cancellation ends the block; the exception still propagates.
 
     Args:
-        on_event: Who is told.
-        state: Says what is there by then.
+        on_event: Receives the event.
+        state: Returns the description of the finished work.
     """
     try:
         yield

@@ -33,16 +33,15 @@ def export_dataset(
 ) -> ExportReport:
     """Export the bags of a run as a dataset.
 
-    An interrupted export goes on where it stopped; a dataset that is there of the same bags and configuration is left
-    as it is.
+    The same call continues an interrupted export. An existing dataset of the same bags and configuration is kept.
 
     Args:
         name: Registered format, e.g. ``rlds``.
         source: A run's folder, a folder of bags, or one bag.
         target: Folder to write the dataset into.
-        config: What to export, of the format's class; None: the defaults.
-        overwrite: Replace a dataset that is there.
-        on_event: Told what happens.
+        config: Configuration of the format's class; none: the defaults.
+        overwrite: Replace an existing dataset.
+        on_event: Receives the run's events.
         cancellation: Ends the export when it is set.
 
     Raises:
@@ -55,14 +54,14 @@ def export_dataset(
     checked_path(target)
     note = unfinished(Path(source))
     if note:
-        on_event(Notice(text=f"{note}; what comes later needs another export, with --overwrite"))
+        on_event(Notice(text=f"{note}; later episodes need another export with --overwrite or overwrite=True"))
 
     def progress(done: int, total: int) -> None:
         if cancellation is not None and cancellation.is_set():
             raise CancelledError("the export was cancelled")
         on_event(StageProgress(done=done, total=total))
 
-    with telling_interruption(on_event, lambda: "the same command goes on where it stopped"):
+    with telling_interruption(on_event, lambda: "the same call or command continues the export"):
         on_event(StageStarted(title="exporting", total=1, unit="episodes"))
         report = export_bags(
             name, source, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
@@ -87,7 +86,7 @@ def export_rlds(
 
 
 def unfinished(source: Path) -> str:
-    """Say how far the run is that is exported; empty when it is finished, or nothing is known of a run."""
+    """Return the progress of an unfinished source run; empty when it is finished, or when the source is not a run."""
     folder = RunFolder(source.parent if source.name == "episodes" else source)
     if not (folder.path / RUN_FILE).exists():
         return ""

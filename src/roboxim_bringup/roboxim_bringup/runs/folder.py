@@ -1,7 +1,7 @@
-"""A run on disk: what was asked and which indices are done, so that Ctrl-C and a crash lose at most running episodes.
+"""A run on disk: its configuration and finished indices. Ctrl-C and a crash lose at most the running episodes.
 
-``run.json`` holds the configuration, ``results.jsonl`` one finished result a line. Asking for the same run again
-goes on where it stopped; asking for another run in the same folder is refused.
+``run.json`` holds the configuration, ``results.jsonl`` one finished result per line. The same run continues where it
+stopped; another run in the same folder is refused.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from roboxim_recorder.bag_writer import PARTIAL, PLACES
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
 MAY_DIFFER = ("episodes", "workers")
-"""Keys of a run's configuration that may change when it goes on: more episodes, other machines."""
+"""Keys of a run's configuration that may change when it continues: more episodes, other machines."""
 COMMANDS = {"demo": "generate", "eval": "evaluate"}
-"""Purpose of a run's episodes to the command that makes them."""
+"""Purpose of a run's episodes to the command that runs them."""
 LONGEST_NAME, LONGEST_PATH = 200, 3500
-"""Bytes of a folder's name and of its whole path; below a file system's own limits, since bags lie deeper."""
+"""Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie
+deeper."""
 
 
 class RunFolder:
     """The folder of one run."""
 
     def __init__(self, path: Path | str) -> None:
-        """Name the folder; nothing is made yet.
+        """Store the folder's path; nothing is created yet.
 
         Raises:
             ConfigError: When the name is too long for a folder.
@@ -47,20 +48,24 @@ class RunFolder:
 
     @contextmanager
     def opened(self, config: Mapping[str, Any], *, repair: bool = False) -> Iterator[RunFolder]:
-        """Make the folder or go on with it, alone.
+        """Create the folder or continue in it, and lock it while the block runs.
 
         Args:
-            config: Everything that results depend on, plain data; compared with the stored one once there are results.
-            repair: Drop results that cannot be read, or that cannot be told to be of this configuration.
+            config: Everything that results depend on, as plain data; compared with the stored configuration once there
+                are results.
+            repair: Drop results that are unreadable, or not certainly of this configuration.
 
         Raises:
-            ConfigError: When the folder holds another run or something else, is in use, or holds a damaged file.
+            ConfigError: When the folder holds another run or other files, is in use, or has a damaged file.
             RoboximError: ``DISK`` when it cannot be made.
         """
         stored_at = self.path / RUN_FILE
         make_folder(self.path)
         if not stored_at.exists() and any(not p.name.startswith(".") for p in self.path.iterdir()):
-            raise ConfigError(f"{self.path} exists and is not a run's folder; choose another --out or empty it")
+            raise ConfigError(
+                f"{self.path} exists and is not a run's folder; empty it or choose another output "
+                "folder (--out or out=)"
+            )
         with open(self.path / ".lock", "w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -73,7 +78,7 @@ class RunFolder:
             yield self
 
     def _require_same(self, config: Mapping[str, Any], repair: bool) -> None:
-        """Refuse results of another configuration, and those that cannot be told to be of this one."""
+        """Refuse results of another configuration, and results whose configuration is unknown."""
         try:
             stored = self.config()
         except ConfigError:
@@ -91,22 +96,25 @@ class RunFolder:
     def _require_same_configuration(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
         there, asked = command_of(stored), command_of(config)
         if there != asked:
-            raise ConfigError(f"{self.path} holds a run of 'roboxim {there}'; choose another --out")
+            raise ConfigError(
+                f"{self.path} holds a run of 'roboxim {there}'; choose another output folder (--out or out=)"
+            )
         details = differences(stored, json.loads(json.dumps(dict(config))), ignore=MAY_DIFFER)
         if not details:
             return
         results = self.results()
         if asked == "generate" and not any(result.outcome == "success" for result in results):
             todo = (
-                f"none of its {len(results)} episodes succeeded: remove it (rm -r {self.path}) or choose another --out"
+                f"none of its {len(results)} episodes succeeded: remove it (rm -r {self.path}) or choose another "
+                "output folder (--out or out=)"
             )
         else:
-            todo = "choose another --out, or ask for the same to go on with it"
+            todo = "choose another output folder (--out or out=), or the same configuration to continue the run"
         raise ConfigError(f"{self.path} holds a run with another configuration ({details}); {todo}")
 
     @property
     def in_use(self) -> bool:
-        """Whether a command is running in the folder now."""
+        """Whether a command is running in the folder."""
         try:
             with open(self.path / ".lock") as lock:
                 fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -135,17 +143,17 @@ class RunFolder:
             why = "expected a JSON object"
         if not isinstance(stored, dict):
             raise ConfigError(
-                f"{file} is damaged ({why}), so nothing says what the run's results are of; restore the file, run the "
-                "same command with --repair, which keeps the results that name this configuration, or choose another "
-                "--out"
+                f"{file} is damaged ({why}), so the configuration of its results is unknown; restore the file, run "
+                "again with --repair or repair=True, which keeps the results that name this configuration, or choose "
+                "another output folder (--out or out=)"
             )
         return stored
 
     def results(self) -> list[EpisodeResult]:
-        """Return the finished results in the order of their indices; a torn last line (a crash) is left out.
+        """Return the finished results in the order of their indices. A torn last line, left by a crash, is skipped.
 
         Raises:
-            ConfigError: When another line is not a result, naming the line.
+            ConfigError: When any other line is not a result; the message names the line.
         """
         found = {}
         for entry in self.log.read():
@@ -160,32 +168,32 @@ class RunFolder:
             raise ConfigError(f"{error}; {REMEDY}") from None
 
     def without_bag(self, results: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Return those results whose bag has vanished."""
+        """Return the results whose bag has vanished."""
         return [result for result in results if result.bag and not (self.path / result.bag).exists()]
 
     def discard(self, index: int) -> None:
-        """Remove the bags of an index that has no result, partial or whole: a crash left them."""
+        """Remove all bags of an index without a result; a crash left them."""
         for place in (*PLACES.values(), PARTIAL):
             for bag in (self.path / place).glob(f"*-{index:05d}-*"):
                 shutil.rmtree(bag)
 
     def discard_episode(self, episode_id: str) -> None:
-        """Remove the bags of an episode that has no result, partial or whole: a crash left them."""
+        """Remove all bags of an episode without a result; a crash left them."""
         for place in (*PLACES.values(), PARTIAL):
             shutil.rmtree(self.path / place / episode_id, ignore_errors=True)
 
     def append(self, result: EpisodeResult) -> None:
-        """Add a finished result; it is on the disk when this returns."""
+        """Append a finished result. It is on the disk when this returns."""
         self.log.append(self._key, to_plain(result))
 
 
 def run_key(config: Mapping[str, Any]) -> str:
-    """Return the hash of what a run's results depend on, 16 hexadecimal digits."""
+    """Return the hash of everything that a run's results depend on, 16 hexadecimal digits."""
     return digest({name: value for name, value in config.items() if name not in MAY_DIFFER})
 
 
 def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
-    """Refuse to go on with a run whose bags have vanished.
+    """Refuse to continue a run whose bags have vanished.
 
     Raises:
         RecorderError: ``BAG_DAMAGED``, naming them and what to do.
@@ -195,29 +203,30 @@ def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
         names = ", ".join(result.bag for result in lost[:3]) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
         raise RecorderError(
             f"{len(lost)} bag{'s' * (len(lost) != 1)} that {folder.log.path} names {'are' if len(lost) > 1 else 'is'} "
-            f"gone: {names}; put them back, or run the same command with --repair, which runs these episodes again",
+            f"gone: {names}; put them back, or run again with --repair or repair=True, which repeats "
+            "these episodes",
             ErrorCode.BAG_DAMAGED,
         )
 
 
 def checked_path(path: Path | str) -> Path:
-    """Return a path that will be written to, absolute.
+    """Return an output path as an absolute path.
 
     Raises:
-        ConfigError: When its name or the whole is too long.
+        ConfigError: When a name in it or the whole path is too long.
     """
     absolute = Path(os.path.abspath(Path(path).expanduser()))
     longest = max((len(os.fsencode(part)) for part in absolute.parts), default=0)
     if longest > LONGEST_NAME or len(os.fsencode(absolute)) > LONGEST_PATH or "\0" in str(path):
         raise ConfigError(
-            f"'{str(path)[:40]}...' is no name for a folder: a name has at most {LONGEST_NAME} bytes and a path "
+            f"'{str(path)[:40]}...' is not a valid folder: a name has at most {LONGEST_NAME} bytes and a path "
             f"{LONGEST_PATH}, this has {longest} and {len(os.fsencode(absolute))}; choose a shorter one"
         )
     return Path(path).expanduser().resolve()
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for what a command writes, if it is not there.
+    """Create an output folder unless it exists.
 
     Raises:
         ConfigError: When its name is too long.
@@ -228,9 +237,11 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = "it is a file" if path.is_file() else error.strerror or str(error)
-        raise RoboximError(f"cannot make the folder {path}: {reason}; choose another --out", ErrorCode.DISK) from None
+        raise RoboximError(
+            f"cannot create the folder {path}: {reason}; choose another output folder (--out or out=)", ErrorCode.DISK
+        ) from None
 
 
 def command_of(config: Mapping[str, Any]) -> str:
-    """Return the command that a run's configuration is of."""
+    """Return the command that wrote a run's configuration."""
     return "rerender" if "rerender" in config else COMMANDS.get(str(config.get("purpose")), "generate")

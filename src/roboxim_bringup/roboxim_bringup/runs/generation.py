@@ -21,18 +21,18 @@ PICTURED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class GenerationConfig(EpisodesConfig):
-    """What is to be generated."""
+    """Configuration of a generation."""
 
     out: Path | str = "runs/demos"
     """The run's folder."""
     episodes: int = 50
     """Number of demonstrations."""
     max_attempts: int = 5
-    """Attempts per index until one succeeds."""
+    """Largest number of attempts per index."""
     noise_mm: float = 3.0
-    """Noise in free motions, deviation per axis and tick [mm]."""
+    """Standard deviation of the noise in free motions, per axis and tick [mm]."""
     noise_mrad: float = 10.0
-    """The same for rotations [mrad]."""
+    """Standard deviation of the rotation noise, per axis and tick [mrad]."""
 
     def job(self) -> EpisodesJob:
         """Return the episodes to run.
@@ -49,14 +49,14 @@ class GenerationConfig(EpisodesConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class GenerationResult:
-    """What there is after a generation."""
+    """Result of a generation."""
 
     out: Path
-    """The run's folder, as it was named."""
+    """The run's folder, as it was given."""
     results: tuple[EpisodeResult, ...]
-    """Results of all episodes that were asked for, in the order of their indices."""
+    """Results of all requested episodes, in the order of their indices."""
     before: tuple[EpisodeResult, ...]
-    """Results that the folder had before."""
+    """Number of results that the folder had before."""
     picture: Path | None
     """Picture of the first demonstrations; none without any."""
 
@@ -72,21 +72,21 @@ class GenerationResult:
 
     @property
     def summary(self) -> str:
-        """What is there now, and what of it was there before, in one line."""
+        """Number of demonstrations, and how many of them existed before, in one line."""
         made = [result for result in self.results if result not in self.before]
         more = sum(result.outcome == "success" for result in self.before if result.index >= len(self.results))
         text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
         notes = []
         if made and len(made) < len(self.results):
-            notes.append(f"{len(self.results) - len(made)} of {len(self.results)} episodes were there before")
+            notes.append(f"{len(self.results) - len(made)} of {len(self.results)} episodes existed before")
         if more:
-            notes.append(f"{more} more there, of an earlier command that asked for more")
+            notes.append(f"{more} more in the folder, from an earlier, larger run")
         retried = sum(result.attempt > 0 for result in self.kept)
         if retried:
             notes.append(f"{retried} after a failed attempt")
         if notes:
             text += f" ({'; '.join(notes)})"
-        return text if made else f"{text}; they were there already, nothing was run"
+        return text if made else f"{text}; all of them existed already, nothing was run"
 
     def require_any(self) -> None:
         """Refuse a result without any demonstration.
@@ -97,8 +97,8 @@ class GenerationResult:
         if not self.kept:
             reasons = sorted({result.reason for result in self.results})
             raise RoboximError(
-                f"no demonstration succeeded ({', '.join(reasons)}); change what the reasons name; then choose another "
-                f"--out or remove this one (rm -r {self.out})",
+                f"no demonstration succeeded ({', '.join(reasons)}); fix what the reasons name; then choose another "
+                f"output folder (--out or out=) or remove this one (rm -r {self.out})",
                 ErrorCode.TASK_FAULT,
             )
 
@@ -110,14 +110,14 @@ def generate(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
 ) -> GenerationResult:
-    """Generate demonstrations; go on with those that the folder lacks.
+    """Generate the demonstrations that the folder lacks.
 
-    An index whose episode fails is drawn again, so as many as asked are kept; failed attempts are set apart with their
-    reason in ``<out>/set_apart``.
+    An index whose episode fails is drawn again, so that the folder has as many demonstrations as requested. Failed
+    attempts go to ``<out>/set_apart`` with their reasons.
 
     Args:
-        config: What to generate.
-        on_event: Told what happens.
+        config: Configuration of the generation.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
 
@@ -125,7 +125,7 @@ def generate(
         CancelledError: When the run was cancelled.
         ConfigError: When the configuration is wrong, or the folder holds another run.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
-        RoboximError: When a graph has a fault that a fresh worker does not cure.
+        RoboximError: When a graph has a fault that a new worker does not recover from.
     """
     job = config.job()
     out = Path(config.out)

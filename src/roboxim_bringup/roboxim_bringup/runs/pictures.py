@@ -14,7 +14,7 @@ from roboxim_recorder.bag import BagReader
 
 
 def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
-    """Read a bag's frames, cameras side by side.
+    """Return a bag's frames, cameras side by side.
 
     Args:
         bag: The bag.
@@ -35,12 +35,12 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
 
 
 def drawn_by_name(bag: Path) -> dict[str, str]:
-    """Return what the reset components of a bag's episode have drawn by name, e.g. the interaction area."""
+    """Return the named draws of the reset components in a bag's episode, e.g. the interaction area."""
     return BagReader(bag).info.task.drawn
 
 
 def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:
-    """Put films under one another, each as a strip of frames from its start to its end.
+    """Return films below one another, each as a strip of frames from its start to its end.
 
     Args:
         films: Frames per film, all of one shape.

@@ -1,4 +1,4 @@
-"""Which policies are evaluated: their names, and what each is given."""
+"""Policies of an evaluation: their names, checkpoints and options."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NAME = r"\w[\w-]*"
 
 
 LONGEST_NAME = 100
-"""Characters of a policy's name, which is a folder's too."""
+"""Largest number of characters of a policy's name, which is also a folder's name."""
 LONGEST_FILE_NAME = 255
 
 
@@ -37,21 +37,21 @@ class PolicySpec:
     spec: str
     """Registered name, ``module:Class``, ``path/to/file.py:Class`` or ``expert``."""
     name: str = ""
-    """Its name in the report, and of its folder; empty: the registered or the class's name."""
+    """Name in the report and of its folder; empty: the registered name or the class's name."""
     options: dict[str, Any] = field(default_factory=dict)
     """Keyword arguments of its class, e.g. ``{"checkpoint": "runs/bc"}``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenPolicy(PolicySpec):
-    """A policy that was found."""
+    """A policy whose class has been found."""
 
     make: Callable[..., Policy] | None = None
     """Its class or factory; none for the expert."""
 
     @property
     def launch(self) -> PolicyLaunch | None:
-        """How a worker serves it; none for the expert, which the task node serves."""
+        """Launch of the policy in a worker; none for the expert, which the task node serves."""
         return None if self.make is None else PolicyLaunch(spec=self.spec, options=self.options)
 
     @property
@@ -61,38 +61,38 @@ class ChosenPolicy(PolicySpec):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The cameras that it asks for, as far as that is known without making it."""
+        """Cameras that the policy needs, as far as known without an instance of it."""
         if self.spec == "bc":
             return tuple(read_description(Path(self.options[CHECKPOINT])).get("camera_sizes", ()))
         cameras = getattr(self.make, "cameras", ())
         cameras = (cameras,) if isinstance(cameras, str) else cameras
-        if not isinstance(cameras, list | tuple):  # a property, or whatever a foreign class calls so
+        if not isinstance(cameras, list | tuple):  # a property, or an unrelated attribute of a user's class
             return ()
         return tuple(name for camera in cameras if isinstance(name := getattr(camera, "name", camera), str))
 
     @property
     def robot(self) -> str:
-        """The robot that it was trained with; empty where nothing says so."""
+        """Robot that the policy was trained with; empty when unknown."""
         return str(read_description(Path(self.options[CHECKPOINT])).get("robot", "")) if self.spec == "bc" else ""
 
     def files(self, out: Path) -> dict[str, str]:
-        """Return what it is made of, see `policy_files`; what lies in the results' folder does not count."""
+        """Return the files that define the policy, see `policy_files`, without those in the results' folder."""
         return {} if self.make is None else policy_files(self.spec, self.make, self.options, exclude=out)
 
 
 def choose_policies(
     policies: Sequence[str], checkpoints: Sequence[str] = (), options: Sequence[str] = ()
 ) -> list[ChosenPolicy]:
-    """Read the options, and find each policy without making it.
+    """Parse the command line's options, and find each policy without making an instance.
 
     Args:
-        policies: ``[NAME=]SPEC``; the name is the class's or the registered one if none is given.
-        checkpoints: ``[NAME=]PATH``; without a name it is for the policies that take a checkpoint and have no other.
-        options: ``[NAME.]KEY=VALUE``; without a name it is for the first policy.
+        policies: ``[NAME=]SPEC``; the default name is the class's or the registered one.
+        checkpoints: ``[NAME=]PATH``; without a name, for the policies that take a checkpoint and have no other.
+        options: ``[NAME.]KEY=VALUE``; without a name, for the first policy.
 
     Raises:
-        ConfigError: When names are equal, there is no such policy, or one is given what it does not take.
-        PolicyError: When the module of one raises, saying where.
+        ConfigError: When names are equal, a policy is unknown, or a policy does not take its options.
+        PolicyError: When a policy's module raises, with the location.
     """
     chosen = _by_name([_named(word) for word in policies])
     for name, given in _options(list(chosen), options).items():
@@ -100,23 +100,23 @@ def choose_policies(
     for name, path in _checkpoints(chosen, checkpoints).items():
         chosen[name] = replace(chosen[name], options={**chosen[name].options, CHECKPOINT: path})
     for policy in chosen.values():
-        _require_whole(policy)
+        _require_valid(policy)
     return list(chosen.values())
 
 
 def find_policies(policies: Sequence[PolicySpec | str]) -> list[ChosenPolicy]:
-    """Find each policy without making it.
+    """Find each policy without making an instance.
 
     Args:
         policies: Policies; a text is ``[NAME=]SPEC``.
 
     Raises:
-        ConfigError: When names are equal, there is no such policy, or one is given what it does not take.
-        PolicyError: When the module of one raises, saying where.
+        ConfigError: When names are equal, a policy is unknown, or a policy does not take its options.
+        PolicyError: When a policy's module raises, with the location.
     """
     found = _by_name([_found(policy) for policy in policies])
     for policy in found.values():
-        _require_whole(policy)
+        _require_valid(policy)
     return list(found.values())
 
 
@@ -138,8 +138,7 @@ def _by_name(policies: Sequence[ChosenPolicy]) -> dict[str, ChosenPolicy]:
     for policy in policies:
         if policy.name in chosen:
             raise ConfigError(
-                f"two policies are called '{policy.name}'; give one another name, e.g. --policy {policy.name}-2="
-                f"{policy.spec}"
+                f"two policies are called '{policy.name}'; give one another name, e.g. '{policy.name}-2={policy.spec}'"
             )
         chosen[policy.name] = policy
     if not chosen:
@@ -161,17 +160,17 @@ def _named(word: str) -> ChosenPolicy:
     make = _find(spec)
     if not re.fullmatch(NAME, name):
         raise ConfigError(
-            f"--policy {word} gives no name for its folder; name it with letters, digits, - and _, e.g. "
-            "--policy mine=file.py:MyPolicy"
+            f"policy '{word}' gives no name for its folder; name it with letters, digits, - and _, e.g. "
+            "'mine=file.py:MyPolicy'"
         )
     return ChosenPolicy(name=name, spec=spec, make=make)
 
 
 def _require_path(text: str, what: str) -> None:
-    """Refuse what no file system takes for a path, before one is asked."""
+    """Refuse a text that is too long for a path."""
     if max(map(len, Path(text).parts), default=0) > LONGEST_FILE_NAME or "\0" in text:
         raise ConfigError(
-            f"{what} '{text[:40]}...' is no path: a file's name has at most {LONGEST_FILE_NAME} characters"
+            f"{what} '{text[:40]}...' is not a path: a file's name has at most {LONGEST_FILE_NAME} characters"
         )
 
 
@@ -240,19 +239,19 @@ def _checkpoints(chosen: dict[str, ChosenPolicy], words: Sequence[str]) -> dict[
     return {name: str(Path(path).resolve()) for name, path in found.items()}
 
 
-def _require_whole(policy: ChosenPolicy) -> None:
-    """Check what a policy is given as far as that needs no network and no GPU."""
+def _require_valid(policy: ChosenPolicy) -> None:
+    """Check a policy's options as far as possible without a network or a GPU."""
     if policy.make is None:
         if policy.options:
             raise ConfigError(f"the expert takes no options, got {', '.join(policy.options)}")
         return
     if policy.spec == "bc" and CHECKPOINT not in policy.options:
         raise ConfigError(
-            f"policy '{policy.name}' needs --checkpoint, e.g. the folder that roboxim train bc wrote; for one of "
-            f"several policies: --checkpoint {policy.name}=PATH"
+            f"policy '{policy.name}' needs a checkpoint, e.g. the folder that roboxim train bc wrote: --checkpoint "
+            f"{policy.name}=PATH, or PolicySpec(spec='bc', options={{'checkpoint': PATH}})"
         )
     require_arguments(policy.spec, policy.make, policy.options)
     if policy.spec == "bc":
         read_description(Path(policy.options[CHECKPOINT]))
     elif policy.make.__module__ == roboxim_policies.builtin.__name__:
-        load_policy(policy.spec, **policy.options)  # quick, and says which value is wrong
+        load_policy(policy.spec, **policy.options)  # quick, and names the wrong value

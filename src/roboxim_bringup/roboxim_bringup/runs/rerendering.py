@@ -1,8 +1,8 @@
-"""Renders recorded episodes again: other cameras, lights, materials, resolution, renderer; everything else as recorded.
+"""Renders recorded episodes again with other cameras, lights, materials, resolution or renderer.
 
-No graph is started: a bag holds the scene and the state of every tick, and a renderer needs no more. Images come from
-the very code that the sim node runs (`roboxim_sim.rendering.rig`), so unchanged settings give the recorded images, bit
-for bit on one type of machine. What is not of a camera is copied as it was recorded, byte for byte.
+No graph is started: a bag holds the scene and the state of every tick, which is all that a renderer needs. Images come
+from the same code as in the sim node (`roboxim_sim.rendering.rig`), so unchanged settings give the recorded images, bit
+for bit on one type of machine. All topics other than the cameras' are copied byte for byte.
 """
 
 from __future__ import annotations
@@ -55,38 +55,38 @@ SURFACES = ("table", "floor", "wall")
 
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """A YAML file of ``config/lights``."""
+    """Contents of a YAML file in ``config/lights``."""
 
     lights: tuple[LightSpec, ...] = ()
     """The lights; the first one that casts a shadow is the main light."""
     ambient: RGB | None = None
-    """Radiance of the surroundings; none: as the scene has it."""
+    """Radiance of the surroundings; none: the scene's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RerenderConfig:
-    """What changes; what is left out stays as recorded."""
+    """Changes to the recorded episodes; a field left out changes nothing."""
 
     renderer: str = "raster"
     """Renderer by name."""
     cameras: dict[str, str] = field(default_factory=dict)
-    """Camera to its file in ``config/cameras``, empty: as recorded; no entry at all: the recorded cameras."""
+    """Camera name to its file in ``config/cameras``, empty: as recorded. An empty dict: the recorded cameras."""
     width: int = 0
-    """Image width [px]; 0: as the camera has it."""
+    """Image width [px]; 0: the camera's."""
     height: int = 0
-    """Image height [px]; 0: as the camera has it."""
+    """Image height [px]; 0: the camera's."""
     depth: bool | None = None
-    """Whether the cameras give depth; none: as each camera has it."""
+    """Whether the cameras give depth; none: as each camera is configured."""
     segmentation: bool | None = None
-    """Whether the cameras give segmentation; none: as each camera has it."""
+    """Whether the cameras give segmentation; none: as each camera is configured."""
     look: LookSpec | None = None
-    """Look of another scene, applied first."""
+    """Scene in ``config/scenes`` whose look is applied first; empty: none."""
     lights: tuple[LightSpec, ...] | None = None
-    """Lights instead of the scene's."""
+    """Lights that replace the scene's."""
     ambient: RGB | None = None
     """Radiance of the surroundings."""
     textures: dict[str, str] = field(default_factory=dict)
-    """Surface (table, floor, wall) to the name of its texture; an empty name: none."""
+    """Surface (table, floor, wall) to the name of its texture; an empty name: no texture."""
     background: str = ""
     """``room`` or ``plain``; empty: as recorded."""
 
@@ -154,7 +154,7 @@ class Rerenderer:
         self._renderer.close()
 
     def bag(self, source: Path, out: Path, on_tick: Callable[[], None] = lambda: None) -> EpisodeResult:
-        """Render a bag again into a run's folder; a bag there of the same episode is an error.
+        """Render a bag again into a run's folder. An existing bag of the same episode is an error.
 
         Args:
             source: The recorded bag.
@@ -193,7 +193,7 @@ class Rerenderer:
     def _copy(
         self, reader: BagReader, scene: SceneSpec, recording: EpisodeRecording, on_tick: Callable[[], None]
     ) -> None:
-        """Give every tick of a bag to a recording, its cameras' part made anew."""
+        """Copy every tick of a bag to a recording, with new camera messages."""
         rig, poses = CameraRig(self._renderer), ScenePoses(scene, self._library)
         rig.load(render_world(scene, self._library), scene)
         tick_messages = TickMessages(scene, self._library.robot(scene.robot.model), poses)
@@ -224,7 +224,7 @@ def _cdr(message: Any) -> bytes:
 
 
 class RerenderWorker:
-    """Renders a bag for each job, whose data is the bag's path; see `roboxim_bringup.executors`."""
+    """Renders one bag per job, whose data is the bag's path; see `roboxim_bringup.executors`."""
 
     def __init__(self, settings: Mapping[str, Any], number: int) -> None:
         """Make the renderer.
@@ -237,7 +237,7 @@ class RerenderWorker:
         self._renderer = Rerenderer(from_plain(settings["config"], RerenderConfig))
 
     def run(self, job: str, note: Callable[[Any], None]) -> dict[str, Any]:
-        """Render a bag; notes every tick."""
+        """Render a bag, and report every tick."""
         result: dict[str, Any] = to_plain(self._renderer.bag(Path(job), self._out, lambda: note("tick")))
         return result
 
@@ -248,18 +248,18 @@ class RerenderWorker:
 
 @dataclass(frozen=True, kw_only=True)
 class Rerendered:
-    """What came of a run."""
+    """Result of rendering bags again."""
 
     made: int
     """Bags rendered now."""
     there: int
-    """Bags that were there from before."""
+    """Number of bags that existed before."""
     changed: tuple[str, ...]
-    """Models that have changed since an episode was recorded; they are drawn as they are now."""
+    """Models that have changed since the recording; they are drawn as they are now."""
 
 
 def find_bags(sources: Iterable[Path]) -> list[Path]:
-    """Return the bags of bags, folders of bags and runs.
+    """Return all bags among bags, folders of bags and runs.
 
     Raises:
         ConfigError: When there is no such folder.
@@ -278,29 +278,29 @@ def rerender(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
 ) -> Rerendered:
-    """Render bags again into a new run's folder; bags that it has already are left alone.
+    """Render bags again into a new run's folder. Bags that it has already are kept.
 
     Args:
         bags: The recorded bags.
         out: Folder of the new run.
-        config: What changes.
+        config: Changes to the recorded episodes.
         workers: Processes, each with a renderer; 1: this process.
-        on_event: Told what happens.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
-        executor: Renders the bags; none: one of this machine.
+        executor: Renders the bags; none: the local one.
 
     Raises:
         CancelledError: When the run was cancelled.
         ConfigError: When the folder holds another run, a camera is unknown, or two bags are of one episode.
-        RoboximError: When a bag is damaged or cannot be drawn, or workers die; the same call goes on after it.
+        RoboximError: When a bag is damaged or cannot be drawn, or workers die; the same call continues afterwards.
     """
     checked_path(out)
     episodes = _episodes(bags)
     for reader in episodes.values():
-        config.scene(reader.info)  # whatever is wrong with it is said before anything is rendered
+        config.scene(reader.info)  # raise on a wrong change before rendering starts
     folder = RunFolder(out)
     with (
-        telling_interruption(on_event, lambda: "the same command goes on with the bags that are missing"),
+        telling_interruption(on_event, lambda: "the same call or command renders the missing bags"),
         folder.opened({"rerender": to_plain(config)}),
     ):
         recorded = {result.episode_id for result in folder.results()}
@@ -322,7 +322,7 @@ def rerender(
 
 
 class _Ticks:
-    """Counts rendered ticks; those of a bag whose worker died count again from its start."""
+    """Count of rendered ticks. When a worker dies, its bag's ticks are counted again from 0."""
 
     def __init__(self, before: int, total: int, on_event: OnEvent) -> None:
         self._before, self._total, self._on_event = before, total, on_event
@@ -346,7 +346,7 @@ def _render(
     cancellation: Cancellation | None,
     hear: Callable[[Note], None],
 ) -> None:
-    """Render bags by an executor, and keep each result when it is there."""
+    """Render bags with an executor, and store each result as soon as it arrives."""
     workers = min(workers, len(missing))
     threads = os.environ.get(THREADS_VARIABLE) or str(max(1, len(os.sched_getaffinity(0)) // workers))
     work = Work(
@@ -372,8 +372,8 @@ def _episodes(bags: Sequence[Path]) -> dict[str, BagReader]:
         name = reader.info.episode_id
         if name in episodes:
             raise ConfigError(
-                f"{path} and {episodes[name].path} are both of episode '{name}'; render the runs that they are of "
-                "into folders of their own"
+                f"{path} and {episodes[name].path} are both recordings of episode '{name}'; "
+                "render their runs into separate folders"
             )
         episodes[name] = reader
     return episodes

@@ -1,8 +1,8 @@
-"""Results of a run, appended line by line, so that a crash loses at most the line that was being written.
+"""Results of a run, appended line by line: a crash loses at most the line being written.
 
-A line is a JSON object; its ``key`` is the hash of everything that the result depends on. So a line is never taken for
-a result of another configuration or of other code, whatever was copied into the file. This is the one place that
-resuming relies on: episodes, rendering and the benchmarks keep their results here.
+A line is a JSON object. Its ``key`` is the hash of everything that the result depends on, so a line copied from a run
+of another configuration or of other code is never reused. Resuming relies on this module alone: episodes, rendering and
+the benchmarks keep their results here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from typing import Any
 from roboxim_core.errors import ConfigError
 
 KEY = "key"
-REMEDY = "the same command with --repair drops what cannot be read and runs it again; or choose another --out"
+REMEDY = (
+    "run again with --repair or repair=True, which drops unreadable results and repeats them, or choose another output "
+    "folder (--out or out=)"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,25 +28,25 @@ class LoggedResult:
     """One line."""
 
     line: int
-    """Its number, from 1."""
+    """Line number, from 1."""
     key: str
-    """Hash of what it depends on; empty in files of older versions."""
+    """Hash of everything that the result depends on; empty in files of older versions."""
     data: dict[str, Any]
-    """The result, plain data."""
+    """The result, as plain data."""
 
 
 class ResultsLog:
     """A file of results."""
 
     def __init__(self, path: Path) -> None:
-        """Name the file; it need not exist."""
+        """Store the file's path; the file need not exist."""
         self.path = path
 
     def read(self) -> list[LoggedResult]:
-        """Return the results in the order of their lines; a torn last line (a crash) is left out.
+        """Return the results in the order of their lines. A torn last line, left by a crash, is skipped.
 
         Raises:
-            ConfigError: When another line is not a result, naming the line.
+            ConfigError: When any other line is not a result; the message names the line.
         """
         results = []
         for number, line in enumerate(self._lines(), start=1):
@@ -54,10 +57,10 @@ class ResultsLog:
         return results
 
     def append(self, key: str, result: Mapping[str, Any]) -> None:
-        """Add a result; it is on the disk when this returns.
+        """Append a result. It is on the disk when this returns.
 
         Args:
-            key: Hash of what the result depends on.
+            key: Hash of everything that the result depends on.
             result: Plain data.
         """
         if self.path.exists() and self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
@@ -69,10 +72,10 @@ class ResultsLog:
             os.fsync(file.fileno())
 
     def repair(self, keep: Callable[[LoggedResult], bool] = lambda _: True) -> int:
-        """Drop lines that are no results, or not to be kept; the file as it was stays beside it, ``<name>.damaged``.
+        """Drop lines that are not results or not to be kept. The original file stays as ``<name>.damaged``.
 
         Args:
-            keep: Tells whether a result that can be read stays.
+            keep: Returns whether to keep a readable result.
 
         Returns:
             Number of lines dropped.
@@ -93,7 +96,7 @@ class ResultsLog:
         return dropped
 
     def _lines(self) -> list[str]:
-        """Return the whole lines; what follows the last line's end was torn off by a crash."""
+        """Return the whole lines, without the partial last line that a crash leaves."""
         if not self.path.exists():
             return []
         return self.path.read_bytes().decode(errors="replace").split("\n")[:-1]
@@ -113,7 +116,7 @@ def _parse(number: int, line: str) -> LoggedResult:
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that it is there as a whole or not at all."""
+    """Write a file completely or not at all."""
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(text)
     partial.replace(path)

@@ -27,20 +27,20 @@ __all__ = ["BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingResult:
-    """What came of a training."""
+    """Result of a training."""
 
     checkpoint: Path
     """The checkpoint."""
     steps: int
-    """Steps that it has behind it."""
+    """Optimiser steps of the checkpoint, over all calls."""
     steps_now: int
-    """Those of this call; 0: it was trained already."""
+    """Steps of this call; 0: it was trained already."""
     wall_s: float
     """Duration of this call [s]."""
 
     @property
     def policy(self) -> PolicySpec:
-        """The trained policy, to be evaluated."""
+        """Policy spec of the trained policy, for `evaluate`."""
         return PolicySpec(spec="bc", options={CHECKPOINT: str(self.checkpoint)})
 
 
@@ -55,26 +55,26 @@ def train_bc(
 ) -> TrainingResult:
     """Train a small behaviour-cloning network on an RLDS export, on CPU.
 
-    Ctrl-C or a cancellation saves a checkpoint; the same call goes on and ends in the same weights.
+    Ctrl-C or a cancellation saves a checkpoint. The same call continues from it and ends with the same weights.
 
     Args:
         dataset: The export's folder.
         out: Folder of the checkpoint.
-        config: Network and training; none: the defaults.
-        limit: Use at most so many episodes; 0: all.
-        on_event: Told what happens.
+        config: Configuration of network and training; none: the defaults.
+        limit: Largest number of episodes to use; 0: all.
+        on_event: Receives the run's events.
         cancellation: Ends the training when it is set.
 
     Raises:
         CancelledError: When the training was cancelled.
-        ConfigError: When the dataset is none, or the folder holds another training.
+        ConfigError: When the folder is not a dataset, or ``out`` holds another training.
     """
     settings = config or BCConfig()
     folder = checked_path(out)
     checked_path(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
-    from roboxim_policies.bc.data import load_rlds  # JAX takes a second
+    from roboxim_policies.bc.data import load_rlds  # importing JAX takes a second
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
     started = time.monotonic()
@@ -96,12 +96,13 @@ def train_bc(
     before = trainer.step
     if before < settings.steps:
         if before:
-            on_event(Notice(text=f"going on from step {before}"))
+            on_event(Notice(text=f"continuing from step {before}"))
         on_event(StageStarted(title="training", total=settings.steps, done=before, unit="steps"))
         with telling_interruption(
             on_event,
             lambda: (
-                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same command goes on"
+                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
+                "continues from it"
             ),
         ):
             trainer.run(training)
@@ -117,7 +118,7 @@ def _check(cancellation: Cancellation | None) -> None:
 
 
 def read_bc_config(file: Path | None) -> BCConfig:
-    """Read a training's configuration; none: the defaults.
+    """Return a training's configuration; without a file: the defaults.
 
     Raises:
         ConfigError: When the file is missing, empty or wrong.
@@ -125,5 +126,5 @@ def read_bc_config(file: Path | None) -> BCConfig:
     if file is None:
         return BCConfig()
     if load_yaml(file) is None:
-        raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or leave --config out")
+        raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or omit --config")
     return load_config(file, BCConfig)

@@ -128,7 +128,7 @@ def test_a_worker_that_cannot_start_shows_its_log(work):
 
 def test_a_worker_that_hangs_counts_as_dead(work):
     [outcome] = LocalExecutor(1, stall_s=0.5).run(work(), jobs("hang"))
-    assert "nothing heard of it for 0.5 s" in outcome.message
+    assert "no message from it for 0.5 s" in outcome.message
 
 
 def test_a_cancelled_run_ends_its_workers(work):

@@ -118,7 +118,7 @@ def test_a_folder_of_an_older_version_is_refused_only_for_policies_with_files(fo
         said.pop("policy_files", None)
         path.write_text(json.dumps(said))
     assert "nothing is run" in evaluate("--policy", "zero")
-    with pytest.raises(ConfigError, match="older version.*state of mine.py; choose another --out"):
+    with pytest.raises(ConfigError, match="older version.*state of mine.py; choose another output folder"):
         evaluate("--policy", "mine.py:Mine")
 
 
@@ -141,7 +141,7 @@ def test_two_checkpoints_in_one_report(folder):
 
 def test_equal_names_are_refused_before_anything(folder):
     (folder / "other.py").write_text(MINE)
-    with pytest.raises(ConfigError, match="two policies are called 'Mine'.*--policy Mine-2=other.py:Mine"):
+    with pytest.raises(ConfigError, match="two policies are called 'Mine'.*'Mine-2=other.py:Mine'"):
         evaluate("--policy", "mine.py:Mine", "--policy", "other.py:Mine")
     assert not (folder / "out").exists()
 
@@ -177,13 +177,13 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
         (["--policy", "bc", "--checkpoint", "bc", "--checkpoint", "mine.py"], "say which policy each is for"),
         (
             ["--policy", "looks.py:Looks"],
-            "policy 'Looks' looks through camera 'front'.*expected one of: workspace, wrist",
+            "policy 'Looks' needs camera 'front'.*expected one of: workspace, wrist",
         ),
         (["--policy", "bc", "--checkpoint", "odd"], "camera 'fisheye'"),
         (["--policy", "p" * 300 + "=zero"], "has 300 characters, at most 100"),
-        (["--policy", "f" * 300 + ".py:Mine"], "'ffff.*' is no path"),
-        (["--policy", "bc", "--checkpoint", "c" * 300], "the checkpoint 'cccc.*' is no path"),
-        (["--policy", "zero", "--out", "o" * 300], "'oooo.*is no name for a folder"),
+        (["--policy", "f" * 300 + ".py:Mine"], "'ffff.*' is not a path"),
+        (["--policy", "bc", "--checkpoint", "c" * 300], "the checkpoint 'cccc.*' is not a path"),
+        (["--policy", "zero", "--out", "o" * 300], "'oooo.*is not a valid folder"),
         (["--policy", "zero", "--renderer", "foo"], "unknown renderer 'foo'; expected one of: photo, raster, tiny"),
         (
             ["--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube_ur5"],

@@ -57,7 +57,7 @@ def test_another_command_or_a_folder_without_a_success_is_told_apart(tmp_path):
     ):
         pass
     with (
-        pytest.raises(ConfigError, match="a run of 'roboxim generate'; choose another --out$"),
+        pytest.raises(ConfigError, match="a run of 'roboxim generate'; choose another output folder"),
         RunFolder(tmp_path / "run").opened({"rerender": {"depth": None, "width": 0}}),
     ):
         pass
@@ -72,11 +72,11 @@ def test_what_generate_says_it_made(tmp_path):
     failed = replace(result(2), outcome="failure", attempt=4)
     assert summary([], kept, tmp_path).endswith("episodes (1 after a failed attempt)")
     assert summary([], [failed], tmp_path) == f"0 demonstrations in {tmp_path / 'episodes'}"
-    assert "(1 of 2 episodes were there before; " in summary(kept[:1], kept, tmp_path)
+    assert "(1 of 2 episodes existed before; " in summary(kept[:1], kept, tmp_path)
     again = summary(kept, kept[:1], tmp_path)
     assert again.startswith("1 demonstration in")
     assert again.endswith(
-        "(1 more there, of an earlier command that asked for more); they were there already, nothing was run"
+        "(1 more in the folder, from an earlier, larger run); all of them existed already, nothing was run"
     )
 
 
@@ -229,5 +229,5 @@ def test_a_vanished_bag_is_named_and_its_episode_run_again(tmp_path):
 
 @pytest.mark.parametrize("name", ["x" * 300, "a/" * 2000])
 def test_a_name_that_no_file_system_takes_is_refused(tmp_path, name):
-    with pytest.raises(ConfigError, match="no name for a folder"):
+    with pytest.raises(ConfigError, match="not a valid folder"):
         RunFolder(tmp_path / name)

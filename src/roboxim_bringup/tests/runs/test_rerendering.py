@@ -126,7 +126,7 @@ def test_what_cannot_be_is_said_before_anything_is_rendered(recorded: Path, tmp_
     bags = list_bags(recorded)
     with pytest.raises(ConfigError, match="workspace_left"):
         rerender(bags, tmp_path / "a", RerenderConfig(cameras={"workspace_lft": ""}))
-    with pytest.raises(ConfigError, match="both of episode"):
+    with pytest.raises(ConfigError, match="both recordings of episode"):
         rerender([bags[0], bags[0]], tmp_path / "a", RerenderConfig())
     with pytest.raises(ConfigError, match="marble"):
         RerenderConfig(textures={"table": "marbel"})
