@@ -1,5 +1,5 @@
-# Every command that a developer of RoboXim needs; `make help` lists them. CI calls the same ones.
-# All but help, setup and clean need the set-up and run it first: it does nothing when nothing has changed.
+# Commands for developers of RoboXim; `make help` lists them. CI calls the same commands.
+# All commands but help, setup and clean run the set-up first. It does nothing when nothing has changed.
 
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
@@ -7,27 +7,27 @@ BIN := .venv/bin
 
 .PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers render-peers photo robot-visuals lock clean clean-all
 
-help: ## list these commands
+help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
 	  awk -F ':.*## ' '{ printf "  make %-13s %s\n", $$1, $$2 }'
 
 setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... chooses the Python 3.11
 	@PYTHON="$(PYTHON)" sh scripts/set_up.sh
 
-demo: setup ## the main job: generate, record, export, train, evaluate; ARGS="..." adds options
+demo: setup ## run the main job: generate, record, export, train, evaluate; ARGS="..." adds options
 	@$(BIN)/roboxim demo $(ARGS)
 
-test: setup ## the default tests (not marked slow or gpu); ARGS="-k name" adds options
+test: setup ## run the default tests (all but those marked slow or gpu); ARGS="-k name" adds options
 	$(BIN)/pytest $(ARGS)
 
-test-slow: setup ## the tests marked slow
+test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)
 
 format: setup ## format the code and fix what ruff can fix
 	$(BIN)/ruff check --fix --show-fixes
 	$(BIN)/ruff format
 
-lint: setup ## check style and format, changing nothing
+lint: setup ## check style and format without changing files
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
@@ -35,19 +35,19 @@ types: setup ## type-check every package strictly
 	$(BIN)/mypy
 
 bench-%: setup ## run benchmarks/*/NAME.py; ARGS="--quick --json FILE" adds options
-	@test -f "$(wildcard benchmarks/*/$*.py)" || { echo "No benchmark '$*'; there are:" \
+	@test -f "$(wildcard benchmarks/*/$*.py)" || { echo "No benchmark '$*'; expected one of:" \
 	  $(sort $(notdir $(basename $(filter-out benchmarks/peers/%,$(wildcard benchmarks/*/[a-z]*.py))))); exit 2; }
 	$(BIN)/python -m $(subst /,.,$(basename $(wildcard benchmarks/*/$*.py))) $(ARGS)
 
 docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)
 
-verify-rlds: setup ## read an exported data set with TensorFlow Datasets: DATASET=path
-	@test -n "$(DATASET)" || { echo "Which data set? make verify-rlds DATASET=folder"; exit 2; }
+verify-rlds: setup ## read an exported dataset with TensorFlow Datasets: DATASET=path
+	@test -n "$(DATASET)" || { echo "DATASET is not set; run: make verify-rlds DATASET=folder"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py verify-rlds
 	.tools/verify-rlds-env/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
 
-planner-peers: setup ## install mplib, toppra and RoboPlan, which bench-planner then measures too
+planner-peers: setup ## install mplib, toppra and RoboPlan, so that bench-planner measures them too
 	@$(BIN)/python scripts/make_environment.py planner-mplib
 	@$(BIN)/python scripts/make_environment.py planner-roboplan
 
@@ -55,17 +55,17 @@ colcon: setup ## build the tree with PyPI's colcon against the ROS wheels, into 
 	@$(BIN)/python scripts/make_environment.py colcon
 	@$(BIN)/python scripts/colcon.py $(ARGS)
 
-render-peers: setup ## install MuJoCo and robosuite, which bench-render and bench-control_loop then measure too
+render-peers: setup ## install MuJoCo and robosuite, so that bench-render and bench-control_loop measure them too
 	@$(BIN)/python scripts/make_environment.py robosuite
 
-photo: setup ## install Blender (GPL) beside RoboXim, for roboxim rerender --renderer photo
+photo: setup ## install Blender (GPL) in its own environment, for roboxim rerender --renderer photo
 	@$(BIN)/python scripts/make_environment.py photo
 
-robot-visuals: setup ## make the robots' URDFs and decimated meshes again from the example-robot-data wheel
+robot-visuals: setup ## rebuild the robots' URDFs and decimated meshes from the example-robot-data wheel
 	$(BIN)/python config/robots/panda/derive.py
 	$(BIN)/python config/robots/ur5/derive.py
 
-lock: setup ## make the locks in requirements/ again from the pyproject.toml files
+lock: setup ## rebuild the locks in requirements/ from the pyproject.toml files
 	@$(BIN)/python scripts/lock.py $(ARGS)
 
 clean: ## remove builds and caches

@@ -8,9 +8,9 @@
     evaluation = roboxim.evaluate(policies=[policy, "random"], out="runs/evaluation", size=128)
     print(evaluation.success_rate, evaluation.interval, evaluation.report)
 
-Importing this starts nothing and loads nothing: each name is imported when it is first used. The functions print
-nothing; ``on_event=roboxim.EventPrinter()`` shows their progress as the command line does. Workers are programs of
-their own, so a script needs no ``if __name__ == "__main__"``.
+The import starts nothing and loads nothing: each name is imported on first use. The functions print nothing;
+``on_event=roboxim.EventPrinter()`` shows their progress as the command line does. Workers are separate programs, so a
+script needs no ``if __name__ == "__main__"``.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ _HOMES = {
     "roboxim_core.episode": ("EpisodeResult",),
     "roboxim_core.errors": ("ConfigError", "RoboximError"),
 }
-"""Module to the names that it has."""
+"""Module to its public names."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The runs, with their configurations' fields as keyword arguments."""
+"""The runs as functions, with their configurations' fields as keyword arguments."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
-    """Return a configuration of keyword arguments, or a given one with some of its fields replaced.
+    """Return a configuration made from keyword arguments, or a given configuration with fields replaced.
 
     Raises:
-        ConfigError: On a field that the class does not have.
+        ConfigError: On an unknown field, or without a required one.
     """
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     for name in fields:
@@ -46,7 +46,7 @@ def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
 
 
 def _with_fields_of(cls: type[Any]) -> Callable[[F], F]:
-    """Return a decorator that shows a configuration's fields in a function's signature, for help and completion."""
+    """Return a decorator that adds a configuration's fields to a function's signature, for help and completion."""
 
     def decorate(function: F) -> F:
         signature = inspect.signature(function)
@@ -73,17 +73,17 @@ def generate(
 ) -> GenerationResult:
     """Generate demonstrations of a task with the expert; see `roboxim_bringup.runs.generation.generate`.
 
-    The same call goes on where it was stopped.
+    The same call continues where it stopped.
 
     Args:
-        config: The configuration; none: of the keyword arguments alone.
-        on_event: Told what happens, e.g. ``roboxim.EventPrinter()``.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        on_event: Receives the run's events, e.g. ``roboxim.EventPrinter()``.
         cancellation: Ends the run when it is set, e.g. a `threading.Event`.
         executor: Runs the episodes; none: processes of this machine.
         **fields: Fields of `GenerationConfig`.
 
     Raises:
-        RoboximError: See there.
+        RoboximError: As the run raises it.
     """
     return generation.generate(
         _configured(GenerationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
@@ -107,14 +107,14 @@ def export_rlds(
     Args:
         source: A run's folder, a folder of bags, or one bag.
         target: Data directory to write ``<name>/<version>`` into.
-        config: The configuration; none: of the keyword arguments alone.
-        overwrite: Replace a dataset that is there.
-        on_event: Told what happens.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        overwrite: Replace an existing dataset.
+        on_event: Receives the run's events.
         cancellation: Ends the export when it is set.
         **fields: Fields of `ExportConfig`.
 
     Raises:
-        RoboximError: See there.
+        RoboximError: As the run raises it.
     """
     return export.export_rlds(
         source, target, _configured(ExportConfig, config, fields), overwrite=overwrite, on_event=on_event,
@@ -139,14 +139,14 @@ def train_bc(
     Args:
         dataset: An RLDS export's folder.
         out: Folder of the checkpoint.
-        config: The configuration; none: of the keyword arguments alone.
-        limit: Use at most so many episodes; 0: all.
-        on_event: Told what happens.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        limit: Largest number of episodes to use; 0: all.
+        on_event: Receives the run's events.
         cancellation: Ends the training when it is set; a checkpoint is saved.
         **fields: Fields of `BCConfig`, e.g. ``steps``.
 
     Raises:
-        RoboximError: See there.
+        RoboximError: As the run raises it.
     """
     return training.train_bc(
         dataset, out, _configured(BCConfig, config, fields), limit=limit, on_event=on_event, cancellation=cancellation
@@ -166,14 +166,14 @@ def evaluate(
     """Run policies in fresh scenes and write a report; see `roboxim_bringup.runs.evaluation.evaluate`.
 
     Args:
-        config: The configuration; none: of the keyword arguments alone.
-        on_event: Told what happens.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
         **fields: Fields of `EvaluationConfig`, above all ``policies``.
 
     Raises:
-        RoboximError: See there.
+        RoboximError: As the run raises it.
     """
     return evaluation.evaluate(
         _configured(EvaluationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
@@ -198,15 +198,15 @@ def rerender(
     Args:
         sources: Bags, folders of bags or runs.
         out: Folder of the new run.
-        config: The configuration; none: of the keyword arguments alone.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
         workers: Processes, each with a renderer; 1: this process.
-        on_event: Told what happens.
+        on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
-        executor: Renders the bags; none: one of this machine.
+        executor: Renders the bags; none: processes of this machine.
         **fields: Fields of `RerenderConfig`.
 
     Raises:
-        RoboximError: See there.
+        RoboximError: As the run raises it.
     """
     named = [sources] if isinstance(sources, Path | str) else sources
     bags = find_bags(map(Path, named))

@@ -1,1 +1,1 @@
-"""What every node of RoboXim shares: conversions, node base, blocking clients, QoS, parameters, runs."""
+"""Code that all RoboXim nodes share: conversions, node base, blocking clients, QoS, parameters, runs."""

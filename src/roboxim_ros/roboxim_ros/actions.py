@@ -39,7 +39,7 @@ class ActionCall:
         """Make the client.
 
         Args:
-            clients: Whose node and thread to use.
+            clients: Clients whose node and thread to use.
             action_type: Action class.
             name: Action name, relative to the node's namespace.
         """
@@ -48,7 +48,7 @@ class ActionCall:
         self._client = clients.in_thread(lambda: ActionClient(clients.node, action_type, name))
 
     def is_ready(self) -> bool:
-        """Tell whether the action's server is there."""
+        """Return whether the action's server is available."""
         return bool(self._client.server_is_ready())
 
     def run(
@@ -60,14 +60,14 @@ class ActionCall:
         wait_s: float = 30.0,
         check: Callable[[], None] = lambda: None,
     ) -> GoalResult:
-        """Send a goal and wait for its end. Whatever interrupts the wait (Ctrl-C too) cancels the goal.
+        """Send a goal and wait for its end. An interrupted wait (also by Ctrl-C) cancels the goal.
 
         Args:
             goal: The goal message.
             feedback: Called with each feedback message, in another thread.
             timeout_s: Longest wait for the result [s].
             wait_s: Longest wait for the server to appear [s].
-            check: Asked ten times a second; raises to give up.
+            check: Called ten times a second; raises to stop waiting.
 
         Raises:
             UnavailableError: When the server does not appear, or goes away.
@@ -75,7 +75,7 @@ class ActionCall:
             RequestTimeoutError: When the result does not come in time.
         """
         if not wait_until(self.is_ready, wait_s):
-            raise UnavailableError(f"action '{self.name}' is not there after {wait_s:g} s; is its node running?")
+            raise UnavailableError(f"action '{self.name}' is not available after {wait_s:g} s; is its node running?")
         deadline = time.monotonic() + timeout_s
         handle = self._wait(
             self._clients.in_thread(lambda: self._client.send_goal_async(goal, feedback_callback=feedback)),
@@ -89,7 +89,7 @@ class ActionCall:
         except BaseException:
             heard = threading.Event()
             self._clients.in_thread(handle.cancel_goal_async).add_done_callback(lambda _: heard.set())
-            heard.wait(30.0)  # gone before the server has heard it, it would run on
+            heard.wait(30.0)  # a client that leaves before the server receives the cancellation would let the goal run
             raise
         return GoalResult(status=_STATUS.get(answer.status, "aborted"), result=answer.result)
 
@@ -101,7 +101,7 @@ class ActionCall:
             if time.monotonic() > deadline:
                 raise RequestTimeoutError(f"action '{self.name}' did not end in time; its node hangs or has died")
             if not self.is_ready():
-                raise UnavailableError(f"action '{self.name}' went away during the goal; its node has died")
+                raise UnavailableError(f"action '{self.name}' disappeared during the goal; its node has died")
         return future.result()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The bounds of `roboxim_core.limits` applied to a message, whatever its type: long strings and sequences are refused.
+"""The bounds of `roboxim_core.limits`, applied to messages of any type: long strings and sequences are refused.
 
 A walker is compiled once per message type and visits only the fields that may be long, so that a request costs
 microseconds.
@@ -16,14 +16,14 @@ from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 
 Check = Callable[[Any, str], None]
-"""Called with a value and its path; raises."""
+"""A check of a value and its path; raises when the value is too long."""
 
 
 def check_message(message: Any) -> None:
     """Refuse a message with a string or a sequence beyond its bound.
 
     Raises:
-        InvalidRequestError: Naming the field and the bound.
+        InvalidRequestError: When one is too long; the message names the field and the bound.
     """
     kind: Any = type(message)
     check = _message_check(kind)
@@ -46,11 +46,11 @@ def _message_check(kind: Any) -> Check | None:
 
 
 def _field_check(name: str, kind: str) -> Check | None:
-    """Return the check of a field, none where nothing can be too long.
+    """Return the check of a field; none when the field cannot be too long.
 
     Args:
         name: The field's name.
-        kind: Its type as `get_fields_and_field_types` says it, e.g. ``sequence<geometry_msgs/Pose>``.
+        kind: Its type as `get_fields_and_field_types` gives it, e.g. ``sequence<geometry_msgs/Pose>``.
     """
     sequence = re.fullmatch(r"sequence<(.*?)(?:, *\d+)?>", kind)
     element = sequence[1] if sequence else re.sub(r"\[\d+\]$", "", kind)

@@ -1,7 +1,7 @@
-"""Blocking service calls that may be made from any thread, callbacks included.
+"""Blocking service calls from any thread, callbacks included.
 
-A client needs an executor to hear its answer; if that is the executor whose callback waits, nothing ever moves. So the
-clients of a process part live on a node of their own, spun by a thread of their own.
+A client needs an executor to receive its answer. If that is the executor whose callback waits, the call deadlocks. The
+clients therefore live on a separate node, spun by a separate thread.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
-    """Ask until it is so. rclpy's own wait asks only four times a second, which every first call would pay."""
+    """Poll a condition. rclpy's own wait polls only four times a second, which would delay every first call."""
     deadline = time.monotonic() + timeout_s
     while not ready():
         if time.monotonic() > deadline:
@@ -34,9 +34,9 @@ def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
 
 
 class Clients:
-    """Service clients with a node and a thread of their own; a context manager.
+    """Service clients with their own node and thread; a context manager.
 
-    Close it: a client that exits without destroying its node delays the first answer that the next process gets.
+    Close it: a process that exits without destroying its node delays the first answer to the next process.
     """
 
     def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
@@ -72,7 +72,7 @@ class Clients:
         """Return the client of a service, made on first use.
 
         Raises:
-            InvalidRequestError: When no service can have that name.
+            InvalidRequestError: When the name is not a valid service name.
         """
         with self._lock:
             key = (srv_type, name)
@@ -85,7 +85,7 @@ class Clients:
             return self._clients[key]
 
     def wake(self) -> None:
-        """Have the thread notice what was just made on ``node``: a subscription, an action client."""
+        """Wake the thread, so that it serves what was just created on ``node``: a subscription, an action client."""
         self._executor.wake()
 
     def call(
@@ -106,17 +106,17 @@ class Clients:
             request: The request.
             timeout_s: Longest wait for the answer [s].
             wait_s: Longest wait for the service to appear [s].
-            check: Raise what the response's ``error_code`` says; false: return the response whatever it says.
+            check: Raise the error in the response's ``error_code``; false: return the response with any code.
 
         Raises:
-            UnavailableError: When no such service appears in time, or it goes away before it has answered.
+            UnavailableError: When the service does not appear in time, or disappears before it answers.
             RequestTimeoutError: When the answer does not come in time.
-            RoboximError: What the response's ``error_code`` and ``error_msg`` say, when it has them.
+            RoboximError: As the response's ``error_code`` and ``error_msg`` state, when it has them.
         """
         client = self.client(srv_type, name)
         if not wait_until(client.service_is_ready, wait_s):
             raise UnavailableError(
-                f"service '{client.service_name}' is not there after {wait_s:g} s; is its node running?"
+                f"service '{client.service_name}' is not available after {wait_s:g} s; is its node running?"
             )
         done = threading.Event()
         future = client.call_async(request)
@@ -128,9 +128,11 @@ class Clients:
                 raise RequestTimeoutError(
                     f"service '{client.service_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
                 )
-            if not client.service_is_ready():  # its lease ran out
+            if not client.service_is_ready():  # its lease expired
                 client.remove_pending_request(future)
-                raise UnavailableError(f"service '{client.service_name}' went away during the call; its node has died")
+                raise UnavailableError(
+                    f"service '{client.service_name}' disappeared during the call; its node has died"
+                )
         response = future.result()
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
@@ -139,15 +141,15 @@ class Clients:
     def in_thread(self, function: Callable[[], T]) -> T:
         """Call a function in the clients' thread and return its result.
 
-        For what is not safe beside a spinning executor. An rclpy action client notes a request only after it is sent:
-        an answer that is quicker is taken for a stranger's, and the request waits for ever.
+        For calls that are not safe beside a spinning executor. An rclpy action client registers a request only after
+        sending it: it drops an answer that arrives earlier, and the request waits forever.
 
         Args:
-            function: Must not wait for an answer of these clients.
+            function: The function; it must not wait for an answer of these clients.
 
         Raises:
             UnavailableError: When the thread has ended.
-            Exception: Whatever the function raises.
+            Exception: As the function raises it.
         """
         if threading.current_thread() is self._thread:
             return function()
@@ -158,7 +160,7 @@ class Clients:
         def call() -> None:
             try:
                 returned.append(function())
-            except BaseException as error:  # handed to the caller below
+            except BaseException as error:  # raised in the caller below
                 raised.append(error)
             finally:
                 done.set()
@@ -172,7 +174,7 @@ class Clients:
         return returned[0]
 
     def close(self) -> None:
-        """Stop the thread and destroy the node, so that peers see it go at once."""
+        """Stop the thread and destroy the node, so that peers notice at once."""
         self._executor.shutdown()
         self._thread.join(timeout=5.0)
         self.node.destroy_node()

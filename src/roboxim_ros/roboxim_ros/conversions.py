@@ -1,6 +1,7 @@
-"""Messages to the core's values and back, by field name: one mechanism for every type.
+"""Conversion between messages and the core's values, by field name: one mechanism for all types.
 
-A message and its dataclass have the same field names; the dataclass's annotations say how to convert. What differs:
+A message and its dataclass have the same field names; the dataclass's annotations define the conversion. The types
+differ here:
 
 - `Pose` is ``geometry_msgs/Pose``;
 - ``dict[str, str]`` is ``diagnostic_msgs/KeyValue[]``; ``dict[str, Scalar]`` too, with the values as JSON scalars;
@@ -9,7 +10,8 @@ A message and its dataclass have the same field names; the dataclass's annotatio
 - a `StrEnum` is a ``string``;
 - an optional dataclass is an array of 0 or 1 elements.
 
-`from_msg` reads attributes only, so it serves objects that `rosbags` deserialised as well, without a ROS installation.
+`from_msg` only reads attributes. It therefore also converts objects deserialised by `rosbags`, without a ROS
+installation.
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ def pose_from_msg(msg: Any) -> Pose:
     """Convert a ``geometry_msgs/Pose``.
 
     Raises:
-        InvalidRequestError: When it is not finite or its quaternion is not of unit norm.
+        InvalidRequestError: When the pose is not finite or its quaternion is not of unit norm.
     """
     p, q = msg.position, msg.orientation
     return Pose(position=(p.x, p.y, p.z), quat_xyzw=(q.x, q.y, q.z, q.w))
@@ -163,7 +165,7 @@ def from_msg(msg: Any, cls: type[T]) -> T:
         cls: Dataclass with the same field names.
 
     Raises:
-        InvalidRequestError: When a value does not fit the class (its own checks included).
+        InvalidRequestError: When a value does not fit the class or fails the class's own checks.
     """
     getters = _getters(cls)  # type: ignore[arg-type]  # classes are hashable
     try:
@@ -299,7 +301,7 @@ def image_from_msg(msg: Any) -> npt.NDArray[Any]:
     """Return a read-only array that shares the message's memory, shape (height, width) or (height, width, 3).
 
     Raises:
-        InvalidRequestError: On an encoding or a size that does not fit the data.
+        InvalidRequestError: On an unknown encoding, or a size that does not fit the data.
     """
     try:
         dtype, channels = _ENCODINGS[msg.encoding]

@@ -1,14 +1,13 @@
-"""Every callback of a node goes through here: an exception becomes an answer with a code, and the node lives on.
+"""The guard around every callback of a node: an exception becomes an answer with a code, and the node keeps running.
 
-A service's response says in different fields that a request failed, depending on whose interface it is; `fill_error`
-knows them. `GuardedNode` wraps what rclpy calls, so that nothing reaches the executor: an exception there would end
-the node.
+The fields of a response that report a failure depend on the interface package; `fill_error` knows them. `GuardedNode`
+wraps the callbacks that rclpy calls, so that no exception reaches the executor, where it would end the node.
 
 Non-obvious:
 - ``SystemExit`` is caught as well: in a node's thread it comes from a library that calls ``sys.exit``, and would end
-  the node without a word. ``KeyboardInterrupt`` reaches the main thread only and is not caught.
-- A response that cannot be sent (a string that is no UTF-8) is replaced by an error; without one the client would wait
-  until its time-out.
+  the node silently. ``KeyboardInterrupt`` reaches the main thread only and is not caught.
+- A response that cannot be sent (e.g. a string that is not UTF-8) is replaced by an error; without an answer the client
+  would wait until its timeout.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from roboxim_ros.bounds import check_message
 from roboxim_ros.shared_memory import private_files, seal
 
 CAUGHT = (Exception, SystemExit)
-"""What a callback may raise without ending its node."""
+"""Exceptions that a callback may raise without ending its node."""
 _FOLLOW_TRAJECTORY_INVALID_GOAL = -1
 _SIMULATION_OPERATION_FAILED = 4
 _SIMULATION_RESULTS = {
@@ -43,7 +42,7 @@ _SIMULATION_RESULTS = {
     ErrorCode.NO_SCENE: 3,
     ErrorCode.LEASE_HELD: 3,
 }
-"""Our code to ``simulation_interfaces/Result``: not found, incorrect state; any other: operation failed."""
+"""RoboXim's error code to ``simulation_interfaces/Result``: not found, incorrect state; all others: failed."""
 
 
 def describe(error: BaseException, what: str) -> tuple[ErrorCode, str]:
@@ -51,7 +50,7 @@ def describe(error: BaseException, what: str) -> tuple[ErrorCode, str]:
 
     Args:
         error: The exception.
-        what: Name of the service or action, for what nobody expected.
+        what: Name of the service or action, used in the message of an unexpected exception.
     """
     if isinstance(error, RoboximError):
         return error.code, limits.printable(str(error))
@@ -60,13 +59,13 @@ def describe(error: BaseException, what: str) -> tuple[ErrorCode, str]:
 
 
 def fill_error(answer: Any, code: ErrorCode, message: str) -> None:
-    """Write an error into a response or a result, in the fields that its interface has for it.
+    """Write an error into the error fields of a response or a result.
 
     Args:
         answer: A response of RoboXim, ``simulation_interfaces``, ``std_srvs`` or ``rcl_interfaces``, or the result of
-            an action. One that has no such field (``std_srvs/Empty``, ``GripperCommand``) stays as it is.
-        code: What went wrong.
-        message: The same in words.
+            an action. A type without such fields (``std_srvs/Empty``, ``GripperCommand``) stays unchanged.
+        code: Error code.
+        message: Error message.
     """
     fields = answer.get_fields_and_field_types()
     if "error_code" in fields and "error_msg" in fields:
@@ -83,7 +82,7 @@ def fill_error(answer: Any, code: ErrorCode, message: str) -> None:
 
 
 def report(logger: RcutilsLogger, error: BaseException, what: str) -> None:
-    """Log an error: one line for what a request did wrong, the traceback for what nobody expected."""
+    """Log an error: one line for a faulty request, the traceback for an unexpected exception."""
     if isinstance(error, RoboximError):
         logger.info(f"{what}: {error.code.name}: {limits.printable(str(error))}")
     else:
@@ -93,18 +92,18 @@ def report(logger: RcutilsLogger, error: BaseException, what: str) -> None:
 def guarded_service(
     logger: RcutilsLogger, name: str, handler: Callable[[Any, Any], Any], response_type: Callable[[], Any]
 ) -> Callable[[Any, Any], Any]:
-    """Return a service's callback that answers whatever its handler raises.
+    """Return a service callback that turns every exception of its handler into an answer.
 
     Args:
-        logger: Takes the reports.
+        logger: Logger of the reports.
         name: Name of the service.
-        handler: Called with (request, response); a function or a coroutine function. What it returns is the response,
-            none: the one that it was given.
-        response_type: Makes the empty response that an error is written into.
+        handler: Called with (request, response); a function or a coroutine function. It returns the response, or none
+            for the response it was given.
+        response_type: Makes the empty response for an error.
     """
 
     def refused(error: BaseException, begun: Any) -> Any:
-        """Return the error as an answer; one of ours comes with what the handler had to say besides, e.g. a part."""
+        """Return the error as an answer. A `RoboximError` keeps the handler's other fields, e.g. a partial path."""
         report(logger, error, name)
         answer = begun if isinstance(error, RoboximError) else response_type()
         fill_error(answer, *describe(error, name))
@@ -134,7 +133,7 @@ def guarded_service(
 
 
 def guard_sending(logger: RcutilsLogger, service: Any, response_type: Callable[[], Any]) -> None:
-    """Have a service answer with an error where its response cannot be sent."""
+    """Make a service answer with an error when its response cannot be sent."""
     send = service.send_response
 
     def guarded(response: Any, header: Any) -> None:
@@ -146,16 +145,16 @@ def guard_sending(logger: RcutilsLogger, service: Any, response_type: Callable[[
             fill_error(answer, *describe(error, service.srv_name))
             try:
                 send(answer, header)
-            except CAUGHT as again:  # the client has gone
+            except CAUGHT as again:  # the client has disconnected
                 report(logger, again, f"the answer of {service.srv_name}")
 
     service.send_response = guarded
 
 
 def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a subscription's or a timer's callback that logs whatever the given one raises.
+    """Return a subscription's or a timer's callback that logs every exception of the given callback.
 
-    It has the signature of the given one, by which rclpy decides what to call it with.
+    It keeps the given callback's signature, from which rclpy derives the arguments.
     """
 
     @functools.wraps(callback)
@@ -170,13 +169,13 @@ def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., A
 
 
 class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
-    """A node whose callbacks cannot end it: services, subscriptions, timers and actions, rclpy's own included.
+    """A node that its callbacks cannot end: services, subscriptions, timers and actions, rclpy's own included.
 
-    Its participant's shared memory is closed to other users, unless the run is open to the network.
+    Other users cannot open its participant's shared memory, unless the run is open to the network.
     """
 
     def __init__(self, node_name: str, *, context: Context, **kwargs: Any) -> None:
-        """Make the node as rclpy does.
+        """Make the node; see `rclpy.node.Node`.
 
         Raises:
             UnavailableError: When the shared memory of its domain belongs to another user.
@@ -191,7 +190,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
                 raise
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
-        """Offer a service as rclpy does; what its callback raises becomes the answer."""
+        """Offer a service as rclpy does; an exception of its callback becomes the answer."""
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
         service = super().create_service(srv_type, srv_name, guarded, **kwargs)
         guard_sending(self.get_logger(), service, srv_type.Response)
@@ -200,17 +199,17 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
     ) -> Any:
-        """Subscribe as rclpy does; what the callback raises is logged."""
+        """Subscribe as rclpy does; an exception of the callback is logged."""
         guarded = guarded_callback(self.get_logger(), f"a message of '{topic}'", callback)
         return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
 
     def create_timer(self, timer_period_sec: float, callback: Callable[..., None], *args: Any, **kwargs: Any) -> Any:
-        """Make a timer as rclpy does; what the callback raises is logged."""
+        """Make a timer as rclpy does; an exception of the callback is logged."""
         guarded = guarded_callback(self.get_logger(), "a timer", callback)
         return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
     def add_on_set_parameters_callback(self, callback: Callable[[list[Any]], SetParametersResult]) -> None:
-        """Have a callback decide on new values as rclpy does; what it raises refuses them."""
+        """Let a callback accept or refuse new values as rclpy does; an exception refuses them."""
 
         @functools.wraps(callback)
         def guarded(parameters: list[Any]) -> SetParametersResult:
@@ -226,13 +225,15 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
     def serve_action(
         self, action_type: Any, name: str, execute: Callable[[ServerGoalHandle], Any], **kwargs: Any
     ) -> ActionServer:
-        """Offer an action. Every goal is accepted, so that a refusal says why in its result; it can be cancelled.
+        """Offer an action.
+
+        Every goal is accepted, so that a refusal can give its reason in the result. Goals can be cancelled.
 
         Args:
             action_type: Action class.
             name: Name, relative to the namespace.
-            execute: Called with the goal's handle; a function or a coroutine function. Ends the goal and returns the
-                result. What it raises aborts the goal and becomes the result.
+            execute: Called with the goal's handle; a function or a coroutine function. It ends the goal and returns the
+                result. An exception aborts the goal and becomes the result.
             **kwargs: Passed to ``ActionServer``, e.g. ``callback_group``.
         """
         return ActionServer(
@@ -250,7 +251,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
 def _guarded_execute(
     logger: RcutilsLogger, name: str, execute: Callable[[ServerGoalHandle], Any], result_type: Callable[[], Any]
 ) -> Callable[[ServerGoalHandle], Any]:
-    """Return an action's execute callback that ends the goal and answers, whatever the given one raises."""
+    """Return an action's execute callback that ends the goal and answers, also when the given one raises."""
 
     def refused(goal: ServerGoalHandle, error: BaseException) -> Any:
         report(logger, error, name)
@@ -266,7 +267,7 @@ def _guarded_execute(
             try:
                 check_message(goal.request)
                 result = await execute(goal)
-                serialize_message(result)  # a string that is no UTF-8 shows here, where it can still be answered
+                serialize_message(result)  # raises on a string that is not UTF-8, while an answer is still possible
             except CAUGHT as error:
                 return refused(goal, error)
             return result

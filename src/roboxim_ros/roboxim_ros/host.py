@@ -1,4 +1,4 @@
-"""Runs nodes in this process: a context, one executor thread per node, an orderly end.
+"""Runs nodes in this process: one context, one executor thread per node, an orderly shutdown.
 
 Used by the runner, by every separately started node, and by tests (`roboxim_ros.testing`).
 """
@@ -22,19 +22,21 @@ from roboxim_ros.runs import activate_transport
 
 N = TypeVar("N", bound=Node)
 MAX_EXECUTOR_FAILURES = 10_000
-"""Failures of the middleware after which a node gives up: something fails again and again without any message."""
+"""Number of failures of the middleware after which a node ends: so many have a permanent cause."""
 ENDING_S = 60.0
-"""How long a node may take to end the callback that it is in [s]."""
+"""Longest time for a node to finish its current callback at shutdown [s]."""
 
 
 class NodeHost:
-    """A context with nodes, each spun by a thread of its own. A context manager."""
+    """A context with nodes, each spun by its own thread. A context manager."""
 
     def __init__(self, *, domain_id: int | None = None, args: Sequence[str] = ()) -> None:
-        """Initialise a context whose nodes are reached as ``ROBOXIM_TRANSPORT`` says: from this machine, by default.
+        """Initialise a context.
+
+        ``ROBOXIM_TRANSPORT`` sets who can reach its nodes; by default, only this user on this machine.
 
         Args:
-            domain_id: ROS domain; none: as the environment says.
+            domain_id: ROS domain; none: the environment's.
             args: ROS arguments, e.g. ``["--ros-args", "--params-file", FILE]``.
         """
         activate_transport()
@@ -57,7 +59,7 @@ class NodeHost:
             make: Makes the node from the context.
 
         Raises:
-            Exception: Whatever ``make`` raises.
+            Exception: As ``make`` raises it.
         """
         ready = threading.Event()
         made: list[N] = []
@@ -69,7 +71,7 @@ class NodeHost:
                 made.append(make(self.context))
                 executors.append(_executor(made[0], self.context))
                 executors[0].add_node(made[0])
-            except BaseException as error:  # handed to the caller below
+            except BaseException as error:  # raised in the caller below
                 failed.append(error)
                 return
             finally:
@@ -90,7 +92,7 @@ class NodeHost:
         return made[0]
 
     def alive(self) -> bool:
-        """Tell whether every node still spins."""
+        """Return whether every node still spins."""
         return not self.dead()
 
     def dead(self) -> list[str]:
@@ -120,8 +122,8 @@ class NodeHost:
 def _spin(executor: Executor, node: Node) -> None:
     """Spin until the executor or its context is shut down.
 
-    Callbacks raise nothing (`roboxim_ros.guard`), but the middleware does: a message that is not of its type, an answer
-    to an action's client that has gone. That ends one message, not the node.
+    Callbacks raise nothing (`roboxim_ros.guard`), but the middleware does, e.g. on a message of a wrong type or an
+    answer to a disconnected action client. Such an error drops one message; the node keeps running.
     """
     failures = 0
     while True:
@@ -138,7 +140,7 @@ def _spin(executor: Executor, node: Node) -> None:
 
 
 def _executor(node: Node, context: Context) -> Executor:
-    """Return the executor that a node asks for: one thread, unless it has ``executor_threads``."""
+    """Return a node's executor: one thread, unless the node has ``executor_threads``."""
     threads = getattr(node, "executor_threads", 1)
     if threads == 1:
         return SingleThreadedExecutor(context=context)
@@ -149,7 +151,7 @@ def wait_for_stop(should_stop: Callable[[], bool] = lambda: False, *, period_s: 
     """Block until SIGINT, SIGTERM or ``should_stop``.
 
     Args:
-        should_stop: Asked every period.
+        should_stop: Called every period; true ends the wait.
         period_s: The period [s].
 
     Returns:

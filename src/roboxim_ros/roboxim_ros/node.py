@@ -1,4 +1,4 @@
-"""The base of every node: services whose errors are answers, parameters from a dataclass, clients that may block."""
+"""The base class of all nodes: services whose errors are answers, parameters from a dataclass, blocking clients."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ C = TypeVar("C")
 
 
 class RoboximNode(GuardedNode):
-    """A node whose handlers raise `RoboximError` and whose results carry the code; see `GuardedNode`.
+    """A node whose handlers raise `RoboximError` and whose answers carry its code; see `GuardedNode`.
 
-    Handlers run in the node's executor thread, one at a time; `clients` may be used from within them.
+    Handlers run in the node's executor thread, one at a time; they may use `clients_of_node`.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class RoboximNode(GuardedNode):
         Args:
             msg_type: Message class.
             name: Name, relative to the namespace.
-            callback: Called with the message, or with message and info; what it raises is logged.
+            callback: Called with the message, or with message and info; an exception is logged.
             qos: Profile of `roboxim_ros.qos`.
             **kwargs: Passed to ``create_subscription``.
         """
@@ -91,7 +91,7 @@ class RoboximNode(GuardedNode):
             cls: Frozen dataclass of bool, int, float, str and tuples of them, with defaults.
 
         Raises:
-            ConfigError: When a parameter's value does not fit.
+            ConfigError: When a parameter's value is not valid.
         """
         hints = get_type_hints(cls)
         values = {}
@@ -116,10 +116,10 @@ class RoboximNode(GuardedNode):
 
 
 class ErrorAnswer:
-    """Turns an exception into a result's ``error_code`` and ``error_msg``; logs what nobody expected."""
+    """Turns an exception into a result's ``error_code`` and ``error_msg``; logs unexpected exceptions."""
 
     def __init__(self, node: GuardedNode, what: str, result: Any) -> None:
-        """Remember where to put the answer."""
+        """Store the result to fill."""
         self._node, self._what, self._result = node, what, result
 
     def __enter__(self) -> ErrorAnswer:

@@ -1,7 +1,7 @@
-"""Subscriptions that are heard only when somebody asks: what arrives meanwhile waits in the middleware's queue.
+"""Subscriptions that are served only on request: messages wait in the middleware's queue until then.
 
-An executor that wakes for every message costs more than most messages are worth: a node that needs a tick's messages
-together, or only the newest now and then, takes them when it needs them.
+Waking an executor for every message is expensive. A node that needs a tick's messages together, or only the newest
+message at times, takes them when it needs them.
 """
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ from rclpy.subscription import Subscription
 
 
 class OnDemandGroup(MutuallyExclusiveCallbackGroup):
-    """A callback group whose subscriptions no executor wakes for, unless it is ``open``.
+    """A callback group whose subscriptions wake no executor, unless it is ``open``.
 
-    A subscription's queue keeps the newest messages, as deep as its QoS; choose the depth by what `take` must find.
+    A subscription's queue keeps the newest messages, as deep as its QoS; choose the depth by the number of messages
+    that `take` needs.
     """
 
     def __init__(self) -> None:
         """Start closed."""
         super().__init__()
         self.open = False
-        """Whether executors serve the subscriptions as they do others. After opening it from a thread that is not
-        the executor's, call the executor's ``wake()``."""
+        """Whether executors serve the subscriptions like any others. After setting it in a thread other than the
+        executor's, call the executor's ``wake()``."""
 
     def can_execute(self, entity: object) -> bool:
-        """Tell whether an executor may run a callback."""
+        """Return whether an executor may run a callback."""
         return self.open and super().can_execute(entity)
 
     def take(self) -> None:
-        """Run the callbacks of what has arrived, in the calling thread, but for what an executor runs just now."""
+        """Run the callbacks of all arrived messages in the calling thread, except those that an executor is running."""
         for reference in list(self.entities):
             subscription = reference()
             if isinstance(subscription, Subscription) and self.beginning_execution(subscription):

@@ -1,7 +1,7 @@
-"""The policy boundary: the one encoding of ``DescribePolicy``, ``ResetPolicy`` and ``Act``, and both of its ends.
+"""The policy boundary: the encoding of ``DescribePolicy``, ``ResetPolicy`` and ``Act``, with server and client.
 
-`PolicyService` serves a policy from a node, behind the core's guard, the expert and users' policies alike.
-`PolicyClient` asks one. What an answer may be is checked on both sides by `roboxim_core.policy_guard.checked_answer`.
+`PolicyService` serves a policy from a node, behind the core's guard; it serves the expert and users' policies alike.
+`PolicyClient` calls a policy. Both sides check answers with `roboxim_core.policy_guard.checked_answer`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from roboxim_ros.conversions import fill_image, from_msg, image_from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 
 DESCRIBE_TIMEOUT_S = 60.0
-"""Longest wait for a policy to say what it is; it may still be loading its weights."""
+"""Longest wait for a policy's description [s]; the policy may still be loading its weights."""
 
 
 def encode_start(start: EpisodeStart) -> ResetPolicy.Request:
-    """Return the request that starts an episode."""
+    """Encode the request that starts an episode."""
     return ResetPolicy.Request(
         episode_id=start.episode_id,
         instruction=start.instruction,
@@ -45,14 +45,14 @@ def encode_start(start: EpisodeStart) -> ResetPolicy.Request:
 
 
 def decode_start(request: Any, *, privileged: bool) -> EpisodeStart:
-    """Read the request that starts an episode.
+    """Decode the request that starts an episode.
 
     Args:
         request: The request.
-        privileged: Whether the task and the scene are read; else they are not even converted.
+        privileged: Whether to convert the task and the scene; false: they are left out.
 
     Raises:
-        InvalidRequestError: On a task or scene that is not valid.
+        InvalidRequestError: On an invalid task or scene.
     """
     return EpisodeStart(
         episode_id=request.episode_id,
@@ -64,7 +64,7 @@ def decode_start(request: Any, *, privileged: bool) -> EpisodeStart:
 
 
 def encode_window(window: ObservationWindow) -> Act.Request:
-    """Return the request for actions; a repeated frame is converted once, and each image copied once."""
+    """Encode the request for actions. A repeated frame is converted once, and each image copied once."""
     done: dict[int, ObservationMsg] = {}
     for observation in window.observations:
         if id(observation) not in done:
@@ -79,14 +79,14 @@ def encode_window(window: ObservationWindow) -> Act.Request:
 
 
 def decode_window(request: Any, *, privileged: bool) -> ObservationWindow:
-    """Read a request for actions. Images share the request's memory and are read-only.
+    """Decode a request for actions. Images share the request's memory and are read-only.
 
     Args:
         request: The request.
-        privileged: Whether the state records are read; else they are not even converted.
+        privileged: Whether to convert the state records; false: they are left out.
 
     Raises:
-        InvalidRequestError: On an image whose data does not fit its size or encoding, or proprioception that is not
+        InvalidRequestError: On an image whose data does not fit its size or encoding, or on proprioception that is not
             finite.
     """
     return ObservationWindow(
@@ -122,7 +122,7 @@ def _decode_observation(item: Any, privileged: bool) -> Observation:
 
 
 def fill_answer(response: Act.Response, chunk: ActionChunk) -> None:
-    """Fill the response with checked actions."""
+    """Encode checked actions into the response."""
     response.horizon = len(chunk.actions)
     response.actions = chunk.actions.ravel().tolist()
     response.done = chunk.done
@@ -130,14 +130,14 @@ def fill_answer(response: Act.Response, chunk: ActionChunk) -> None:
 
 
 def decode_answer(response: Any, description: PolicyDescription) -> ActionChunk:
-    """Read and check the response with actions.
+    """Decode and check the response with actions.
 
     Args:
         response: The response.
-        description: What the policy said of itself.
+        description: The policy's description.
 
     Raises:
-        PolicyError: With code ``INVALID_ACTION`` when it holds no chunk of actions of the declared size.
+        PolicyError: With code ``INVALID_ACTION`` when the response is not a chunk of actions of the declared size.
     """
     horizon, numbers = int(response.horizon), np.asarray(response.actions, np.float32)
     if horizon < 1 or numbers.size % horizon:
@@ -177,7 +177,7 @@ class PolicyService:
 
 
 class PolicyClient:
-    """A policy, through its three services. Whatever goes wrong with it is the policy's fault."""
+    """A client of a policy's three services. Every failure of a call counts as the policy's fault."""
 
     def __init__(self, clients: Clients, namespace: str, timeout_s: float) -> None:
         """Use the policy of a namespace.
@@ -193,11 +193,11 @@ class PolicyClient:
         self._description: PolicyDescription | None = None
 
     def describe(self) -> PolicyDescription:
-        """Ask what it is.
+        """Return the policy's description.
 
         Raises:
             UnavailableError: When no policy serves the namespace.
-            InvalidRequestError: When its description is not valid.
+            InvalidRequestError: When the description is not valid.
         """
         answer = self._clients.call(
             DescribePolicy,
@@ -212,7 +212,7 @@ class PolicyClient:
         """Start an episode.
 
         Raises:
-            PolicyError: With the code of whatever went wrong; ``POLICY_LATE``, ``POLICY_DIED``.
+            PolicyError: With the failure's code, e.g. ``POLICY_LATE``, ``POLICY_DIED``.
         """
         self._call(ResetPolicy, "reset_policy", encode_start(start))
 
@@ -220,7 +220,7 @@ class PolicyClient:
         """Return the next actions.
 
         Raises:
-            PolicyError: With the code of whatever went wrong; ``POLICY_LATE``, ``POLICY_DIED``, ``INVALID_ACTION``.
+            PolicyError: With the failure's code, e.g. ``POLICY_LATE``, ``POLICY_DIED``, ``INVALID_ACTION``.
         """
         description = self._description or self.describe()
         return decode_answer(self._call(Act, "act", encode_window(window)), description)

@@ -1,14 +1,13 @@
-"""Runs: a domain of its own for each, who may reach it, and a registry so that other terminals find it.
+"""Runs: one ROS domain each, access control, and a registry in which other terminals find them.
 
-Everything here works through the environment and through files, imports no `rclpy`, and must happen before a context
-is initialised.
+This module uses only the environment and files and does not import `rclpy`. Call it before a context is initialised.
 
 Non-obvious:
-- Fast DDS opens every network interface unless a profile says otherwise, and ``ROS_LOCALHOST_ONLY`` still lets in a
-  host that names this one as a static peer, and every user of this machine. ``transport/user.xml`` has no sockets at
-  all: who comes in is decided by the permissions of files (`roboxim_ros.shared_memory`).
-- A domain is free when nobody has reserved it (`domain_coordinator`'s convention) *and* nobody listens at one of its
-  ports, UDP or shared memory: what a killed process left behind would answer new clients with old types.
+- By default, Fast DDS opens every network interface. ``ROS_LOCALHOST_ONLY`` still admits a host that names this one as
+  a static peer, and every user of this machine. ``transport/user.xml`` has no sockets at all: file permissions decide
+  who has access (`roboxim_ros.shared_memory`).
+- A domain is free when no process has reserved it (`domain_coordinator`'s convention) *and* no process listens at one
+  of its ports, UDP or shared memory: leftovers of a killed process would answer new clients with old types.
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ from roboxim_core.errors import ConfigError, UnavailableError
 from roboxim_ros.shared_memory import busy_domains
 
 LONGEST_RUN_ID = 100
-"""Characters of a run's name, which is a file's name too."""
+"""Largest number of characters of a run's name, which is also a file's name."""
 LARGEST_DOMAIN = 100
-"""Above, the ports of a domain reach into the ephemeral range, where any connection may take them."""
+"""Largest domain used. Ports of higher domains reach into the ephemeral range, where any connection may take them."""
 _TRANSPORTS = ("user", "network")
 
 
 def transport_environment(open_network: bool = False) -> dict[str, str]:
-    """Return the environment variables that decide who can reach a graph.
+    """Return the environment variables that set who can reach a graph.
 
     Args:
-        open_network: Let in every host that reaches this one; false: this user on this machine only.
+        open_network: Admit every host that reaches this one; false: this user on this machine only.
     """
     transport = "network" if open_network else "user"
     profile = str(Path(__file__).parent / "transport" / f"{transport}.xml")
@@ -63,7 +62,7 @@ def activate_transport(open_network: bool | None = None) -> None:
     """Set the environment of this process and its children; call before a context is initialised.
 
     Args:
-        open_network: As for `transport_environment`; none: as the environment already says, else this user only.
+        open_network: As for `transport_environment`; none: as set in the environment, else this user only.
 
     Raises:
         ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``user`` nor ``network``.
@@ -92,17 +91,17 @@ def _udp_ports_in_use() -> set[int]:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """Reserve a ROS domain that nobody on this machine uses, for as long as the block runs.
+    """Reserve a ROS domain that is unused on this machine while the block runs.
 
     Raises:
         UnavailableError: When none of the domains is free.
     """
     busy = {(port - 7400) // 250 for port in _udp_ports_in_use()}  # DDS: ports 7400 + 250 * domain and up
     busy |= busy_domains()
-    start = os.getpid()  # so that processes started together do not all try the same ones
+    start = os.getpid()  # so that processes started together try different domains
     candidates = [1 + (start + i) % LARGEST_DOMAIN for i in range(LARGEST_DOMAIN)]
     free = [domain for domain in candidates if domain not in busy]
-    # It tries 100 times, whatever the selector's range.
+    # It always tries 100 times, for any range of the selector.
     reservation = domain_coordinator.domain_id(iter(free * (LARGEST_DOMAIN // max(1, len(free)) + 1)).__next__)
     try:
         domain = reservation.__enter__()
@@ -112,7 +111,7 @@ def free_domain() -> Iterator[int]:
         ) from None
     try:
         yield domain
-    finally:  # without the block's exception, which the reservation would take for a failed attempt of its own
+    finally:  # without the block's exception, which the reservation would take for its own failed attempt
         reservation.__exit__(None, None, None)
 
 
@@ -120,7 +119,7 @@ def runtime_dir() -> Path:
     """Return this user's directory of runs, made if missing: ``$XDG_RUNTIME_DIR/roboxim`` or in the temporary folder.
 
     Raises:
-        ConfigError: When it belongs to somebody else or is not a directory.
+        ConfigError: When it belongs to another user or is not a directory.
     """
     base = os.environ.get("XDG_RUNTIME_DIR")
     usable = base and os.path.isdir(base) and os.access(base, os.W_OK)
@@ -134,7 +133,7 @@ def runtime_dir() -> Path:
 
 
 def _birth(pid: int) -> int | None:
-    """Return when a process started, in clock ticks since boot, which tells it from a later one of the same id."""
+    """Return a process's start in clock ticks since boot, to distinguish it from a later process of the same id."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -144,7 +143,7 @@ def _birth(pid: int) -> int | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A graph that is running on this machine."""
+    """A running graph on this machine."""
 
     id: str
     """Short unique name, e.g. ``up-1f3a``."""
@@ -153,26 +152,26 @@ class Run:
     transport: str
     """``user``: this user on this machine only; ``network``: every interface."""
     kind: str
-    """What started it: up, generate, evaluate, ..."""
+    """Command that started it: up, generate, evaluate, ..."""
     namespaces: tuple[str, ...]
     """Namespaces of its graphs; the empty one is the root."""
     started: str
-    """When, ISO 8601, UTC."""
+    """Time of the start, ISO 8601, UTC."""
     pids: tuple[int, ...]
-    """Processes; the first one started the run."""
+    """Process ids; the first process started the run."""
     births: tuple[int, ...]
-    """Start of each process in clock ticks since boot, against re-used process ids."""
+    """Start of each process in clock ticks since boot, to detect reused process ids."""
     nodes: tuple[str, ...] = ()
-    """Full names of nodes that are known to be there, so that a short look at the graph knows when it has seen all."""
+    """Full names of the run's known nodes, so that discovery knows when it has seen all."""
 
     @property
     def live_pids(self) -> tuple[int, ...]:
-        """Processes of the run that still live."""
+        """Ids of the run's live processes."""
         return tuple(pid for pid, birth in zip(self.pids, self.births, strict=True) if _birth(pid) == birth)
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment variables with which a process takes part in the run."""
+        """Environment variables for a process that joins the run."""
         return {
             **transport_environment(self.transport == "network"),
             "ROS_DOMAIN_ID": str(self.domain),
@@ -180,7 +179,7 @@ class Run:
         }
 
     def join(self) -> None:
-        """Let this process take part in the run; call before a context is initialised."""
+        """Join the run with this process; call before a context is initialised."""
         _apply(self.environment)
 
 
@@ -207,15 +206,15 @@ def _read(path: Path) -> Run | None:
         data = json.loads(path.read_text())
         values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
         return Run(**values)
-    except (OSError, ValueError, TypeError):  # gone, or of another version
+    except (OSError, ValueError, TypeError):  # removed, or of another version
         return None
 
 
 def check_run_id(run_id: str | None) -> None:
-    """Check a run's name, which is a file's name too.
+    """Check a run's name, which is also a file's name.
 
     Raises:
-        ConfigError: When it has other characters than letters, digits, dots, hyphens and underscores, or too many.
+        ConfigError: When it has characters other than letters, digits, dots, hyphens and underscores, or too many.
     """
     if run_id is not None and len(run_id) > LONGEST_RUN_ID:
         raise ConfigError(f"a run's name has at most {LONGEST_RUN_ID} characters, '{run_id[:40]}...' has {len(run_id)}")
@@ -238,16 +237,17 @@ def _require_apart(run: Run, other: Run) -> None:
 def register_run(
     kind: str, *, domain: int, namespaces: Sequence[str] = ("",), run_id: str | None = None
 ) -> Iterator[Run]:
-    """Make this process's graph known to other terminals while the block runs.
+    """Register this process's graph for other terminals while the block runs.
 
     Args:
-        kind: What started it: ``up``, ``generate``, ...
+        kind: Command that starts it: ``up``, ``generate``, ...
         domain: ROS domain.
         namespaces: Namespaces of its graphs.
-        run_id: Its name; none: a new one.
+        run_id: Name of the run; none: a new name.
 
     Raises:
-        ConfigError: When a live run has that name, or one of the namespaces in the same domain; when the name is none.
+        ConfigError: When a live run has the name, or one of the namespaces in the same domain, or the name is not
+            valid.
     """
     check_run_id(run_id)
     run = Run(
@@ -271,7 +271,7 @@ def register_run(
 
 
 def extend_run(run_id: str, *, pids: Sequence[int] = (), nodes: Sequence[str] = ()) -> None:
-    """Note further processes and nodes of a run; processes that have died are dropped."""
+    """Add processes and nodes to a run, and drop dead processes."""
     with _lock():
         run = _read(_file(run_id))
         if run is not None:
@@ -280,7 +280,7 @@ def extend_run(run_id: str, *, pids: Sequence[int] = (), nodes: Sequence[str] = 
 
 
 def leave_run(run_id: str, pid: int, *, nodes: Sequence[str] = ()) -> None:
-    """Note the end of a process and its nodes; the run goes with its last process."""
+    """Remove a process and its nodes. The run is removed with its last process."""
     with _lock():
         run = _read(_file(run_id))
         if run is None:
@@ -299,7 +299,7 @@ def _with_pids(run: Run, pids: Sequence[int]) -> Run:
 
 
 def live_runs() -> list[Run]:
-    """Return the runs that live, oldest first; forget the dead ones."""
+    """Return the live runs, oldest first, and remove dead ones from the registry."""
     with _lock():
         return _live()
 
@@ -319,10 +319,10 @@ def find_run(run_id: str | None = None) -> Run:
     """Return a live run.
 
     Args:
-        run_id: Its name; none: ``$ROBOXIM_RUN``, else the only one that lives.
+        run_id: Name of the run; none: ``$ROBOXIM_RUN``, else the only live run.
 
     Raises:
-        ConfigError: When there is no such run, none at all, or several to choose from.
+        ConfigError: When the run is unknown, no run is live, or several are live without a choice.
     """
     runs = live_runs()
     listing = "".join(f"\n  {run.id}  (domain {run.domain}, started {run.started})" for run in runs)

@@ -1,15 +1,15 @@
-"""Who can reach a graph over shared memory: only this user, by the permissions of Fast DDS's files in ``/dev/shm``.
+"""Access control over shared memory: only this user, by the permissions of Fast DDS's files in ``/dev/shm``.
 
-A graph on the ``user`` transport talks through these files and nothing else: no socket. To find a participant, to send
-to it or to take part in its domain, a process must open its ports for writing, which the kernel refuses to other users.
+A graph on the ``user`` transport communicates through these files only, without sockets. To discover a participant, to
+send to it or to join its domain, a process must open its ports for writing, which the kernel refuses to other users.
 
 Non-obvious:
-- Fast DDS creates the segments with mode 0644 whatever the umask is: other users could read what is sent. `seal` takes
-  that away at once after a participant was made. Between the two lies a moment (milliseconds) in which a process of
-  another user that waits for it can open a segment for reading; it can never write.
-- Another user could make a domain's ports before us and let us talk through files that belong to them. `foreign_ports`
-  tells, `roboxim_ros.runs.free_domain` avoids such a domain, and `seal` refuses it.
-- The superuser can do everything, and so can whoever may act as this user.
+- Fast DDS creates the segments with mode 0644 whatever the umask: other users could read the messages. `seal` removes
+  that permission right after a participant is made. For the milliseconds in between, a waiting process of another user
+  can open a segment for reading; it can never write.
+- Another user could create a domain's ports first, so that the graph would communicate through that user's files.
+  `foreign_ports` detects this, `roboxim_ros.runs.free_domain` avoids such a domain, and `seal` refuses it.
+- The superuser has full access, and so has every process that may act as this user.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from roboxim_core.errors import UnavailableError
 FOLDER = Path("/dev/shm")
 _FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250
 _LOCKS = ("_el", "_sl")
-"""Endings of the files that a participant locks while it listens at a port, alone or with others."""
+"""Suffixes of the files that a participant locks while it listens at a port, alone or with others."""
 
 
 def _domain_of(path: Path) -> int | None:
@@ -44,7 +44,7 @@ def _ports() -> Iterator[tuple[int, Path]]:
 
 
 def busy_domains() -> set[int]:
-    """Return the domains that a live process listens in, or that have files of another user."""
+    """Return the domains in which a live process listens, or which have files of another user."""
     found = foreign_ports()
     for domain, path in _ports():
         if path.name.endswith(_LOCKS) and domain not in found and _locked(path):
@@ -78,7 +78,7 @@ def _locked(path: Path) -> bool:
 
 @contextmanager
 def private_files() -> Iterator[None]:
-    """Have the block make files that only this user can open, as far as whoever makes them respects the umask."""
+    """Make the block create files that only this user can open, as far as their creator respects the umask."""
     before = os.umask(0o077)
     try:
         yield
@@ -87,13 +87,13 @@ def private_files() -> Iterator[None]:
 
 
 def seal(domain: int) -> None:
-    """Close the files of this process's participants to other users; call after one was made.
+    """Close the files of this process's participants to other users; call it after making a participant.
 
     Args:
         domain: The ROS domain of the participants.
 
     Raises:
-        UnavailableError: When a port of the domain belongs to another user, who could read and write what is sent.
+        UnavailableError: When a port of the domain belongs to another user, who could read and send messages.
     """
     if domain in foreign_ports():
         raise UnavailableError(
@@ -109,6 +109,6 @@ def seal(domain: int) -> None:
 
 
 def _mapped() -> set[str]:
-    """Return the names of Fast DDS's files that this process has in its memory."""
+    """Return the names of Fast DDS's files that this process has mapped."""
     maps = Path("/proc/self/maps").read_text()
     return set(re.findall(rf"{FOLDER}/((?:sem\.)?fastrtps_\w+)", maps))

@@ -1,4 +1,4 @@
-"""For pytest: nodes in this process, in a domain of their own. Users import `graph_host` into their conftest."""
+"""Pytest fixtures: nodes in this process, in their own domain. Import `graph_host` into a conftest."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from roboxim_ros.runs import free_domain
 T = TypeVar("T")
 
 PATIENCE_S = 300.0
-"""How long a test waits for what must happen [s]: only a hang reaches it, however busy the machine is."""
+"""Longest wait of a test for an event that must happen [s]. Only a hang reaches it, even on a busy machine."""
 
 
 def eventually(condition: Callable[[], T], expected: str = "what the test waits for", wait_s: float = PATIENCE_S) -> T:
     """Wait until a condition holds, and return its value.
 
-    For what has no event to wait for: a file, a process, the log of one.
+    For conditions without an event: a file, a process, a process's log.
 
     Args:
-        condition: Returns something true when it holds.
-        expected: What is waited for, for the error.
+        condition: Returns a true value when it holds.
+        expected: Description of the condition, for the error.
         wait_s: Longest wait [s].
 
     Raises:

@@ -85,13 +85,13 @@ def test_late_result_is_an_error_and_cancels_the_goal(grip, gripper):
     assert gripper.cancelled.wait(PATIENCE_S)
 
 
-def test_rejected_goal_and_absent_server_are_told_apart(grip, graph_host):
+def test_rejected_goal_and_absent_server_are_distinguished(grip, graph_host):
     with pytest.raises(InvalidRequestError, match="rejected"):
         grip.run(_goal(2.0), timeout_s=PATIENCE_S)
     with (
         Clients("other", context=graph_host.context) as clients,
         ActionCall(clients, GripperCommand, "no") as absent,
-        pytest.raises(UnavailableError, match="'no' is not there"),
+        pytest.raises(UnavailableError, match="'no' is not available"),
     ):
         absent.run(_goal(0.5), wait_s=0.1)
 

@@ -68,7 +68,7 @@ def _renamed(context) -> Node:
     return node
 
 
-def test_absent_and_slow_services_are_told_apart(graph_host):
+def test_absent_and_slow_services_are_distinguished(graph_host):
     server = graph_host.add(_server)
     with Clients("clients", context=graph_host.context) as clients:
         with pytest.raises(UnavailableError, match="/nowhere"):

@@ -60,7 +60,7 @@ class RldsWriter:
         self.path = folder / name / version
         if self.path.exists() and not overwrite:
             raise RecorderError(
-                f"{self.path} exists; choose another name or version, or replace it (--overwrite)",
+                f"{self.path} exists; choose another name or version, or replace it (--overwrite or overwrite=True)",
                 ErrorCode.EXPORT_REFUSED,
             )
         self.features, self.name, self.version, self.description = features, name, version, description

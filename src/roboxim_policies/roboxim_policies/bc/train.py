@@ -106,7 +106,7 @@ class Trainer:
                 other.append("another dataset")
             raise ConfigError(
                 f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
-                "choose another --out, or continue with the same configuration and dataset"
+                "choose another output folder (--out or out=), or continue with the same configuration and dataset"
             )
         self._at = found.restore(self._at[0]), found.step
 

@@ -100,7 +100,7 @@ def select(bags: RunBags, selection: Selection) -> Selected:
     if bags.missing and not selection.skip_missing:
         raise RecorderError(
             f"{bags.missing_text}; restore {'them' if len(bags.missing) > 1 else 'it'}, or export the others "
-            "(--skip-missing)",
+            "(--skip-missing or skip_missing=True)",
             ErrorCode.EXPORT_REFUSED,
         )
     sources: list[Source] = []
