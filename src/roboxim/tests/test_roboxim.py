@@ -1,4 +1,4 @@
-"""``import roboxim``: quick, starts nothing, and the README's lines run as they stand."""
+"""``import roboxim`` is quick and starts nothing, and the README's example runs unchanged."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def script_of(readme: Path) -> str:
 
 
 class Executor:
-    """In place of workers: every second episode succeeds."""
+    """An executor without workers; every second episode succeeds."""
 
     def run(self, work, jobs, *, cancellation=None, **_):
         for job in jobs:
@@ -88,7 +88,7 @@ def test_an_evaluation_is_a_value(tmp_path):
         found["wld"]
 
 
-def test_a_run_is_cancelled_and_goes_on(tmp_path):
+def test_a_cancelled_run_continues(tmp_path):
     stop, events = threading.Event(), []
 
     def cancel(event):

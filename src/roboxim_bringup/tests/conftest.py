@@ -11,7 +11,7 @@ __all__ = ["graph", "graph_parameters"]
 
 @pytest.fixture
 def runtime(tmp_path, monkeypatch):
-    """A registry of runs of this test alone; the environment is as before afterwards."""
+    """Give the test its own registry of runs; restore the environment afterwards."""
     before = dict(os.environ)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("ROBOXIM_RUN", raising=False)

@@ -1,4 +1,4 @@
-"""Completion and quick refusals: what the command line knows without importing the rooms."""
+"""Completion and quick refusals of the command line, without importing the rooms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HEAVY = ("rclpy", "numpy", "scipy", "pinocchio", "trimesh", "jax", "cattrs", "ru
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """A cache folder with a fresh catalog."""
+    """Return a cache folder with a fresh catalog."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
@@ -29,7 +29,7 @@ def cache(tmp_path_factory):
 
 
 def complete(*words: str) -> set[str]:
-    """Complete the last word in a process of its own that must not import anything heavy."""
+    """Complete the last word in a new process, which must not import a heavy module."""
     code = f"""
 import sys
 from roboxim_bringup.cli import group

@@ -102,7 +102,7 @@ def small(runtime):
 
 
 def roboxim(*words: str) -> str:
-    """Run a command in this process and return its output; raises what it raises."""
+    """Run a command in this process and return its output; its exceptions propagate."""
     result = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
     return result.stdout
 
@@ -220,7 +220,7 @@ def test_topics(small):
 
 
 def _rate_of_steady() -> float | None:
-    """Return the rate that is printed; None when the machine was too busy for two messages within a second."""
+    """Return the printed rate, or None when the machine was too busy for two messages within a second."""
     try:
         text = roboxim("topic", "hz", "/steady", "--duration", "1")
     except RequestTimeoutError:
@@ -303,7 +303,7 @@ def test_runs_are_listed(small):
 
 
 @pytest.mark.ros
-def test_doctor_looks_at_everything(runtime):
+def test_doctor_reports_every_check(runtime):
     result = CliRunner().invoke(group, ["doctor", "--json"], standalone_mode=False)
     found = {finding["name"]: finding for finding in json.loads(result.stdout)}
     assert {"Python", "renderers", "graph", "shared memory", "compiler", "cores", "disk"} <= set(found)
@@ -312,7 +312,7 @@ def test_doctor_looks_at_everything(runtime):
     assert "Blender" in found["renderer photo"]["purpose"]
 
 
-def test_doctor_tells_an_optional_part_that_is_absent(monkeypatch):
+def test_doctor_reports_an_absent_optional_part(monkeypatch):
     absent = RendererStatus(available=False, detail="Blender is not installed")
     monkeypatch.setattr("roboxim_sim.rendering.available_renderers", lambda names=None: {"photo": absent})
     monkeypatch.setattr(doctor, "CHECKS", (doctor._photo,))

@@ -1,4 +1,4 @@
-"""`roboxim export` offers every registered format, with options made of its configuration."""
+"""`roboxim export` offers every registered format, with options built from its configuration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from roboxim_recorder.export import EXPORTERS, Selection
 
 @dataclass(frozen=True, kw_only=True)
 class ToyConfig(Selection):
-    """What a toy holds."""
+    """Configuration of the toy format."""
 
     title: str = "toy"
     """Title of the ``toy``."""

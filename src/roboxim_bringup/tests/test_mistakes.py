@@ -16,7 +16,7 @@ from roboxim_core.errors import RoboximError
 
 
 def mistake(*words) -> str:
-    """Return what a command answers to a mistake."""
+    """Return a command's error message for a mistake."""
     with pytest.raises(RoboximError) as error:
         CliRunner().invoke(group, [str(word) for word in words], standalone_mode=False, catch_exceptions=False)
     said = str(error.value)
@@ -27,7 +27,7 @@ def mistake(*words) -> str:
 
 @pytest.fixture
 def run(tmp_path):
-    """A folder that looks like a run of two bags."""
+    """Return a folder that looks like a run of two bags."""
     for number in range(2):
         bag = tmp_path / "run" / "episodes" / f"demo-0-0000{number}-0"
         bag.mkdir(parents=True)
@@ -36,7 +36,7 @@ def run(tmp_path):
     return tmp_path / "run"
 
 
-def test_training_needs_a_data_set_not_a_run(run, tmp_path):
+def test_training_needs_a_dataset_not_a_run(run, tmp_path):
     assert f"roboxim export rlds {run} {run}-rlds" in mistake("train", "bc", run, "--out", tmp_path / "bc")
     assert "no such folder" in mistake("train", "bc", tmp_path / "nothere", "--out", tmp_path / "bc")
     assert not (tmp_path / "bc").exists()
@@ -48,7 +48,7 @@ def test_training_refuses_a_file_as_its_folder_and_an_empty_configuration(run, t
     assert "is empty" in mistake("train", "bc", run, "--config", tmp_path / "file")
 
 
-def test_a_path_of_the_wrong_kind_is_told_from_a_damaged_bag(run, tmp_path):
+def test_a_path_of_the_wrong_kind_is_not_called_a_damaged_bag(run, tmp_path):
     file = tmp_path / "my_policy.py"
     file.touch()
     for words in (("info", file), ("check", file), ("play", file), ("repair", file)):

@@ -17,7 +17,7 @@ def test_assignments_are_typed_and_belong_to_nodes():
 
 
 @pytest.mark.parametrize("word", ["rate=10", "rate", ":=1", "a b:=1"])
-def test_word_that_is_no_assignment_is_refused(word):
+def test_malformed_assignment_is_refused(word):
     with pytest.raises(ConfigError, match="name:=value"):
         parse_assignments([word])
 
@@ -31,7 +31,7 @@ def test_params_files_later_ones_win(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["[1]", "sim: {renderer: tiny}", "", "sim: {ros__parameters: 5}"])
-def test_file_that_is_no_params_file_is_refused(tmp_path, text):
+def test_malformed_params_file_is_refused(tmp_path, text):
     (tmp_path / "bad.yaml").write_text(text)
     with pytest.raises(ConfigError, match="bad.yaml"):
         read_params_files([tmp_path / "bad.yaml"])

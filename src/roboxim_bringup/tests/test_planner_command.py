@@ -27,7 +27,7 @@ target: {pose: {position: {x: 0.5, y: 0.2, z: 0.2}, orientation: {x: 1.0, w: 0.0
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the dump of an unreachable goal."""
+    """Return a folder with the dump of an unreachable goal."""
     library = ModelLibrary()
     planner = Planner(library.robot("panda"))
     query = PoseQuery(robot="panda", start=HOME, targets=(Pose(position=(1.5, 0.0, 0.2)),))

@@ -1,4 +1,4 @@
-"""Recording, checking, playing and replaying an episode, with the commands that a user types."""
+"""Recording, checking, playing and replaying an episode with the commands."""
 
 from __future__ import annotations
 

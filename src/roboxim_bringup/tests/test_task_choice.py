@@ -1,4 +1,4 @@
-"""What the command line says of a task, and ``roboxim tasks``."""
+"""The command line's task options, and ``roboxim tasks``."""
 
 import json
 
@@ -22,7 +22,7 @@ def roboxim(*arguments):
     return CliRunner().invoke(group, ["tasks", *arguments], catch_exceptions=False).output
 
 
-def test_a_skill_with_objects_of_one_s_own():
+def test_a_skill_with_chosen_objects():
     text = task_text(skill="place_on", objects=("apple,knife", "support=tray"), distractors="2")
     config = parse_task_config(text)
     assert config.objects["target"].models.values == ("apple", "knife")
@@ -55,14 +55,14 @@ def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_j
         ({"skill": "stack", "objects": ("tray",)}, ["the tray is too long to lie on the cube", "on the block"]),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_what_would(given, said):
+def test_impossible_tasks_are_refused_with_the_reason(given, said):
     with pytest.raises(ConfigError) as error:
         task_text(**given)
     for part in said:
         assert part in str(error.value)
 
 
-def test_list_names_every_skill_and_what_suits_it():
+def test_list_names_every_skill_and_its_suitable_objects():
     listed = json.loads(roboxim("list", "--json"))
     assert set(listed["skills"]) == set(SKILLS)
     assert "plate" in listed["skills"]["place_on"]["roles"]["support"]
@@ -70,12 +70,12 @@ def test_list_names_every_skill_and_what_suits_it():
     assert listed["tasks"]["skill_object_leave_out"]["episodes"] == 324
     put_into = listed["skills"]["put_into"]["roles"]
     assert "banana" not in put_into["target"] or "tray" in put_into["container"]
-    assert "mug" not in put_into["container"]  # nothing fits into it
+    assert "mug" not in put_into["container"]  # no object fits into it
     text = roboxim("list")
     assert all(name in text for name in SKILLS)
 
 
-def test_a_sample_is_what_would_be_generated():
+def test_a_sample_equals_the_generated_tasks():
     lines = roboxim("sample", "--skill", "stack", "--seed", "7", "--count", "3", "--first", "2", "--json").splitlines()
     generator = EpisodeGenerator(ModelLibrary())
     config = parse_task_config(task_text(skill="stack"))

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.ros
 
 
 class Gripper(Node):
-    """Waits for its goal to be cancelled when asked for a position below 0; rejects one above 1."""
+    """A gripper that waits for cancellation on a position below 0 and rejects one above 1."""
 
     executor_threads = 3
 

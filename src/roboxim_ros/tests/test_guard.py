@@ -1,4 +1,4 @@
-"""No callback ends its node: whatever it raises becomes an answer, or a line in the log."""
+"""No callback ends its node: every exception becomes an answer or a line in the log."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RAISED = [
 
 
 class Faulty(RoboximNode):
-    """Every handler raises ``error``."""
+    """A node whose handlers all raise ``error``."""
 
     def __init__(self, context):
         super().__init__("faulty", context=context)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
 
 
 class Listener(Node):
-    """Hears one topic on demand, another at once."""
+    """A node with one subscription on demand and one ordinary subscription."""
 
     def __init__(self, context):
         super().__init__("listener", context=context)

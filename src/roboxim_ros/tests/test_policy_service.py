@@ -1,4 +1,4 @@
-"""What crosses the policy boundary comes out as it went in; what is no answer is refused on the asking side too."""
+"""Values survive the policy boundary unchanged; the client also refuses invalid answers."""
 
 import numpy as np
 import pytest

@@ -71,7 +71,7 @@ def test_two_runs_never_share_names_in_a_domain():
         pass
 
 
-def test_a_runs_name_is_a_files_name():
+def test_a_runs_name_must_be_a_valid_file_name():
     for name in ("a b", "", "../x", ".hidden"):
         with pytest.raises(ConfigError, match="letters, digits"):
             runs.register_run("up", domain=7, run_id=name).__enter__()

@@ -1,4 +1,4 @@
-"""Another user of the machine can neither drive nor hear a graph."""
+"""Another user of the machine can neither control nor listen to a graph."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_a_domain_whose_ports_belong_to_another_user_is_refused():
             port.unlink()
 
 
-def test_a_domain_that_somebody_listens_in_is_busy(graph_host):
+def test_a_domain_with_a_listener_is_busy(graph_host):
     domain = graph_host.add(Talker).context.get_domain_id()
     assert domain in shared_memory.busy_domains()
     graph_host.close()

@@ -85,7 +85,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
         response = peer.clients.call(cls, absolute(name), request, timeout_s=timeout, check=False)
     answer = message_to_plain(response, full=full)
     code = getattr(response, "error_code", 0)
-    if not code or _says_more(answer, message_to_plain(cls.Response(), full=full)):
+    if not code or _has_payload(answer, message_to_plain(cls.Response(), full=full)):
         click.echo(dump(answer), nl=False)
     if code:
         raise RoboximError(f"{absolute(name)}: {response.error_msg}", code)
@@ -94,7 +94,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
         raise SimError(f"{absolute(name)}: {result.error_message}")
 
 
-def _says_more(answer: dict[str, Any], empty: dict[str, Any]) -> bool:
+def _has_payload(answer: dict[str, Any], empty: dict[str, Any]) -> bool:
     """Return whether a failed call's answer holds more than its error, e.g. a partial path. An index of -1 is empty."""
     return any(
         value != empty[name] and value != -1

@@ -181,13 +181,13 @@ def pub(
 
         def step() -> bool:
             nonlocal sent, following
-            while time.monotonic() >= following and not _enough():
+            while time.monotonic() >= following and not _all_sent():
                 publisher.publish(message)
                 sent += 1
                 following += 1.0 / rate
-            return _enough()
+            return _all_sent()
 
-        def _enough() -> bool:
+        def _all_sent() -> bool:
             return sent >= (1 if once else times or float("inf"))
 
         wait_for_stop(step, period_s=min(0.2, 1.0 / rate))

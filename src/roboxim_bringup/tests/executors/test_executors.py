@@ -1,4 +1,4 @@
-"""Executors give the same results, survive dead workers, and end when they are told to."""
+"""Executors give the same results, survive dead workers, and end on cancellation."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_job_that_costs_all_its_workers_is_lost_and_the_others_are_done(work):
 
 
 @pytest.mark.parametrize("make", [InlineExecutor, LocalExecutor])
-def test_a_fault_that_no_fresh_worker_cures_ends_the_run(work, make):
+def test_a_fault_that_a_new_worker_repeats_ends_the_run(work, make):
     with pytest.raises(ConfigError, match="wrong job"):
         list(make().run(work(), jobs("wrong", 1)))
     with pytest.raises(ConfigError, match="no such setting"):
@@ -147,7 +147,7 @@ def test_a_cancelled_run_ends_its_workers(work):
         list(InlineExecutor().run(work(), jobs(1), cancellation=stop))
 
 
-def test_what_is_no_plain_data_is_refused_by_every_executor(work):
+def test_every_executor_refuses_data_that_is_not_plain(work):
     for executor in (InlineExecutor(), LocalExecutor(1)):
         with pytest.raises(TypeError, match="not JSON serializable"):
             list(executor.run(work(), jobs(Path("x"))))

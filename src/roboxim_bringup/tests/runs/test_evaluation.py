@@ -1,4 +1,4 @@
-"""``roboxim evaluate``: no figure is stale, doubled or without meaning, and mistakes are found before work starts."""
+"""``roboxim evaluate``: no figure is stale, duplicate or meaningless, and mistakes are found before work starts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Mine(BasePolicy):
 
 
 class Pool:
-    """In place of the workers: every episode ends as ``outcome`` says."""
+    """An executor without workers; every episode ends with ``outcome``."""
 
     outcome, reason = "success", ""
     asked: list[tuple[str, list[int]]]
@@ -82,13 +82,13 @@ def evaluate(*words, episodes=2):
     return CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
 
 
-def test_the_same_policy_is_not_run_again_and_that_is_said(folder):
+def test_the_same_policy_is_not_run_again_and_the_output_says_so(folder):
     assert "were there" not in evaluate("--policy", "mine.py:Mine")
     said = evaluate("--policy", "mine.py:Mine")
-    assert "Mine: 2 of 2 episodes were there already, from 20" in said
+    assert "Mine: 2 of 2 episodes were done already, from 20" in said
     assert "nothing is run" in said
     said = evaluate("--policy", "mine.py:Mine", episodes=3)
-    assert "Mine: 2 of 3 episodes were there already" in said
+    assert "Mine: 2 of 3 episodes were done already" in said
     assert Pool.asked == [("mine.py:Mine", [0, 1]), ("mine.py:Mine", [2])]
 
 
@@ -97,7 +97,7 @@ def test_results_of_an_earlier_state_of_a_policy_are_refused(folder):
     (folder / "mine.py").write_text(MINE.replace("0.0", "0.1"))
     with pytest.raises(ConfigError, match=r"out/Mine holds 2 episodes of an earlier .*: mine.py has changed; .*--out"):
         evaluate("--policy", "zero", "--policy", "mine.py:Mine")
-    assert len(Pool.asked) == 1, "nothing may run before every folder is looked at"
+    assert len(Pool.asked) == 1, "nothing may run before every folder is checked"
     (folder / "mine.py").write_text(MINE)
     evaluate("--policy", "mine.py:Mine")
 
@@ -168,7 +168,7 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
         (["--policy", "random", "--option", "scale=2"], "scale is the fraction of the action limits"),
         (["--policy", "replay", "--option", "source=absent.npz"], "no such.*absent.npz"),
         (["--policy", "random", "--option", "other.scale=1"], "no policy 'other'"),
-        (["--policy", "bc"], "needs --checkpoint"),
+        (["--policy", "bc"], "needs a checkpoint.*--checkpoint bc=PATH"),
         (["--policy", "bc", "--checkpoint", "absent"], "no checkpoint at absent"),
         (["--policy", "bc", "--checkpoint", "mine.py"], "mine.py is not a readable checkpoint"),
         (["--policy", "random", "--checkpoint", "bc"], r"none of the policies takes it \(random\)"),

@@ -37,7 +37,7 @@ def test_another_configuration_is_refused_by_key(tmp_path):
     with RunFolder(tmp_path / "run").opened({"seed": 2}):
         pass
     with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 5}) as folder:
-        folder.append(result(0))  # from now on there is something to lose
+        folder.append(result(0))  # from now on the folder has a result
     with RunFolder(tmp_path / "run").opened({"seed": 0, "episodes": 9}) as folder:
         assert folder.config()["episodes"] == 9
     with (
@@ -47,7 +47,7 @@ def test_another_configuration_is_refused_by_key(tmp_path):
         pass
 
 
-def test_another_command_or_a_folder_without_a_success_is_told_apart(tmp_path):
+def test_another_command_and_a_folder_without_a_success_get_their_own_advice(tmp_path):
     failed = replace(result(0), outcome="failure", reason="not_lifted")
     with RunFolder(tmp_path / "run").opened({"purpose": "demo", "skill": "rotate"}) as folder:
         folder.append(failed)
@@ -67,7 +67,7 @@ def summary(before, results, out):
     return GenerationResult(out=out, results=tuple(results), before=tuple(before), picture=None).summary
 
 
-def test_what_generate_says_it_made(tmp_path):
+def test_the_summary_of_generate(tmp_path):
     kept = [result(0), replace(result(1), attempt=2)]
     failed = replace(result(2), outcome="failure", attempt=4)
     assert summary([], kept, tmp_path).endswith("episodes (1 after a failed attempt)")
@@ -125,7 +125,7 @@ def test_bags_of_an_unfinished_index_are_discarded(tmp_path):
 
 
 class Executor:
-    """Yields what it is told to."""
+    """An executor that yields the given outcomes."""
 
     def __init__(self, outcome_of):
         self.asked, self.outcome_of = [], outcome_of
@@ -144,7 +144,7 @@ def job_in(folder, episodes=3):
     return EpisodesJob(config=RunConfig(output_dir=str(folder)), episodes=episodes)
 
 
-def test_going_on_tries_again_what_cost_all_workers_and_nothing_else(tmp_path):
+def test_resuming_repeats_only_episodes_whose_workers_all_died(tmp_path):
     job = job_in(tmp_path / "run")
     first = Executor(lambda job: Lost(key=job.key, message="dead") if job.data == 1 else done(job, outcome="failure"))
     assert [r.reason for r in run_episodes(job, "first", {}, executor=first)] == ["", WORKER_DIED, ""]
@@ -154,7 +154,7 @@ def test_going_on_tries_again_what_cost_all_workers_and_nothing_else(tmp_path):
     assert first.asked + again.asked == [[0, 1, 2], [1]]
 
 
-def test_an_interrupted_run_tells_what_is_there(tmp_path):
+def test_an_interrupted_run_reports_its_finished_episodes(tmp_path):
     def interrupted(job):
         if job.data == 1:
             raise KeyboardInterrupt

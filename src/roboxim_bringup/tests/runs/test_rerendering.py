@@ -1,4 +1,4 @@
-"""Re-rendering: what is unchanged stays, bit for bit; what is asked for changes; interrupted runs go on."""
+"""Rerendering: unchanged settings keep every bit, requested changes apply, interrupted runs continue."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ reset:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two short episodes; the wrist camera is slow, noisy and distorting."""
+    """Record two short episodes; the wrist camera is slow, noisy and distorting."""
     out = tmp_path_factory.mktemp("recorded")
     config = RunConfig(
         purpose="test", keep="all", output_dir=str(out), task_config=TASK, image_width=64, image_height=48,
@@ -47,7 +47,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def messages(bag: Path) -> list[tuple[str, int, str]]:
-    """Everything but the episode's info, comparable."""
+    """Return all messages but the episode's info, in a comparable form."""
     found = []
     for topic, stamp, message in BagReader(bag).messages():
         if topic != "/episode/info":
@@ -113,7 +113,7 @@ def test_an_interrupted_run_goes_on_and_another_is_refused(recorded: Path, tmp_p
     bags, config = list_bags(recorded), RerenderConfig(cameras={"workspace": ""})
     assert rerender(bags[:1], tmp_path / "out", config).made == 1
     whole = (tmp_path / "out" / "episodes" / bags[0].name / f"{bags[0].name}_0.mcap").stat().st_mtime_ns
-    (tmp_path / "out" / ".partial" / bags[1].name).mkdir(parents=True)  # what a killed worker leaves
+    (tmp_path / "out" / ".partial" / bags[1].name).mkdir(parents=True)  # as a killed worker leaves it
     report = rerender(bags, tmp_path / "out", config)
     assert (report.made, report.there) == (1, 1)
     assert (tmp_path / "out" / "episodes" / bags[0].name / f"{bags[0].name}_0.mcap").stat().st_mtime_ns == whole
@@ -122,7 +122,7 @@ def test_an_interrupted_run_goes_on_and_another_is_refused(recorded: Path, tmp_p
         rerender(bags, tmp_path / "out", RerenderConfig(width=32, height=32))
 
 
-def test_what_cannot_be_is_said_before_anything_is_rendered(recorded: Path, tmp_path: Path) -> None:
+def test_impossible_requests_are_refused_before_rendering(recorded: Path, tmp_path: Path) -> None:
     bags = list_bags(recorded)
     with pytest.raises(ConfigError, match="workspace_left"):
         rerender(bags, tmp_path / "a", RerenderConfig(cameras={"workspace_lft": ""}))
