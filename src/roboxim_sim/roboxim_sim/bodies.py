@@ -1,7 +1,7 @@
-"""Robot, objects and table as PyBullet bodies, built from the shared models.
+"""The robot, the objects and the table as PyBullet bodies, built from the shared models.
 
-The numbers below are a recipe that was tuned as a whole for grasps that hold at 240 Hz; the reasons stand beside them.
-Bodies carry no visuals: rendering has meshes of its own, and loading them would take most of a reset.
+The constants below were tuned together for grasps that hold at 240 Hz; each comes with its reason. The bodies have no
+visual shapes: the renderers have their own meshes, and loading visual shapes would take most of a reset.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ FINGER_STIFFNESS, FINGER_DAMPING = 3e4, 1e3
 GEAR_ERP, GEAR_FORCE_N = 0.1, 50.0
 """The fingers are coupled by a gear constraint; without it a held object drifts by up to 2 cm."""
 CONTACT_TURN_RAD = 0.05
-"""Turn of the hand after which one finger's contact points are found again; see `RobotBody.renew_contacts`."""
+"""Rotation of the hand [rad] after which one finger's contact points are renewed; see `RobotBody.renew_contacts`."""
 SPRING_GAIN = 0.1
-"""Position gain of a joint that springs back: it returns within some 0.1 s, without a bounce."""
+"""Position gain of a joint that springs back: it returns within about 0.1 s without bouncing."""
 
 _COSINE_OF_CONTACT_TURN = math.cos(CONTACT_TURN_RAD / 2)
 _FILTER_OF_LINKS = (1, -1)
@@ -43,7 +43,7 @@ _FILTER_OF_LINKS = (1, -1)
 
 
 def configure(client: int, rate_hz: float) -> None:
-    """Empty the world and set the physics up.
+    """Empty the world and set the physics parameters.
 
     Args:
         client: PyBullet client id.
@@ -63,7 +63,7 @@ def build_table(client: int, table: TableSpec) -> dict[int, str]:
     """Build the table and the floor.
 
     Returns:
-        Body id to name.
+        Names by body id.
     """
     x, y, z = table.center
     wide, deep, thick = table.size
@@ -79,15 +79,15 @@ def build_table(client: int, table: TableSpec) -> dict[int, str]:
 
 
 class RobotBody:
-    """The robot in the world, with its motors."""
+    """The robot in PyBullet, with its motors."""
 
     def __init__(self, client: int, model: RobotModel, spec: RobotSpec, joints: Sequence[float]) -> None:
-        """Load the robot at joint positions.
+        """Load the robot at the given joint positions.
 
         Args:
             client: PyBullet client id.
             model: The robot.
-            spec: Pose and gripper.
+            spec: Base pose and gripper opening.
             joints: Arm joint positions [rad].
 
         Raises:
@@ -134,7 +134,7 @@ class RobotBody:
         self._damping = [1.0] * len(self.arm)
 
     def drive_arm(self, positions: Sequence[float], velocities: Sequence[float]) -> None:
-        """Set the arm's targets for the next physics step: positions [rad], velocities [rad/s]."""
+        """Set the arm's target positions [rad] and velocities [rad/s] for the next physics step."""
         pybullet.setJointMotorControlArray(
             self.id,
             self.arm,
@@ -148,11 +148,11 @@ class RobotBody:
         )
 
     def drive_gripper(self, opening: float, force_n: float | None = None) -> None:
-        """Set the fingers' target.
+        """Set the fingers' target opening.
 
         Args:
             opening: 1 = open, 0 = closed.
-            force_n: Largest force of each finger [N]; none: the model's.
+            force_n: Maximum force of each finger [N]; none: the model's.
         """
         gripper = self._model.gripper
         for number in self.fingers:
@@ -167,12 +167,12 @@ class RobotBody:
             )
 
     def renew_contacts(self) -> None:
-        """Find the contact points of one finger again, if the hand has turned. Call after each physics step.
+        """Renew the contact points of one finger if the hand has rotated. Call after each physics step.
 
-        A friction anchor keeps a contact point as long as it does not slip, with the normal in the world that the
-        point had at first. Once the hand has turned with what it holds, such normals are wrong: after a half turn
-        they hold the fingers closed. Putting the finger's broad-phase proxy in again drops its contact points. The
-        fingers take turns, so that the anchors of the other one bear what is held in the meantime.
+        A friction anchor keeps a contact point until it slips, and with it the point's initial normal in the world.
+        When the hand rotates with a held object, these normals become wrong: after half a turn they hold the fingers
+        closed. Re-inserting a finger's broad-phase proxy drops its contact points. The fingers alternate, so that
+        the other finger's anchors carry the object meanwhile.
         """
         now = self._finger_rotation()
         cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # of half the angle
@@ -185,12 +185,12 @@ class RobotBody:
         self._next_finger = 1 - self._next_finger
 
     def read_joints(self) -> tuple[list[float], list[float], list[float]]:
-        """Return positions, velocities and the last step's motor efforts of the arm's joints, then the fingers'."""
+        """Return positions, velocities and last motor efforts of the joints: the arm's first, then the fingers'."""
         states = pybullet.getJointStates(self.id, self.arm + self.fingers, physicsClientId=self._client)
         return [s[0] for s in states], [s[1] for s in states], [s[3] for s in states]
 
     def _finger_rotation(self) -> tuple[float, ...]:
-        """Return the rotation of the first finger in the world as a quaternion; the fingers only slide."""
+        """Return the first finger's rotation in the world as a quaternion: the hand's, since the fingers only slide."""
         rotation: tuple[float, ...] = pybullet.getLinkState(self.id, self.fingers[0], physicsClientId=self._client)[1]
         return rotation
 
@@ -211,7 +211,7 @@ class RobotBody:
 
 
 class ObjectBody:
-    """An object in the world."""
+    """An object in PyBullet."""
 
     def __init__(self, client: int, model: ObjectModel, entity: EntitySpec) -> None:
         """Build an object.
@@ -219,7 +219,7 @@ class ObjectBody:
         Args:
             client: PyBullet client id.
             model: The object, with its modifiers.
-            entity: Name, pose, joint positions.
+            entity: The object's name, pose and joint positions.
         """
         self._client, self.name, self.model = client, entity.name, model
         joints = _parents_first(model)
@@ -274,7 +274,7 @@ class ObjectBody:
         angular: Sequence[float] = (0.0, 0.0, 0.0),
         joint_positions: dict[str, float] | None = None,
     ) -> None:
-        """Move the object: base pose in the world, base velocities [m/s, rad/s], joint positions [m or rad]."""
+        """Set the base pose in the world, the base velocities [m/s, rad/s] and the joint positions [m or rad]."""
         if pose is not None:
             base = pose @ self._center if self._center != IDENTITY else pose
             pybullet.resetBasePositionAndOrientation(
@@ -285,7 +285,7 @@ class ObjectBody:
             pybullet.resetJointState(self.id, self.joint_names.index(name), position, physicsClientId=self._client)
 
     def read_joints(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return positions and velocities of the joints."""
+        """Return positions [m or rad] and velocities [m/s or rad/s] of the joints."""
         if not self.joint_names:
             return (), ()
         states = pybullet.getJointStates(self.id, range(len(self.joint_names)), physicsClientId=self._client)
@@ -297,9 +297,9 @@ class ObjectBody:
         """Return the state and the joint velocities.
 
         Args:
-            lowest: Lowest joint positions of the tick.
-            highest: Highest joint positions of the tick.
-            fastest_fall: Largest downward speed of the base over the tick [m/s].
+            lowest: Lowest joint positions during the tick [m or rad].
+            highest: Highest joint positions during the tick [m or rad].
+            fastest_fall: Largest downward speed of the base during the tick [m/s].
         """
         position, quat = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
         linear, angular = pybullet.getBaseVelocity(self.id, physicsClientId=self._client)
@@ -330,7 +330,7 @@ class ObjectBody:
             physicsClientId=self._client,
         )
         pybullet.resetJointState(self.id, number, position, physicsClientId=self._client)
-        # A motor on every joint, as PyBullet's default one resists strongly.
+        # Every joint gets a motor of known force, because PyBullet's default motor resists strongly.
         if joint.spring > 0:
             pybullet.setJointMotorControl2(
                 self.id,
@@ -354,7 +354,7 @@ class ObjectBody:
 
 @lru_cache(maxsize=8)
 def _physics_urdf(urdf: Path) -> Path:
-    """A copy of a URDF for PyBullet: without visuals (it refuses GLB) and with the meshes' full paths."""
+    """Write a copy of a URDF for PyBullet: without visuals (it rejects GLB) and with absolute mesh paths."""
     text = re.sub(r"\s*<visual>.*?</visual>", "", urdf.read_text(), flags=re.S)
     folder = tempfile.TemporaryDirectory(prefix="roboxim-urdf-")
     _KEPT.append(folder)
@@ -364,7 +364,7 @@ def _physics_urdf(urdf: Path) -> Path:
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
-"""Folders that live as long as the process."""
+"""Temporary folders, kept until the process ends."""
 
 
 def _parents_first(model: ObjectModel) -> list[JointModel]:
@@ -380,12 +380,12 @@ def _parents_first(model: ObjectModel) -> list[JointModel]:
 
 
 def _can_roll(link: LinkModel) -> bool:
-    """Tell whether a link has round shapes; rolling friction of others would only cost time."""
+    """Return whether a link has round shapes; rolling friction on other shapes would only cost time."""
     return any(shape.kind != "box" for shape in link.collision)
 
 
 def _center_of_mass(link: LinkModel) -> tuple[float, float, float]:
-    """The volumes' common centre [m]."""
+    """Return the centre of mass of the volumes [m]."""
     volumes = np.array([_volume(shape) for shape in link.collision])
     centers = np.array([shape.pose.apply(_hull(shape.mesh).center_mass * shape.scale) if shape.kind == "hull"
                         else shape.pose.position for shape in link.collision])  # fmt: skip
@@ -412,13 +412,13 @@ def _hull(path: str) -> trimesh.Trimesh:
 
 
 MAX_SHAPES = 16
-"""PyBullet silently leaves out further shapes of one link."""
+"""Maximum number of shapes of one link; PyBullet silently drops further ones."""
 MESH_MARGIN_M = 0.001
-"""PyBullet makes convex parts of a mesh larger by this much on every side."""
+"""Margin that PyBullet adds to the convex parts of a mesh on every side [m]."""
 
 
 def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:
-    """Return the same geometry in fewer shapes: the boxes become the convex parts of one mesh file."""
+    """Return the same geometry with fewer shapes: the boxes become convex parts of one mesh file."""
     boxes = tuple(shape for shape in shapes if shape.kind == "box")
     others = [shape for shape in shapes if shape.kind != "box"]
     if len(others) >= MAX_SHAPES:
@@ -430,7 +430,7 @@ def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:
 
 @lru_cache(maxsize=256)
 def _boxes_file(boxes: tuple[Shape, ...]) -> str:
-    """Return an OBJ file with an object for each box, less the margin."""
+    """Write an OBJ file with one object for each box, shrunk by the margin, and return its path."""
     lines: list[str] = []
     for number, box in enumerate(boxes):
         half = np.maximum(np.asarray(box.size) / 2 - MESH_MARGIN_M, 1e-4)

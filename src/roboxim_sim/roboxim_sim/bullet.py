@@ -1,4 +1,4 @@
-"""PyBullet, imported without the line that it heads every command's output with, its build time."""
+"""PyBullet, imported without the build time that it prints on import."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _GREETING = b"pybullet build time"
 
 @contextlib.contextmanager
 def _without_greeting() -> Iterator[None]:
-    """Hold back what is written to file descriptor 2, and then pass on all but the greeting."""
+    """Capture file descriptor 2 and afterwards write everything but the greeting to it."""
     kept = os.dup(2)
     with os.fdopen(os.memfd_create("stderr"), "r+b") as held:
         os.dup2(held.fileno(), 2)

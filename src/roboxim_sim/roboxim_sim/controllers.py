@@ -1,6 +1,6 @@
-"""The arm's and the gripper's actions, as joint trajectory controllers and gripper controllers of ROS answer them.
+"""The arm's and the gripper's actions, compatible with the joint trajectory and gripper controllers of ROS.
 
-They advance time themselves, outside an episode only.
+They advance simulated time themselves and run only outside an episode.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from roboxim_sim.tolerances import GOAL_TOLERANCE_RAD, JointStates, Tolerance, t
 from roboxim_sim.trajectories import JointTrajectory
 
 GOAL_TIME_S = 0.5
-"""How long the arm may take to reach its goal after the trajectory's end, if the goal does not say [s]."""
+"""Default time that the arm may take to reach its goal after the trajectory's end [s]."""
 MAX_GOAL_TIME_S = 60.0
-"""Longest time that a goal may give it [s]."""
+"""Largest goal time tolerance that a goal may request [s]."""
 GRIPPER_TOLERANCE_M = 0.003
 STALL_SPEED_M_S = 0.002
-"""Fingers that do not reach their goal and are slower than this have stalled."""
+"""Speed below which fingers that have not reached their goal have stalled."""
 
 
 class Turn:
-    """Awaited, gives the executor one turn: rclpy resumes a waiting coroutine only when something wakes it."""
+    """An awaitable that yields to the executor once: rclpy resumes a waiting coroutine only when something wakes it."""
 
     def __init__(self, node: SimServer) -> None:
-        """Take turns with the other callbacks of a node."""
+        """Yield to the other callbacks of the given node."""
         self._node = node
 
     def __await__(self) -> Generator[None, None, None]:
@@ -48,16 +48,16 @@ class Turn:
 async def published_states(
     node: SimServer, goal: ServerGoalHandle, motion: Generator[StateRecord, None, None]
 ) -> AsyncGenerator[StateRecord, None]:
-    """Publish every state of a motion and yield it; end the motion when its goal is cancelled.
+    """Publish and yield every state of a motion; stop the motion when its goal is cancelled.
 
     Args:
-        node: The sim.
+        node: The sim node.
         goal: The goal.
-        motion: Advances time with every state; closed in any case.
+        motion: Advances time with every state; always closed at the end.
 
     Raises:
-        RequestTimeoutError: When it takes longer than the node's ``motion_timeout_s``.
-        RoboximError: What the motion raises.
+        RequestTimeoutError: When the motion takes longer than the node's ``motion_timeout_s``.
+        RoboximError: Any error of the motion.
     """
     deadline = time.monotonic() + node.config.motion_timeout_s
     try:
@@ -74,10 +74,10 @@ async def published_states(
 
 
 class GoalError(Exception):
-    """A trajectory goal cannot be begun, or was not kept to."""
+    """A trajectory goal is invalid, or its tolerances were violated."""
 
     def __init__(self, code: int, message: str) -> None:
-        """Take a code of `FollowJointTrajectory` and what to say."""
+        """Set an error code of `FollowJointTrajectory` and the message."""
         super().__init__(message)
         self.code = code
 
@@ -87,7 +87,7 @@ _Result = FollowJointTrajectory.Result
 
 @dataclass(frozen=True, kw_only=True)
 class _Goal:
-    """A goal that was found to be well formed."""
+    """A validated trajectory goal."""
 
     trajectory: JointTrajectory
     path: dict[str, Tolerance]
@@ -96,10 +96,10 @@ class _Goal:
 
 
 class ArmController:
-    """Executes trajectories with the standard's error codes and tolerances."""
+    """Executes trajectories with the error codes and tolerances of `FollowJointTrajectory`."""
 
     def __init__(self, node: SimServer) -> None:
-        """Move the arm of a node's world."""
+        """Control the arm of a node's world."""
         self._node, self._world = node, node.world
 
     async def follow(self, goal: ServerGoalHandle) -> Any:
@@ -122,7 +122,7 @@ class ArmController:
         return result
 
     async def _move(self, goal: ServerGoalHandle, asked: _Goal) -> None:
-        """Follow the trajectory, then wait for the goal's tolerances."""
+        """Follow the trajectory, then wait until the arm is within the goal tolerances."""
         trajectory, strayed = asked.trajectory, ""
         start_ns = self._world.record.stamp_ns
         motion = self._world.follow(trajectory, settle_s=asked.goal_time_s)
@@ -174,7 +174,7 @@ class ArmController:
         )
 
     def _delay_s(self, stamp_ns: int) -> float:
-        """Return how long after now a trajectory begins; a stamp of 0 means now."""
+        """Return the delay until the trajectory begins [s]; a stamp of 0 means now."""
         now_ns = self._world.record.stamp_ns
         if not stamp_ns:
             return 0.0
@@ -191,11 +191,11 @@ class GripperController:
     """Opens and closes the gripper."""
 
     def __init__(self, node: SimServer) -> None:
-        """Move the gripper of a node's world."""
+        """Control the gripper of a node's world."""
         self._node, self._world = node, node.world
 
     async def grip(self, goal: ServerGoalHandle) -> Any:
-        """Execute a goal and return the result; a goal that cannot be begun is aborted."""
+        """Execute a goal and return the result; abort an invalid goal."""
         result, command = GripperCommand.Result(), goal.request.command
         try:
             wanted = command.position / self._world.robot.gripper.max_opening_m
@@ -208,7 +208,7 @@ class GripperController:
             elif result.reached_goal or result.stalled:
                 goal.succeed()
             else:
-                self._node.get_logger().warning("gripper goal given up: the fingers still move")
+                self._node.get_logger().warning("gripper goal aborted: the fingers are still moving")
                 goal.abort()
         except RoboximError as error:
             self._node.get_logger().warning(f"gripper goal refused: {error.code.name}: {error}")
@@ -216,7 +216,7 @@ class GripperController:
         return result
 
     def _progress(self, msg: Any, record: StateRecord, wanted_m: float) -> Any:
-        """Fill position, effort, stalled and reached_goal of a result or a feedback."""
+        """Fill position, effort, stalled and reached_goal of a result or feedback message."""
         gripper = self._world.robot.gripper
         msg.position = record.robot.gripper_opening * gripper.max_opening_m
         msg.effort = _grip_force(record, gripper.links)
@@ -236,12 +236,12 @@ def _tolerances(joints: Sequence[str], given: Sequence[Any], default: Tolerance)
 
 
 def _optional_matrix(rows: Sequence[Any], order: list[int], what: str) -> Array | None:
-    """Return `_matrix`, or none where no point has such numbers."""
+    """Return `_matrix`, or none when no point has values."""
     return _matrix(rows, order, what) if any(len(row) for row in rows) else None
 
 
 def _matrix(rows: Sequence[Any], order: list[int], what: str) -> Array:
-    """Return numbers by point and joint, in the model's order."""
+    """Return the points' values, shape (points, joints), with the joints in the model's order."""
     for index, row in enumerate(rows):
         if len(row) != len(order):
             raise InvalidRequestError(

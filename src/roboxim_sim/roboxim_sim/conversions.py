@@ -21,11 +21,11 @@ from roboxim_core.state import EntityState, StateRecord
 from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
 
 ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
-"""Kind of image to the encoding of its message."""
+"""Message encoding by image kind."""
 
 
 def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
-    """Return the arm's and fingers' joints."""
+    """Return the joint states of the arm and the fingers."""
     robot = record.robot
     msg = JointState()
     fill_stamp(msg.header.stamp, record.stamp_ns)
@@ -38,7 +38,7 @@ def joint_state_msg(record: StateRecord, model: RobotModel) -> JointState:
 
 
 class TfMessage:
-    """Transforms from ``world`` to frames; the message and its parts are made once for frames that stay the same."""
+    """Transforms from ``world`` to frames; the message is reused as long as the frames' names stay the same."""
 
     def __init__(self) -> None:
         """Make it empty."""
@@ -46,7 +46,7 @@ class TfMessage:
         self._by_frame: dict[str, TransformStamped] = {}
 
     def filled(self, stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> TFMessage:
-        """Return the message with a stamp [ns] and the poses of the frames; it is the same object in every call."""
+        """Return the message filled with a stamp [ns] and the frames' poses; every call returns the same object."""
         if self._by_frame.keys() != poses_in_world.keys():
             self._by_frame = {frame: TransformStamped(child_frame_id=frame) for frame in poses_in_world}
             for transform in self._by_frame.values():
@@ -62,7 +62,7 @@ class TfMessage:
 
 
 def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
-    """Return a camera's intrinsics; pixel centres are at whole numbers."""
+    """Return a camera's intrinsics; pixel centres have integer coordinates."""
     fx, fy, cx, cy = camera.matrix
     distortion = list(camera.distortion) or [0.0] * 5
     msg = CameraInfo(height=camera.height, width=camera.width, distortion_model="plumb_bob", d=distortion)
@@ -75,7 +75,7 @@ def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
 
 
 def camera_msgs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict[str, Any]:
-    """Return what a camera publishes at a tick, by the last part of its topics: image, depth, ..., camera_info."""
+    """Return a camera's messages of a tick by the last part of the topic: image, depth, ..., camera_info."""
     messages: dict[str, Any] = {}
     for kind, array in (("image", images.rgb), ("depth", images.depth), ("segmentation", images.segmentation)):
         if array is not None:
@@ -87,12 +87,12 @@ def camera_msgs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict
 
 
 def optical_frame(camera: str) -> str:
-    """Return the frame of a camera's images."""
+    """Return the name of a camera's optical frame, the frame of its images."""
     return f"{camera}_optical"
 
 
 def entity_state_msg(stamp_ns: int, entity: EntityState) -> StandardEntityState:
-    """Return an entity's state as `simulation_interfaces` has it."""
+    """Return an entity's state as a `simulation_interfaces` message."""
     msg = StandardEntityState()
     fill_stamp(msg.header.stamp, stamp_ns)
     msg.header.frame_id = "world"
@@ -104,10 +104,10 @@ def entity_state_msg(stamp_ns: int, entity: EntityState) -> StandardEntityState:
 
 
 def model_of_uri(uri: str) -> tuple[str, dict[str, Scalar]]:
-    """Return model and modifiers of a resource: ``cube`` or ``roboxim://cube?color=red&scale=1.2``.
+    """Return the model and the modifiers of a resource: ``cube`` or ``roboxim://cube?color=red&scale=1.2``.
 
     Raises:
-        InvalidRequestError: When the URI is of another scheme or names no model.
+        InvalidRequestError: When the URI has another scheme or names no model.
     """
     try:
         parts = urlsplit(uri if "://" in uri else f"roboxim://{uri}")
@@ -120,7 +120,7 @@ def model_of_uri(uri: str) -> tuple[str, dict[str, Scalar]]:
 
 
 def vector(msg: Any) -> tuple[float, float, float]:
-    """Return x, y, z of a message."""
+    """Return x, y and z of a message."""
     return msg.x, msg.y, msg.z
 
 

@@ -1,7 +1,7 @@
-"""Regular expressions of requests: only those whose search takes little time on any name.
+"""Validation of the regular expressions in requests: only those with a bounded search time are accepted.
 
-Python's engine tries every way to match. An expression that repeats a repetition, or a choice, takes time that is
-exponential in the length of the name, and holds the node meanwhile.
+Python's engine backtracks. An expression that repeats a repetition or a choice can take time that is exponential in
+the length of the name, and blocks the node meanwhile.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from roboxim_core.errors import InvalidRequestError
 
 MAX_CHARACTERS = 200
 MAX_REPEATS = 3
-"""Repetitions, one after another: three take at most the cube of a name's length."""
+"""Maximum number of consecutive repetitions: three take time at most cubic in the name's length."""
 _REPEATS = (ops.MAX_REPEAT, ops.MIN_REPEAT, ops.POSSESSIVE_REPEAT)
 
 
@@ -24,7 +24,7 @@ def name_filter(text: str) -> re.Pattern[str]:
     """Return the compiled expression.
 
     Raises:
-        InvalidRequestError: When it is none, too long, or may take too much time.
+        InvalidRequestError: When the text is no regular expression, too long, or could take too much time.
     """
     if len(text) > MAX_CHARACTERS:
         raise InvalidRequestError(f"a filter may have {MAX_CHARACTERS} characters, got {len(text)}")
@@ -40,7 +40,7 @@ def name_filter(text: str) -> re.Pattern[str]:
 
 
 def _count(tree: Any, *, within: bool) -> int:
-    """Return how many repetitions a parsed expression has; one within another counts as too many."""
+    """Return the number of repetitions in a parsed expression; a nested repetition counts as too many."""
     found = 0
     for op, argument in tree:
         if op in (*_REPEATS, ops.BRANCH, ops.GROUPREF) and within:

@@ -1,7 +1,7 @@
-"""The sim node: the world behind services, its state and cameras on topics.
+"""The sim node: serves the world and publishes its state and camera images.
 
 Everything runs in the thread that spins the node: PyBullet and GL contexts belong to one thread. A long motion is a
-coroutine that gives the executor a turn after every control period, so that it can be cancelled.
+coroutine that yields to the executor after every control period, so that it can be cancelled.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ from roboxim_sim.tick_messages import KINDS, TickMessages
 from roboxim_sim.world import World
 
 PROFILES = {topic: qos.LATCHED if topic in ("tf_static", "robot_description") else qos.STATE for topic in KINDS}
-"""Topic to its QoS; cameras have `qos.SENSOR`."""
+"""QoS by topic; camera topics use `qos.SENSOR`."""
 
 
 class SimNode(SimServer):
-    """Serves a `World`. All topics of a tick are published before its service answers, the notice last."""
+    """Serves a `World`. Publishes all topics of a tick, the notice last, before the tick's service responds."""
 
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
-        """Make the node and load its first scene; see `roboxim_ros.node.RoboximNode`.
+        """Create the node and load its first scene; see `roboxim_ros.node.RoboximNode`.
 
         Raises:
             ConfigError: When a parameter or the scene is wrong.
-            SimError: RENDERER_UNAVAILABLE when the scene has cameras and the renderer does not work here.
+            SimError: RENDERER_UNAVAILABLE when the scene has cameras and the renderer does not work on this machine.
         """
         super().__init__("sim", context=context, namespace=namespace, parameters=parameters)
         self.config = self.declare_config(SimConfig)
@@ -98,7 +98,7 @@ class SimNode(SimServer):
 
     @property
     def renderer_info(self) -> dict[str, str]:
-        """Name and device of the renderer in use; the device says so where it does not work on this machine."""
+        """Name and device of the renderer in use; the device says when the renderer does not work on this machine."""
         try:
             device = self._renderer(self._renderer_name, "live").device
         except SimError as error:
@@ -106,14 +106,14 @@ class SimNode(SimServer):
         return {"simulator": "RoboXim (PyBullet)", "renderer": self._renderer_name, "device": device}
 
     def overtime(self) -> RequestTimeoutError:
-        """Return the error of a motion that takes too long."""
+        """Return the error for a motion that takes too long."""
         return RequestTimeoutError(
             f"given up after {self.config.motion_timeout_s:g} s of wall-clock time (parameter motion_timeout_s); "
-            "the simulation stands where it got to"
+            "the simulation keeps the state that it has reached"
         )
 
     def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
-        """Load a scene and publish tick 0; whatever fails, no episode is left holding the sim."""
+        """Load a scene and publish tick 0; after a failure no episode holds the sim."""
         for camera in scene.cameras:
             limits.require_name("camera", camera.name, topic=True)
         if scene.cameras:
@@ -123,12 +123,12 @@ class SimNode(SimServer):
         return self._publish_or_release(record)
 
     def scene_changed(self) -> StateRecordMsg:
-        """Publish after entities came or went."""
+        """Publish the scene and its state after entities were added or removed."""
         self._show_world()
         return self.publish(self.world.record)
 
     def publish(self, record: StateRecord) -> StateRecordMsg:
-        """Publish everything of a state and return its message."""
+        """Publish all topics of a state and return its message."""
         assert self._tick_messages is not None
         messages = self._tick_messages.make(record, self._capture(record))
         for topic, message in messages.items():
@@ -153,14 +153,14 @@ class SimNode(SimServer):
             self._rig.load(render_world(scene, self.library), scene)
 
     def _renderer(self, name: str, use: str) -> Renderer:
-        """Return a renderer; one for the live world, one for states that are rendered again."""
+        """Return a renderer; the live world and re-rendered states have one each."""
         if (name, use) not in self._renderers:
             self._renderers[name, use] = make_renderer(name)
             self.get_logger().info(f"renderer for {use} images: {name} ({self._renderers[name, use].device})")
         return self._renderers[name, use]
 
     def _capture(self, record: StateRecord) -> dict[str, CameraImages]:
-        """Return what the scene's cameras see, by name."""
+        """Return the images of the scene's cameras by camera name."""
         cameras = self.world.scene.cameras
         if not cameras:
             return {}
@@ -223,9 +223,9 @@ class SimNode(SimServer):
         response.renderer = f"{renderer.name} ({renderer.device})"
 
     def _refuse_foreign(self, episode_id: str, holder: str = "") -> None:
-        """Refuse another episode while one holds the sim, unless it is the same holder's.
+        """Reject another episode while one holds the sim, unless both have the same holder.
 
-        A holder runs one episode at a time: if it loads another, it has died with the first and was started again.
+        A holder runs one episode at a time: if it loads a second one, it died during the first and was restarted.
         """
         held = self.world.episode_id
         if held and held != episode_id and not (holder and holder == self._holder):

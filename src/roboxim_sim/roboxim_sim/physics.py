@@ -1,6 +1,6 @@
-"""The bodies of a scene in PyBullet, and time: what `world` moves and reads.
+"""The bodies of a scene in PyBullet and the stepping of time, below `world`.
 
-Python's share of a physics step counts: PyBullet needs about 0.1 ms for a step of a tabletop.
+Python's overhead per physics step matters: PyBullet needs only about 0.1 ms for a step of a tabletop scene.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from roboxim_sim.readout import TickObserver, hash_state, read_robot
 
 
 class Physics:
-    """A PyBullet server of this process with at most one scene. One thread at a time."""
+    """An in-process PyBullet server with at most one scene. Use from one thread at a time."""
 
     robot: RobotBody
     """The robot."""
@@ -31,7 +31,7 @@ class Physics:
         self.objects: list[ObjectBody] = []
 
     def close(self) -> None:
-        """Disconnect; a second time does nothing."""
+        """Disconnect. Closing twice is harmless."""
         if self.client >= 0:
             pybullet.disconnect(physicsClientId=self.client)
             self.client = -1
@@ -39,13 +39,13 @@ class Physics:
     def build(
         self, scene: SceneSpec, robot: RobotModel, joints: Sequence[float], models: Mapping[str, ObjectModel]
     ) -> None:
-        """Rebuild everything from nothing, in one fixed order.
+        """Rebuild everything from scratch, in one fixed order.
 
         Args:
             scene: The scene.
-            robot: Its robot's model.
+            robot: The model of its robot.
             joints: Arm joint positions at the start [rad].
-            models: Entity name to its model.
+            models: Models by entity name.
         """
         configure(self.client, scene.physics_rate_hz)
         self._rate_hz = scene.physics_rate_hz
@@ -65,20 +65,20 @@ class Physics:
         self.objects.remove(body)
 
     def rewatch(self) -> None:
-        """Begin a tick anew after bodies came, went or were moved."""
+        """Restart the tick's observation after bodies were added, removed or moved."""
         self._observer = TickObserver(self.client, self.robot, self.objects, self._fixed)
 
     def begin_tick(self) -> None:
-        """Forget the contacts and joint extremes of the last tick."""
+        """Clear the contacts and joint extremes of the last tick."""
         self._observer.begin()
 
     def advance(self, steps: int, end: Sequence[float], start: Sequence[float] | None = None) -> None:
-        """Run physics while the arm's target moves evenly.
+        """Step the physics while the arm's target moves at constant velocity.
 
         Args:
-            steps: Physics steps.
-            end: Arm joint positions that are commanded at the last of them [rad].
-            start: Those commanded before the first [rad]; none: as at the end.
+            steps: Number of physics steps.
+            end: Commanded arm joint positions at the last step [rad].
+            start: Commanded arm joint positions before the first step [rad]; none: equal to `end`.
         """
         if steps < 1:
             return
@@ -103,16 +103,16 @@ class Physics:
         disturbed: bool,
         scene_hash: str,
     ) -> StateRecord:
-        """Return the present state.
+        """Return the current state.
 
         Args:
             arm: The robot's kinematics.
-            command: What the arm is commanded.
-            episode_id: For the record.
-            seq: For the record.
-            stamp_ns: For the record [ns].
-            disturbed: For the record.
-            scene_hash: For the record.
+            command: The arm's current command.
+            episode_id: Copied into the record.
+            seq: Copied into the record.
+            stamp_ns: Copied into the record [ns].
+            disturbed: Copied into the record.
+            scene_hash: Copied into the record.
 
         Raises:
             SimError: With code ``SIM_FAULT`` when a pose is not finite.

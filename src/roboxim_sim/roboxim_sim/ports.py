@@ -1,4 +1,4 @@
-"""What the standard services and actions use of the sim node."""
+"""The sim node's interface for the standard services and actions."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ class SimConfig:
     """Renderer used unless a request names one."""
     scene: str = field(
         default="three_cubes",
-        metadata={"description": "scene loaded at the start, of config/scenes or a file; empty: none"},
+        metadata={"description": "scene loaded at the start, a name in config/scenes or a file; empty: none"},
     )
     """Scene loaded at the start."""
     motion_timeout_s: float = field(
         default=600.0,
         metadata={
-            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is given up [s]",
+            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is aborted [s]",
             "range": (0.1, 86400.0),
         },
     )
-    """Wall-clock limit of what advances time without an episode."""
+    """Wall-clock limit of motions that advance time outside an episode."""
 
 
 class SimServer(RoboximNode):
-    """A node that serves a world; `roboxim_sim.node.SimNode` is the one."""
+    """A node that serves a world, implemented by `roboxim_sim.node.SimNode`."""
 
     config: SimConfig
     """Its parameters."""
@@ -48,7 +48,7 @@ class SimServer(RoboximNode):
         raise NotImplementedError
 
     def overtime(self) -> RequestTimeoutError:
-        """Return the error of a motion that takes too long."""
+        """Return the error for a motion that takes too long."""
         raise NotImplementedError
 
     def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
@@ -56,9 +56,9 @@ class SimServer(RoboximNode):
         raise NotImplementedError
 
     def scene_changed(self) -> StateRecordMsg:
-        """Publish after entities came or went."""
+        """Publish the scene and its state after entities were added or removed."""
         raise NotImplementedError
 
     def publish(self, record: StateRecord) -> StateRecordMsg:
-        """Publish everything of a state and return its message."""
+        """Publish all topics of a state and return its message."""
         raise NotImplementedError

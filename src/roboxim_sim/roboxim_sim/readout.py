@@ -1,4 +1,4 @@
-"""What happened during a tick: contacts, falls and joint extremes over its physics steps, and the state at its end."""
+"""Readout of a tick: contacts, falls and joint extremes over its physics steps, and the state at its end."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _Pair = tuple[str, str, str, str]
 
 
 class TickObserver:
-    """Watches the physics steps of one tick."""
+    """Accumulates contacts, falls and joint extremes over the physics steps of one tick."""
 
     def __init__(self, client: int, robot: RobotBody, objects: Sequence[ObjectBody], fixed: Mapping[int, str]) -> None:
-        """Begin to watch.
+        """Start observing.
 
         Args:
             client: PyBullet client id.
             robot: The robot.
             objects: The objects.
-            fixed: Body id to name of table and floor.
+            fixed: Names of the table and the floor by body id.
         """
         self._client = client
         self._names = {**fixed, robot.id: "robot", **{body.id: body.name for body in objects}}
@@ -36,14 +36,14 @@ class TickObserver:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the last tick."""
+        """Clear the observations of the last tick."""
         self._last: dict[_Pair, float] = {}
         self._highest_force: dict[_Pair, float] = {}
         self._extremes: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}
         self._lowest_velocity = {name: 0.0 for _, name in self._falling}
 
     def after_step(self) -> None:
-        """Take in one physics step."""
+        """Observe one physics step."""
         last: dict[_Pair, float] = {}
         pairs, highest_force = self._pairs, self._highest_force
         for point in pybullet.getContactPoints(physicsClientId=self._client):
@@ -92,7 +92,7 @@ class TickObserver:
         return self._extremes.get(body.name, (now, now))
 
     def _force_vectors(self) -> dict[_Pair, Vec3]:
-        """Return the sum of the normal forces on the second body of each pair in the last physics step [N]."""
+        """Return the summed normal forces on the second body of each pair in the last physics step [N]."""
         vectors: dict[_Pair, Vec3] = {}
         if not self._last:
             return vectors
@@ -126,10 +126,10 @@ def read_robot(
 
     Args:
         body: The robot.
-        model: Its model.
-        arm: Its kinematics.
-        command: What it is commanded.
-        base: Pose of its base in the world.
+        model: The robot's model.
+        arm: The robot's kinematics.
+        command: The current command.
+        base: Pose of the robot's base in the world.
     """
     positions, velocities, efforts = body.read_joints()
     count = len(model.joint_names)
@@ -158,7 +158,7 @@ def hash_state(
     entities: Sequence[EntityState],
     joint_velocities: Sequence[tuple[float, ...]],
 ) -> str:
-    """Hash everything that moves: joints and their velocities, the command, object poses, twists and joints."""
+    """Hash all moving state: joint positions and velocities, the command, object poses, twists and joints."""
     groups: list[tuple[float, ...] | list[float]] = [
         robot_joints,
         (*command.pose.position, *command.pose.quat_xyzw, *command.joints, command.gripper),

@@ -1,4 +1,4 @@
-"""The robot's URDF as `/robot_description` carries it: viewers must find its meshes wherever they run."""
+"""The robot's URDF for `/robot_description`, with mesh names that viewers on any machine can resolve."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from roboxim_core.config import config_dir
 from roboxim_core.models.library import mesh_path
 
 PACKAGE = "roboxim_core"
-"""ROS package whose share folder holds ``config/robots``."""
+"""ROS package whose share folder contains ``config/robots``."""
 
 
 @lru_cache(maxsize=8)
 def robot_description(urdf: Path) -> str:
-    """Return a URDF whose mesh names RViz and Foxglove resolve.
+    """Return a URDF whose mesh names RViz and Foxglove can resolve.
 
     Meshes of RoboXim's own robots become ``package://roboxim_core/config/robots/...``: the installation puts them into
-    that package's share folder, and the text (hence a bag) is the same on every machine. Meshes of a robot that lives
-    elsewhere (``ROBOXIM_CONFIG_PATH``) become ``file://`` with their full path.
+    that package's share folder, and the text (hence a bag) is the same on every machine. Meshes of robots in other
+    folders (``ROBOXIM_CONFIG_PATH``) become ``file://`` URLs with their full path.
 
     Args:
         urdf: The robot's URDF.

@@ -1,4 +1,4 @@
-"""What a ROS user expects of any simulator and any arm: `simulation_interfaces`, trajectory and gripper actions."""
+"""The standard ROS interfaces of a simulator and an arm: `simulation_interfaces`, trajectory and gripper actions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ FEATURES = (
 
 
 class StandardServices:
-    """The services of `simulation_interfaces` that apply to a lockstep tabletop."""
+    """The services of `simulation_interfaces` that apply to a lockstep tabletop simulation."""
 
     def __init__(self, node: SimServer) -> None:
         """Offer the services on a node."""
@@ -72,7 +72,7 @@ class StandardServices:
         ):
             node.serve(kind, f"sim/{name}", _answering_ok(handler))
         node.serve(GetSimulatorFeatures, "sim/get_simulator_features", self._features)
-        # Steps give the executor turns, so that what ends them is heard: a group that lets other callbacks in.
+        # A reentrant group: stepping yields to the executor, so that requests that stop it are received.
         node.serve(StepSimulation, "sim/step_simulation", self._step, callback_group=ReentrantCallbackGroup())
 
     def _features(self, _: Any, response: Any) -> None:
@@ -168,7 +168,7 @@ class StandardServices:
 
 
 def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
-    """Return a handler whose response says that all is well, unless it says otherwise or raises."""
+    """Return a handler whose response reports success, unless the handler sets another result or raises."""
 
     def answer(request: Any, response: Any) -> None:
         response.result.result = Result.RESULT_OK
@@ -178,7 +178,7 @@ def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], N
 
 
 class MotionActions:
-    """Trajectory, gripper and stepping actions: they advance time themselves, outside an episode only."""
+    """The trajectory, gripper and stepping actions. They advance time themselves and run only outside an episode."""
 
     def __init__(self, node: SimServer) -> None:
         """Offer the actions on a node."""

@@ -1,4 +1,4 @@
-"""A world's full state as what leads to it: PyBullet repeats itself bit for bit only from a freshly built world."""
+"""A world's full state as its scene and actions: PyBullet reproduces a state bit for bit only from a fresh world."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from roboxim_core.state import StateRecord
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """A world's full state, as what leads to it."""
+    """A world's full state, represented by the scene and the actions that lead to it."""
 
     scene: SceneSpec
     """The scene of tick 0."""
     actions: tuple[tuple[float, ...], ...] = ()
     """Executed actions since tick 0, 7 float32 values each."""
     hashes: tuple[str, ...] = ()
-    """State hash of every tick, tick 0 first; empty: they are not checked."""
+    """State hash of every tick, tick 0 first; empty: hashes are not checked."""
     record: StateRecord
     """State at the snapshot."""
 
@@ -28,7 +28,7 @@ class Snapshot:
         """Check the counts.
 
         Raises:
-            InvalidRequestError: When there are too many actions, or not a hash for every tick.
+            InvalidRequestError: When there are too many actions, or hashes for only some ticks.
         """
         limits.require_count("actions of a snapshot", len(self.actions), limits.SNAPSHOT_ACTIONS)
         if self.hashes and len(self.hashes) != len(self.actions) + 1:
@@ -38,24 +38,24 @@ class Snapshot:
             )
 
     def check(self, record: StateRecord) -> None:
-        """Compare a tick that was executed again with what it was.
+        """Compare the hash of a re-executed tick with the recorded one.
 
         Raises:
-            SimError: With code ``DIVERGED``, naming the tick.
+            SimError: With code ``DIVERGED`` and the tick, when the hashes differ.
         """
         expected = self.hashes[record.seq] if self.hashes else ""
         if expected and record.state_hash != expected:
             raise SimError(
                 f"restoring diverged at tick {record.seq} of {len(self.actions)}: the state's hash is "
-                f"{record.state_hash}, not {expected}; other versions or another type of machine?",
+                f"{record.state_hash}, expected {expected}; do versions or the type of machine differ?",
                 ErrorCode.DIVERGED,
             )
 
     def scene_now(self, library: ModelLibrary) -> SceneSpec:
-        """Return a scene that starts where the snapshot was taken: poses and joints, without velocities.
+        """Return a scene that starts at the snapshot's poses and joint positions, without velocities.
 
         Args:
-            library: Joint limits, which the physics may have overrun by a little.
+            library: Source of the joint limits, which the physics may have exceeded slightly.
         """
         robot = self.record.robot
         opening = min(1.0, max(0.0, robot.gripper_opening))

@@ -1,4 +1,4 @@
-"""The messages of a tick: what the sim node publishes, the cores' graph records, and re-rendering makes anew."""
+"""The messages of a tick: published by the sim node, recorded by the cores' graph, recreated by re-rendering."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from roboxim_sim.conversions import TfMessage, camera_msgs, joint_state_msg, opt
 from roboxim_sim.robot_description import robot_description
 
 NOTICE = "sim/ticks"
-"""Topic that names the others; published last."""
+"""Topic of the notice, which lists the tick's other topics; published last."""
 KINDS: Mapping[str, Any] = {
     "clock": Clock,
     "joint_states": JointState,
@@ -34,28 +34,28 @@ KINDS: Mapping[str, Any] = {
     "sim/state": StateRecordMsg,
     NOTICE: TickNotice,
 }
-"""Topic to type of what every scene has; cameras have topics besides."""
+"""Message types by topic, for the topics that every scene has; cameras add their own."""
 OF_STATE = ("clock", "joint_states", "sim/state")
 """Topics of a tick that do not depend on the scene's cameras."""
 
 
 class TickMessages:
-    """Makes the messages of a scene's ticks, by topic. Make another one when the scene changes.
+    """Creates the messages of a scene's ticks, by topic. Create another instance when the scene changes.
 
-    Non-obvious: the message of ``tf`` is the same object in every tick; it is made of a hundred others. Serialise it
-    before the next tick is made.
+    Non-obvious: the message of ``tf`` is the same object in every tick, because it consists of a hundred others.
+    Serialise it before making the next tick.
 
-    Frames that no tick moves (the robot's base, cameras whose parent is ``world``) are in ``tf_static``; it and
-    ``robot_description`` come with the first tick that is made, and with every tick 0.
+    Frames that never move (the robot's base, cameras whose parent is ``world``) are in ``tf_static``. The messages of
+    ``tf_static`` and ``robot_description`` come with the first tick that is made and with every tick 0.
     """
 
     def __init__(self, scene: SceneSpec, robot: RobotModel, poses: ScenePoses) -> None:
-        """Prepare what the ticks have in common.
+        """Prepare the parts that all ticks share.
 
         Args:
             scene: The scene.
-            robot: Its robot.
-            poses: Where its bodies and cameras are, given a state.
+            robot: The scene's robot.
+            poses: Computes the poses of the scene's bodies and cameras from a state.
         """
         self._scene, self._robot, self._poses = scene, robot, poses
         base = scene.robot.pose
@@ -69,7 +69,7 @@ class TickMessages:
 
         Args:
             record: The tick's state.
-            images: Camera to what it sees.
+            images: Images by camera name.
         """
         messages: dict[str, Any] = {
             "clock": Clock(clock=fill_stamp(Clock().clock, record.stamp_ns)),
@@ -94,7 +94,7 @@ class TickMessages:
         return messages
 
     def _moving_frames(self, record: StateRecord) -> dict[str, Pose]:
-        """Return the pose in the world of every frame that ticks move: links, tcp, objects and their links, cameras."""
+        """Return the world poses of all moving frames: links, tcp, objects and their links, cameras."""
         frames = dict(self._poses.link_poses(record.robot))
         frames["tcp"] = record.robot.pose_tcp_measured
         frames |= {entity.name: entity.pose for entity in record.entities}
@@ -109,7 +109,7 @@ def tick_notice(record: StateRecord, messages: Mapping[str, Any]) -> TickNotice:
 
     Args:
         record: The tick's state.
-        messages: Topic to message of the tick; images are named with their checksum.
+        messages: The tick's messages by topic; the notice lists images with their checksums.
     """
     notice = TickNotice(
         episode_id=record.episode_id,

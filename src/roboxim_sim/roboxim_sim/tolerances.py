@@ -1,4 +1,4 @@
-"""How far an arm may stray from a trajectory: the tolerances of a `FollowJointTrajectory` goal as plain values."""
+"""Tolerances of a `FollowJointTrajectory` goal: how far the arm may deviate from the trajectory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from roboxim_core.errors import InvalidRequestError
 
 GOAL_TOLERANCE_RAD = 0.01
-"""Largest distance of a joint from its goal, if the goal of the action does not say."""
+"""Default goal tolerance of a joint's position, if the action's goal sets none."""
 NO_LIMIT = math.inf
 
 
@@ -18,9 +18,9 @@ class Tolerance:
     """Of one joint."""
 
     position: float = NO_LIMIT
-    """Largest difference of the position [rad]."""
+    """Maximum position error [rad]."""
     velocity: float = NO_LIMIT
-    """Largest difference of the velocity [rad/s]."""
+    """Maximum velocity error [rad/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,14 +37,14 @@ def tolerance(name: str, position: float, velocity: float, acceleration: float, 
     """Return a joint's tolerance as `control_msgs/JointTolerance` gives it: 0 is the default, -1 is no limit.
 
     Args:
-        name: The joint, for messages.
-        position: Of the position [rad].
-        velocity: Of the velocity [rad/s].
-        acceleration: Of the acceleration, which is not measured: 0 or -1.
-        default: What 0 means.
+        name: The joint's name, for error messages.
+        position: Position tolerance [rad].
+        velocity: Velocity tolerance [rad/s].
+        acceleration: Acceleration tolerance, 0 or -1, because accelerations are not measured.
+        default: Tolerance that 0 stands for.
 
     Raises:
-        InvalidRequestError: On another negative number, one that is not finite, or a limit of the acceleration.
+        InvalidRequestError: On another negative number, a number that is not finite, or an acceleration tolerance.
     """
     for what, value in (("position", position), ("velocity", velocity), ("acceleration", acceleration)):
         if not math.isfinite(value) or (value < 0.0 and value != -1.0):
@@ -59,12 +59,12 @@ def tolerance(name: str, position: float, velocity: float, acceleration: float, 
 
 
 def violation(tolerances: Mapping[str, Tolerance], desired: JointStates, actual: JointStates) -> str:
-    """Return which joint strays by more than its tolerance, as a sentence; empty: none does.
+    """Return a sentence about the first joint that violates its tolerance, or an empty string if none does.
 
     Args:
-        tolerances: Joint to tolerance, in the model's order.
-        desired: Where the trajectory has the arm.
-        actual: Where it is.
+        tolerances: Tolerances by joint name, in the model's order.
+        desired: State of the arm according to the trajectory.
+        actual: Measured state of the arm.
     """
     for k, (name, allowed) in enumerate(tolerances.items()):
         for what, unit, limit, wanted, is_now in (

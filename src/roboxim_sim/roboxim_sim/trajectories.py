@@ -1,4 +1,4 @@
-"""Joint trajectories as they are asked for from outside: checked at the door, then sampled at the physics rate."""
+"""Joint trajectories of external requests: validated on arrival, then sampled at the physics rate."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.poses import Array
 
 SPEED_MARGIN = 1.2
-"""Points further apart than the joints can move in the time, times this, are taken for a mistake."""
+"""Allowed excess over the joints' velocity limits between points; faster trajectories are rejected as a mistake."""
 START_TOLERANCE_RAD = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrajectory:
-    """A trajectory that starts where the arm is commanded to be."""
+    """A trajectory that starts at the arm's commanded position."""
 
     times_s: Array
     """Increasing times from 0, shape (m,) [s]."""
@@ -40,11 +40,11 @@ class JointTrajectory:
         return float(self.times_s[-1])
 
     def sample(self, times_s: npt.ArrayLike) -> Array:
-        """Return the joint positions at times, shape (k, n) [rad]; after the end: the last point."""
+        """Return the joint positions at the given times [s], shape (k, n) [rad]; after the end: the last point."""
         return self._sample(times_s, 0)
 
     def sample_velocities(self, times_s: npt.ArrayLike) -> Array:
-        """Return the joint velocities at times, shape (k, n) [rad/s]; after the end: 0."""
+        """Return the joint velocities at the given times [s], shape (k, n) [rad/s]; after the end: 0."""
         times = np.asarray(times_s, dtype=float)
         return np.where((times < self.duration_s)[:, None], self._sample(times, 1), 0.0)
 
@@ -56,7 +56,7 @@ class JointTrajectory:
 
     @cached_property
     def _curve(self) -> Any:
-        """What joins the points: called with times and the order of the derivative."""
+        """Interpolation between the points, a function of the times and the order of the derivative."""
         if self.velocities is None:
             return make_interp_spline(self.times_s, self.positions, k=1)
         if self.accelerations is None:
@@ -73,11 +73,11 @@ def checked_trajectory(
     velocities: npt.ArrayLike | None,
     accelerations: npt.ArrayLike | None = None,
 ) -> JointTrajectory:
-    """Check a trajectory and let it start at the commanded joints.
+    """Check a trajectory and let it start at the commanded joint positions.
 
     Args:
         arm: The arm.
-        commanded: Where it is commanded to be [rad].
+        commanded: Commanded joint positions [rad].
         times_s: Times from the start, shape (m,) [s]; if the first is above 0 the arm moves to the first point by then.
         positions: Arm joint positions, shape (m, n) [rad].
         velocities: Arm joint velocities, shape (m, n) [rad/s], or none.
@@ -85,8 +85,8 @@ def checked_trajectory(
 
     Raises:
         InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
-            positions beyond the limits, a start elsewhere, jumps that no motor can follow, or accelerations without
-            velocities.
+            positions beyond the limits, a start that differs from the arm's position, jumps that no motor can follow,
+            or accelerations without velocities.
     """
     times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
     speeds = None if velocities is None else np.asarray(velocities, dtype=float)

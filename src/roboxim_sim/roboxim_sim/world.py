@@ -1,8 +1,8 @@
 """The simulated world: a scene spec becomes bodies, actions become ticks, ticks become state records.
 
-Every reset rebuilds the world from nothing in one fixed order: PyBullet repeats its results bit for bit only from a
-fresh world, not after moving bodies of an old one. So a snapshot is a scene and the actions since tick 0, and restoring
-one executes them again, with every tick's hash checked.
+Every reset rebuilds the world from scratch in one fixed order: PyBullet reproduces results bit for bit only in a fresh
+world, not after moving the bodies of an old one. A snapshot therefore consists of a scene and the actions since tick 0.
+Restoring it executes the actions again and checks the hash of every tick.
 """
 
 from __future__ import annotations
@@ -35,21 +35,22 @@ R = TypeVar("R")
 
 
 class World:
-    """A robot at a table in PyBullet. A context manager; one thread at a time.
+    """A robot at a table in PyBullet. A context manager; use it from one thread at a time.
 
-    Non-obvious: time moves in ticks while an episode holds the world (`tick`), freely otherwise (`step`,
-    `follow_trajectory`, `move_gripper`); free motion marks the record as ``disturbed``, as no actions lead to it.
+    Non-obvious: while an episode holds the world, time advances in ticks (`tick`), otherwise freely (`step`,
+    `follow_trajectory`, `move_gripper`). Free motion marks the record as ``disturbed``, because actions alone cannot
+    reproduce it.
     """
 
     def __init__(self, library: ModelLibrary | None = None) -> None:
-        """Connect to a physics server of this process.
+        """Connect to an in-process physics server.
 
         Args:
-            library: Where models come from; none: RoboXim's own.
+            library: Library of the models; none: RoboXim's own.
         """
         self.library = library or ModelLibrary()
         self.physics = Physics()
-        """The bodies; who moves them past this world makes its records untrue."""
+        """The bodies. Move them only through this world, otherwise its records become wrong."""
         self._arms: dict[str, ArmKinematics] = {}
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
@@ -76,7 +77,7 @@ class World:
 
     @property
     def scene(self) -> SceneSpec:
-        """The scene as it is now, spawned and deleted entities included.
+        """The current scene, with spawned and without deleted entities.
 
         Raises:
             SimError: With code ``NO_SCENE`` when nothing is loaded.
@@ -92,12 +93,12 @@ class World:
 
     @property
     def episode_id(self) -> str:
-        """Episode that holds the world; empty: none."""
+        """Id of the episode that holds the world; empty: none."""
         return self._episode_id
 
     @property
     def record(self) -> StateRecord:
-        """The present state.
+        """The current state.
 
         Raises:
             SimError: With code ``NO_SCENE`` when nothing is loaded.
@@ -127,12 +128,12 @@ class World:
 
     @property
     def moving(self) -> bool:
-        """Whether steps, a trajectory or a gripper motion are being executed."""
+        """Whether free steps, a trajectory or a gripper motion are in progress."""
         return self._moving
 
     @property
     def steps_per_tick(self) -> int:
-        """Physics steps of a control period.
+        """Number of physics steps in a control period.
 
         Raises:
             SimError: With code ``NO_SCENE`` when nothing is loaded.
@@ -140,16 +141,16 @@ class World:
         return round(self.scene.physics_rate_hz / self.scene.control_rate_hz)
 
     def require_entity(self, name: str) -> None:
-        """Refuse a name that is not in the scene.
+        """Check that the scene has an entity of this name.
 
         Raises:
-            SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``, listing the names.
+            SimError: With code ``NO_SCENE``, or ``UNKNOWN_ENTITY`` and the list of known names.
         """
         self._object(name)
 
     @property
     def scene_poses(self) -> ScenePoses:
-        """Where the scene's bodies and cameras are, given a state; another one when the scene changes.
+        """Computes the poses of the scene's bodies and cameras from a state; replaced when the scene changes.
 
         Raises:
             SimError: With code ``NO_SCENE`` when nothing is loaded.
@@ -160,15 +161,15 @@ class World:
         return self._scene_poses
 
     def body_poses(self) -> dict[str, Pose]:
-        """Return the pose of every moving body in the world, by the keys of `render_world`."""
+        """Return the poses of all moving bodies in the world, by the keys of `render_world`."""
         return self.scene_poses.body_poses(self._record)
 
     def camera_poses(self) -> dict[str, Pose]:
-        """Return the pose of every camera's optical frame in the world, by name."""
+        """Return the poses of all cameras' optical frames in the world, by camera name."""
         return self.scene_poses.camera_poses(self._record.robot)
 
     def link_poses(self) -> dict[str, Pose]:
-        """Return the pose of every robot link in the world, by name."""
+        """Return the poses of all robot links in the world, by link name."""
         return self.scene_poses.link_poses(self._record.robot)
 
     # ---------------------------------------------------------------- life of a scene
@@ -178,13 +179,13 @@ class World:
 
         Args:
             scene: The scene.
-            episode_id: Episode that then holds the world; empty: none.
+            episode_id: Episode that holds the world afterwards; empty: none.
 
         Returns:
             Tick 0.
 
         Raises:
-            ConfigError: When a model, modifier or camera parent is unknown; the old world then stays.
+            ConfigError: When a model, modifier or camera parent is unknown; the old world then remains.
             InvalidRequestError: When the robot's start is beyond its limits.
         """
         model = self.library.robot(scene.robot.model)
@@ -223,10 +224,10 @@ class World:
         return self._record
 
     def release(self, episode_id: str = "") -> None:
-        """End an episode's hold; the world stays as it is.
+        """Release the world from an episode; its state does not change.
 
         Args:
-            episode_id: The holder; empty: whoever it is.
+            episode_id: The episode that holds the world; empty: any.
 
         Raises:
             SimError: With code ``LEASE_HELD`` when another episode holds the world.
@@ -239,16 +240,16 @@ class World:
         """Execute one action.
 
         Args:
-            seq: Tick that the action leads to: the last one + 1.
+            seq: Number of the resulting tick: the last tick's + 1.
             action: 7 numbers, see `roboxim_core.actions`.
-            episode_id: Who asks; none: not checked.
+            episode_id: The requesting episode; none: not checked.
 
         Returns:
             The new tick.
 
         Raises:
             SimError: With code ``NO_SCENE``, ``LEASE_HELD`` (another episode) or ``WRONG_SEQ``.
-            InvalidRequestError: With code ``INVALID_ACTION``. The world has not moved in any of these cases.
+            InvalidRequestError: With code ``INVALID_ACTION``. In all these cases the world has not moved.
         """
         _ = self.scene
         if self._moving:
@@ -257,7 +258,7 @@ class World:
             holder = f"episode '{self._episode_id}' holds" if self._episode_id else "no episode holds"
             raise SimError(f"{holder} the sim, not '{episode_id}'; load a scene for it first", ErrorCode.LEASE_HELD)
         if seq != self._seq + 1:
-            raise SimError(f"tick {seq} was asked for, the next one is {self._seq + 1}", ErrorCode.WRONG_SEQ)
+            raise SimError(f"got tick {seq}, expected the next one, {self._seq + 1}", ErrorCode.WRONG_SEQ)
         step = self._controller.step(self._command, action)
         self.physics.begin_tick()
         self.physics.robot.drive_gripper(step.state.gripper)
@@ -278,7 +279,7 @@ class World:
     # ---------------------------------------------------------------- free motion, outside an episode
 
     def step(self, steps: int) -> StateRecord:
-        """Let physics run.
+        """Step the physics.
 
         Args:
             steps: Number of physics steps, >= 1.
@@ -292,17 +293,17 @@ class World:
         return record
 
     def steps(self, steps: int) -> Iterator[StateRecord | None]:
-        """Let physics run, a control period at a time.
+        """Step the physics, one control period at a time.
 
         Args:
             steps: Number of physics steps, >= 1.
 
         Yields:
-            None after every control period, then the state. Closing the generator, `stop_motion` and a time-out leave
-            the world where it got to.
+            None after every control period, finally the state. When the generator is closed, after `stop_motion` and
+            after a timeout, the world keeps the state that it has reached.
 
         Raises:
-            SimError: With code ``NO_SCENE``, ``LEASE_HELD``, or ``CANCELLED`` by `stop_motion` or a new scene.
+            SimError: With code ``NO_SCENE``, ``LEASE_HELD``, or ``CANCELLED`` after `stop_motion` or a new scene.
             InvalidRequestError: On a number below 1 or above `limits.STEPS`.
         """
         self.require_free("step")
@@ -316,7 +317,7 @@ class World:
         velocities: npt.ArrayLike | None = None,
         accelerations: npt.ArrayLike | None = None,
     ) -> Generator[StateRecord, None, None]:
-        """Move the arm along a trajectory from where it is commanded to be; see `checked_trajectory` and `follow`."""
+        """Move the arm along a trajectory from its commanded position; see `checked_trajectory` and `follow`."""
         return self.follow(self.checked_trajectory(times_s, positions, velocities, accelerations))
 
     def checked_trajectory(
@@ -326,7 +327,7 @@ class World:
         velocities: npt.ArrayLike | None = None,
         accelerations: npt.ArrayLike | None = None,
     ) -> JointTrajectory:
-        """Return a trajectory from where the arm is commanded to be.
+        """Return a validated trajectory that starts at the arm's commanded position.
 
         Args:
             times_s: Increasing times from the start, shape (m,) [s].
@@ -348,10 +349,10 @@ class World:
 
         Args:
             trajectory: The trajectory.
-            settle_s: How long to hold its end [s].
+            settle_s: Time to hold the last point [s].
 
         Yields:
-            The state after every control period; closing the generator stops the arm where it is.
+            The state after every control period; closing the generator stops the arm at its current position.
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
@@ -366,8 +367,8 @@ class World:
 
         Args:
             opening: 1 = open, 0 = closed.
-            force_n: Largest force of each finger [N]; none: the model's.
-            timeout_s: Simulated time after which it is given up [s].
+            force_n: Maximum force of each finger [N]; none: the model's.
+            timeout_s: Simulated time after which the motion ends [s].
 
         Yields:
             The state after every control period.
@@ -397,10 +398,10 @@ class World:
 
         Args:
             name: The entity.
-            pose: Pose of its base in the world; none: as it is.
-            linear_velocity: Velocity that goes with the pose [m/s].
-            angular_velocity: Angular velocity that goes with the pose [rad/s].
-            joint_positions: Joint name to position [m or rad].
+            pose: Pose of its base in the world; none: unchanged.
+            linear_velocity: Linear velocity, set together with the pose [m/s].
+            angular_velocity: Angular velocity, set together with the pose [rad/s].
+            joint_positions: Positions by joint name [m or rad].
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
@@ -455,17 +456,17 @@ class World:
         return Snapshot(scene=scene, actions=tuple(self._actions), hashes=tuple(self._hashes), record=record)
 
     def restore(self, snapshot: Snapshot, episode_id: str = "", *, approximate: bool = False) -> StateRecord:
-        """Bring a snapshot back.
+        """Restore a snapshot.
 
         Args:
             snapshot: The snapshot.
-            episode_id: Episode that then holds the world; empty: none.
+            episode_id: Episode that holds the world afterwards; empty: none.
             approximate: Set poses and joints instead of executing the actions again: contacts and velocities are lost
                 and the record is marked as disturbed.
 
         Raises:
-            SimError: With code ``DIVERGED`` naming the first tick whose hash differs, or when a disturbed snapshot is
-                to be restored exactly.
+            SimError: With code ``DIVERGED`` and the first tick whose hash differs, or when a disturbed snapshot is to
+                be restored exactly.
         """
         if approximate:
             return self._restore_poses(snapshot, episode_id)
@@ -502,7 +503,7 @@ class World:
         self.physics.robot.drive_gripper(self._command.gripper)
 
     def _advance(self, steps: int, before: ControllerState | None = None) -> None:
-        """Run physics while the arm's target moves evenly from an earlier command to the present one."""
+        """Step the physics while the arm's target moves at constant velocity from `before` to the current command."""
         self.physics.advance(steps, self._command.joints, None if before is None else before.joints)
 
     def _read(self) -> StateRecord:
@@ -517,7 +518,7 @@ class World:
         )
 
     def require_free(self, what: str) -> None:
-        """Refuse what only a world that nobody holds allows.
+        """Check that no episode and no motion holds the world.
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``LEASE_HELD``.
@@ -535,11 +536,11 @@ class World:
             )
 
     def stop_motion(self) -> None:
-        """Have the motion that is being executed end with ``CANCELLED`` where it is; nothing when there is none."""
+        """End the motion in progress, if any, with ``CANCELLED``; the robot stays at its current position."""
         self._stopped = self._moving
 
     def _exclusive(self, motion: Generator[R, None, None]) -> Generator[R, None, None]:
-        """Pass a motion's states on while nothing else may move; end it when it is stopped or the scene is replaced."""
+        """Yield a motion's states and block other motions; end it when it is stopped or the scene is replaced."""
         loads, self._moving, self._stopped = self._loads, True, False
         try:
             for record in motion:

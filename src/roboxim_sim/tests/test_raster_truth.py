@@ -252,7 +252,7 @@ def test_a_forked_child_is_refused_instead_of_hanging(raster: RasterRenderer) ->
         check=False,
     )
     assert done.returncode == 7, done.stderr
-    assert "bound to the thread that made it" in done.stdout
+    assert "bound to the thread that created it" in done.stdout
 
 
 def _body(key: str, solid: trimesh.Trimesh) -> RenderBody:

@@ -1,9 +1,9 @@
 """The renderers, by name.
 
-`raster` needs OpenGL (software GL will do), `tiny` needs nothing, `photo` needs Blender (`make photo`).
+`raster` needs OpenGL (software GL is enough), `tiny` has no requirements, `photo` needs Blender (`make photo`).
 
-A renderer is part of an episode's record, so one is never taken in place of another silently: asking for `raster`
-where there is no GL raises an error.
+The renderer is part of an episode's record, so there is no silent fallback to another one: requesting `raster` on a
+machine without GL raises an error.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from roboxim_core.registry import Registry
 from roboxim_core.rendering import Renderer
 
 RENDERERS: Registry[Callable[[], Renderer]] = Registry("renderer")
-"""Name to a factory; a plug-in registers its own under the entry point group ``roboxim.renderer``."""
+"""Factories by renderer name; a plug-in registers its own under the entry point group ``roboxim.renderer``."""
 
 
 @RENDERERS.register("raster")
@@ -42,7 +42,7 @@ def _photo() -> Renderer:
 
 
 def make_renderer(name: str) -> Renderer:
-    """Make a renderer, bound to the calling thread.
+    """Create a renderer, bound to the calling thread.
 
     Args:
         name: A registered name, e.g. ``raster``.
@@ -56,20 +56,20 @@ def make_renderer(name: str) -> Renderer:
 
 @dataclass(frozen=True, kw_only=True)
 class RendererStatus:
-    """Whether a renderer works here."""
+    """Whether a renderer works on this machine."""
 
     available: bool
-    """Whether it can be made."""
+    """Whether the renderer can be created."""
     detail: str
-    """What draws, or why it cannot and what to do."""
+    """The device that renders; for an unavailable renderer the reason and the remedy."""
 
 
 def available_renderers(names: Iterable[str] | None = None, timeout_s: float = 300.0) -> dict[str, RendererStatus]:
-    """Try every renderer in a process of its own, because a broken GL driver may crash or hang.
+    """Test each renderer in a separate process, because a broken GL driver may crash or hang.
 
     Args:
-        names: Renderers to try; none: all.
-        timeout_s: Longest time for one renderer [s].
+        names: Renderers to test; none: all.
+        timeout_s: Time limit for each renderer [s].
     """
     return {name: _probe(name, timeout_s) for name in (RENDERERS if names is None else names)}
 

@@ -1,4 +1,4 @@
-"""What a tick's pictures need to know besides geometry, computed once for all cameras. Plain numpy, no GL."""
+"""Per-tick rendering data besides geometry, computed once for all cameras. Plain numpy, no GL."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Array = npt.NDArray[np.float64]
 
 MAX_LIGHTS = 4
 CONTACT_REACH_M = 0.17
-"""Height above the table up to which an object darkens it."""
+"""Height above the table up to which an object darkens the table."""
 PIXELS_PER_FACE = 6.0
-"""A body with fewer visible pixels per face is drawn with its coarse shape: a rasteriser without a GPU shades blocks of
-pixels, whole for each face that touches them."""
+"""A body with fewer visible pixels per face is drawn with its coarse shape: a software rasteriser shades a whole block
+of pixels for each face that touches it."""
 TO_TEXTURE = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
-    """What is drawn at once."""
+    """Index ranges that one draw call draws."""
 
     flags: tuple[str, ...]
-    """What the shader must know: ``TEXTURE``, ``SHADOW``, ``CONTACT``, ``OVERHANG``."""
+    """Features that the shader needs: ``TEXTURE``, ``SHADOW``, ``CONTACT``, ``OVERHANG``."""
     ranges: tuple[range, ...]
-    """Ranges of the indices, in order."""
+    """Ranges of the indices, in drawing order."""
 
 
 class Frame:
@@ -44,8 +44,8 @@ class Frame:
 
         Args:
             packed: The world.
-            look: Its lights.
-            poses: Body key to pose in the world; left out: identity.
+            look: The world's lights.
+            poses: Poses in the world by body key; missing ones are the identity.
         """
         self._packed, self._look = packed, look
         bodies = packed.bodies
@@ -54,7 +54,7 @@ class Frame:
         self.centers: Array = (self.matrices[:, :3, :3] @ packed.centers[:, :, None])[:, :, 0] + self.matrices[:, :3, 3]
         self.radii = packed.radii
         self._slab = None if packed.slab is None else self._box(packed.slab)
-        # What stands on the table is in the shadow map; the table's shadow is a rectangle, which the shader knows.
+        # The shadow map holds the objects on the table; the shader computes the table's shadow, a rectangle.
         self.casters = packed.layers != SURROUNDINGS_LAYER
         if packed.slab is not None:
             self.casters[packed.slab] = False
@@ -71,12 +71,12 @@ class Frame:
 
     @cached_property
     def light(self) -> LightView:
-        """The main light's view; only where `shadowed`."""
+        """The main light's view; valid only when `shadowed`."""
         return light_view(self.lights[0], self.centers[self.casters], self.radii[self.casters])
 
     @cached_property
     def contact_box(self) -> tuple[float, float, float, float]:
-        """Square around what touches: lower corner x, y [m], 1 over its extent [1/m], height of the table's top [m]."""
+        """Square around the contact bodies: lower corner x, y [m], 1 / extent [1/m], height of the table's top [m]."""
         centers, radii = self.centers[self.touching, :2], self.radii[self.touching, None]
         low, high = (centers - radii).min(axis=0), (centers + radii).max(axis=0)
         extent = float(np.ceil((high - low).max() / 0.2 + 0.7) * 0.2)
@@ -84,17 +84,17 @@ class Frame:
         return x, y, 1 / extent, float(self._slab[1][2]) if self._slab else 0.0
 
     def shadow_ranges(self) -> tuple[range, ...]:
-        """Return the indices of all that casts shadows."""
+        """Return the index ranges of all shadow casters."""
         return tuple(self._packed.bodies[i].shadow for i in np.flatnonzero(self.casters))
 
     def contact_ranges(self) -> tuple[range, ...]:
-        """Return the indices of what may darken the table."""
+        """Return the index ranges of the bodies that may darken the table."""
         return tuple(self._packed.bodies[i].shadow for i in np.flatnonzero(self.touching))
 
     def batches(self, camera: CameraSpec, pose: Pose) -> list[Batch]:
-        """Return what a camera may see, in drawing order: near things first, table and surroundings last.
+        """Return what a camera may see, in drawing order: near bodies first, table and surroundings last.
 
-        Bodies of one kind are drawn together, so that none pays for what it does not have (a texture, a shadow).
+        Bodies with the same shader features form a batch, so that no body pays for features that it does not use.
         """
         seen = np.flatnonzero(visible(self.clip(camera, pose), self.centers, self.radii))
         distances = np.linalg.norm(self.centers[seen] - np.asarray(pose.position), axis=1)
@@ -122,13 +122,13 @@ class Frame:
         )
 
     def clip(self, camera: CameraSpec, pose: Pose) -> Array:
-        """Return a camera's projection from the world, worked out once."""
+        """Return a camera's projection from the world, computed once."""
         if camera.name not in self._clips:
             self._clips[camera.name] = clip_from_world(camera, pose)
         return self._clips[camera.name]
 
     def view(self, camera: CameraSpec, pose: Pose) -> bytes:
-        """Return the uniform block ``View`` of the shaders for a camera."""
+        """Return the shaders' uniform block ``View`` for a camera."""
         own = np.concatenate([self.clip(camera, pose).T.ravel(), self._light_matrix.T.ravel(), pose.position])
         return own.astype(np.float32).tobytes() + self._common
 
@@ -138,7 +138,7 @@ class Frame:
 
     @cached_property
     def _common(self) -> bytes:
-        """Return what the uniform block ``View`` has for all cameras."""
+        """Return the part of the uniform block ``View`` that all cameras share."""
         vectors, colors = self._light_vectors()
         size, offset = (self.light.size, 1.5 * self.light.texel_m) if self.shadowed else (1, 0.0)
         ambient = np.asarray(self._look.ambient, dtype=float)
@@ -166,7 +166,7 @@ class Frame:
 
     @cached_property
     def _reached(self) -> npt.NDArray[np.bool_]:
-        """Tell on which bodies a shadow may fall, by their bounding boxes as the light sees them."""
+        """Return which bodies a shadow may fall on, by their bounding boxes in the light's view."""
         corners = self._packed.corners @ self.matrices[:, :3, :3].transpose(0, 2, 1) + self.matrices[:, None, :3, 3]
         clip = corners @ self.light.matrix[:, :3].T + self.light.matrix[:, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -198,7 +198,7 @@ class Frame:
 
 
 def _matrices(poses: Sequence[Pose]) -> Array:
-    """Return homogeneous matrices, shape (N, 4, 4), in one go: a scipy rotation for each would take a millisecond."""
+    """Return homogeneous matrices, shape (N, 4, 4), vectorised: a scipy rotation per pose would take a millisecond."""
     matrices = np.tile(np.eye(4), (len(poses), 1, 1))
     if poses:
         matrices[:, :3, :3] = Rotation.from_quat([pose.quat_xyzw for pose in poses]).as_matrix()

@@ -1,4 +1,4 @@
-"""Packs a `RenderWorld` into one vertex and one index array: a tick then uploads poses and draws in few calls."""
+"""Packing of a `RenderWorld` into one vertex and one index array; a tick then uploads poses and draws in few calls."""
 
 from __future__ import annotations
 
@@ -38,36 +38,36 @@ body, entity."""
 VERTEX_FORMAT = "3f 3f 2f 4f1 4f1 2u2"
 VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_ids")
 COARSE_FACES = 500
-"""Faces that a robot's links, and bodies of many faces, are simplified to for shadows and where they look small."""
+"""Faces of the coarse shape of robot links and of bodies with many faces, for shadows and for small images of them."""
 MANY_FACES = 3000
-"""More faces than other bodies need."""
+"""Number of faces above which other bodies get a coarse shape."""
 
 Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[npt.NDArray[np.uint8]]]
-"""From a body's meshes, and meshes whose vertices are asked about, to 0..255 for each vertex of the latter."""
+"""Computes the openness (0..255) of vertices, given a body's meshes and the meshes that hold these vertices."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PackedBody:
-    """Where a body lies in the indices, and its bounds. Of a body of the surroundings there is one for each part."""
+    """A body's index ranges and bounds. A body of the surroundings has one `PackedBody` for each of its parts."""
 
     key: str
     """Key of its pose."""
     entity: str
-    """Entity that it belongs to."""
+    """Entity that the body belongs to."""
     plain: range
-    """Indices of what has no texture."""
+    """Indices of the untextured faces."""
     plain_coarse: range
     """The same with fewer faces."""
     textured: range
-    """Indices of what has a texture."""
+    """Indices of the textured faces."""
     textured_coarse: range
     """The same with fewer faces."""
     shadow: range
-    """Indices of what casts its shadow: all of it, with few faces."""
+    """Indices of the shadow-casting shape: the whole body, with few faces."""
     center: Array
-    """Centre of its bounding box in its frame, shape (3,) [m]."""
+    """Centre of the bounding box in the body's frame, shape (3,) [m]."""
     half: Array
-    """Half the extent of its bounding box, shape (3,) [m]."""
+    """Half the extent of the bounding box, shape (3,) [m]."""
     radius: float
     """Radius of the bounding sphere about the centre [m]."""
 
@@ -81,7 +81,7 @@ class PackedWorld:
     indices: npt.NDArray[np.uint32]
     """Triangles of all bodies."""
     bodies: tuple[PackedBody, ...]
-    """The bodies with something to draw; a vertex names its body by its place here."""
+    """The bodies with something to draw; vertices refer to them by index."""
     keys: tuple[str, ...]
     """Keys of all bodies."""
 
@@ -92,7 +92,7 @@ class PackedWorld:
 
     @cached_property
     def radii(self) -> Array:
-        """Their radii, shape (N,) [m]."""
+        """Radii of the bodies' bounding spheres, shape (N,) [m]."""
         return np.array([body.radius for body in self.bodies], dtype=float)
 
     @cached_property
@@ -103,7 +103,7 @@ class PackedWorld:
 
     @cached_property
     def layers(self) -> npt.NDArray[np.int64]:
-        """When the bodies are drawn, shape (N,): objects first, then the table, then the surroundings."""
+        """Drawing order of the bodies, shape (N,): objects first, then the table, then the surroundings."""
         layers = dict.fromkeys(SURROUNDINGS, SURROUNDINGS_LAYER)
         numbers = np.array([layers.get(body.entity, OBJECTS_LAYER) for body in self.bodies], dtype=np.int64)
         if self.slab is not None:
@@ -112,27 +112,27 @@ class PackedWorld:
 
     @cached_property
     def faces(self) -> npt.NDArray[np.int64]:
-        """Numbers of the bodies' faces, shape (N,)."""
+        """Number of faces of each body, shape (N,)."""
         return np.array([(len(body.plain) + len(body.textured)) // 3 for body in self.bodies], dtype=np.int64)
 
     @cached_property
     def slab(self) -> int | None:
-        """The table's top: the widest body of the table; none: there is no table."""
+        """The table's top, which is the widest body of the table; none: there is no table."""
         return max(self.tables, key=lambda i: float(np.prod(self.bodies[i].half[:2])), default=None)
 
     @cached_property
     def tables(self) -> list[int]:
-        """The bodies of the table: its top with its legs, and what the robot stands on."""
+        """The bodies of the table: its top with its legs, and the robot's pedestal."""
         return [i for i, body in enumerate(self.bodies) if body.entity == "table"]
 
 
 def texture_names(world: RenderWorld) -> list[str]:
-    """Return the names of the textures that a world needs."""
+    """Return the names of the textures that a world uses."""
     return list(dict.fromkeys(["", *(part.material.texture for body in world.bodies for part in body.parts)]))
 
 
 def check_world(world: RenderWorld) -> None:
-    """Check a world.
+    """Check that a world can be packed.
 
     Raises:
         InvalidRequestError: On a malformed mesh, a duplicate key, or too many bodies, entities or textures.
@@ -148,12 +148,12 @@ def check_world(world: RenderWorld) -> None:
 
 
 def pack(world: RenderWorld, textures: Sequence[str], openness: Openness) -> PackedWorld:
-    """Pack a world that `check_world` finds good.
+    """Pack a world that has passed `check_world`.
 
     Args:
         world: The world.
-        textures: Names of textures by number, the first of none, among them all that the world needs.
-        openness: Tells how open the vertices of a body's meshes are (see `occlusion`).
+        textures: Texture names by number, including all that the world uses; number 0 means no texture.
+        openness: Computes the openness of the vertices of a body's meshes (see `occlusion`).
     """
     entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
     arrays, bodies = _Arrays(), list[PackedBody]()
@@ -178,7 +178,7 @@ def _packed(
     arrays: _Arrays,
     openness: Openness,
 ) -> PackedBody:
-    """Add a body's parts to the arrays: plain ones, textured ones, and all coarse ones (plain first)."""
+    """Add a body's parts to the arrays: untextured, textured, then all coarse ones (untextured first)."""
     parts = sorted(parts, key=lambda part: bool(part.material.texture))
     fine = [part.mesh for part in parts]
     room = body.entity in SURROUNDINGS
@@ -217,7 +217,7 @@ def _packed(
 
 
 class _Arrays:
-    """Vertices and indices that grow mesh by mesh."""
+    """Vertex and index arrays under construction, mesh by mesh."""
 
     def __init__(self) -> None:
         self.vertices = [np.zeros(0, VERTEX)]
@@ -234,10 +234,10 @@ class _Arrays:
 
 
 def check_mesh(mesh: TriangleMesh, key: str) -> None:
-    """Check a mesh's shapes and indices.
+    """Check a mesh's array shapes and indices.
 
     Raises:
-        InvalidRequestError: When they do not fit together.
+        InvalidRequestError: When shapes or indices are inconsistent, or a vertex is not finite.
     """
     count = len(mesh.vertices)
     good = (
@@ -259,7 +259,7 @@ def check_mesh(mesh: TriangleMesh, key: str) -> None:
 
 
 def textured(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with texture coordinates: its own, or each face projected along its main axis (`TILE_M`)."""
+    """Return the mesh with texture coordinates: its own, or by projecting each face along its main axis (`TILE_M`)."""
     if mesh.uv is not None:
         return mesh
     corners = mesh.vertices[mesh.faces]
@@ -302,7 +302,7 @@ def check_request(keys: Iterable[str], poses: Mapping[str, Pose], cameras: Seque
     """Check the arguments of a renderer's `render` against its world's body keys.
 
     Raises:
-        InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+        InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
     """
     if unknown := sorted(set(poses) - (known := set(keys))):
         raise InvalidRequestError(f"poses of unknown bodies {unknown}; the world has {sorted(known)}")

@@ -1,4 +1,4 @@
-"""Thin layer over moderngl for the `raster` renderer: context, shaders, framebuffers, a world on the GPU."""
+"""Thin layer over moderngl for the `raster` renderer: context, shaders, framebuffers and a world's GPU buffers."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from roboxim_sim.rendering.geometry import VERTEX, VERTEX_FORMAT, VERTEX_NAMES, 
 Array = npt.NDArray[np.float64]
 
 PACKAGES = "libegl1 libgl1-mesa-dri"
-"""Packages of Debian and Ubuntu that give software GL."""
+"""Debian and Ubuntu packages that provide software GL."""
 SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")
-"""Words in the names of GL renderers that do not run on a GPU."""
+"""Words that identify software renderers in the GL renderer name."""
 MAX_DEVICES = 16
-"""EGL devices that are tried."""
+"""Number of EGL devices to try."""
 KEPT_TEXTURES = 24
-"""Textures that are kept, 1.3 MiB each, unless a world needs more."""
+"""Number of textures to keep, 1.3 MiB each, unless a world needs more."""
 
 
 def create_context() -> moderngl.Context:
-    """Create a GL context without a window: a GPU's where there is one that works, else software's.
+    """Create a GL context without a window: on a GPU if one works, otherwise in software.
 
-    The environment variable ``GLCONTEXT_DEVICE_INDEX`` chooses an EGL device by its number.
+    The environment variable ``GLCONTEXT_DEVICE_INDEX`` selects an EGL device by index.
 
     Raises:
         SimError: RENDERER_UNAVAILABLE when this machine has no working EGL.
@@ -38,11 +38,11 @@ def create_context() -> moderngl.Context:
     software: moderngl.Context | None = None
     problem: Exception | None = None
     for index in range(1 if "GLCONTEXT_DEVICE_INDEX" in os.environ else MAX_DEVICES):
-        # libEGL dispatches core GL too, so libGL and the X11 libraries it needs are not needed.
+        # libEGL also dispatches core GL, so libGL and its X11 dependencies are not needed.
         options: Any = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1", "device_index": index}
         try:
             context = moderngl.create_context(require=330, standalone=True, **options)
-        except Exception as error:  # moderngl and its loader raise plain Exception, also where devices end
+        except Exception as error:  # moderngl and its loader raise plain Exception, also beyond the last device
             problem = problem or error
             continue
         if not any(word in str(context.info["GL_RENDERER"]).lower() for word in SOFTWARE):
@@ -56,29 +56,29 @@ def create_context() -> moderngl.Context:
     if software is not None:
         return software
     raise SimError(
-        f"renderer 'raster' needs OpenGL 3.3 through EGL, and this machine gives none ({problem}). On Debian or "
+        f"renderer 'raster' needs OpenGL 3.3 through EGL, and this machine provides none ({problem}). On Debian or "
         f"Ubuntu: apt-get install {PACKAGES}. Without GL choose renderer 'tiny'.",
         ErrorCode.RENDERER_UNAVAILABLE,
     ) from problem
 
 
 class Shader:
-    """A program whose uniforms are set by name; those that the compiler has removed are skipped."""
+    """A program whose uniforms are set by name; uniforms that the compiler removed are skipped."""
 
     def __init__(self, context: moderngl.Context, vertex: str, fragment: str, defines: Mapping[str, str]) -> None:
-        """Compile.
+        """Compile the program.
 
         Args:
             context: The context.
             vertex: GLSL without its version line.
             fragment: GLSL without its version line.
-            defines: Preprocessor names to values.
+            defines: Values by preprocessor name.
         """
         head = "#version 330\n" + "".join(f"#define {key} {value}\n" for key, value in defines.items())
         self.program = context.program(vertex_shader=head + vertex, fragment_shader=head + fragment)
 
     def set(self, **values: Any) -> None:
-        """Set uniforms: numbers or tuples; for a uniform block or a sampler its binding."""
+        """Set uniforms to numbers or tuples; for a uniform block or a sampler, set its binding."""
         for name, value in values.items():
             member = self.program.get(name, None)
             if isinstance(member, moderngl.Uniform | moderngl.UniformBlock):
@@ -86,7 +86,7 @@ class Shader:
 
 
 class Buffer:
-    """A framebuffer with textures or, where nothing samples it, renderbuffers as its attachments."""
+    """A framebuffer whose attachments are textures, or renderbuffers where nothing samples them."""
 
     def __init__(
         self,
@@ -96,14 +96,14 @@ class Buffer:
         depth: str = "",
         smooth: bool = True,
     ) -> None:
-        """Create it.
+        """Create the framebuffer.
 
         Args:
             context: The context.
             size: Width and height [px].
             colors: Components and moderngl dtype of each colour texture.
-            depth: ``texture`` for one to compare with, ``buffer`` for one that only hides, or empty for none.
-            smooth: Whether the colour textures are filtered.
+            depth: ``texture`` for a depth texture to compare with, ``buffer`` for depth testing only, empty for none.
+            smooth: Whether the colour textures are filtered linearly.
         """
         self.size = size
         self.colors = tuple(context.texture(size, components, dtype=dtype) for components, dtype in colors)
@@ -140,9 +140,9 @@ class _Bound:
     """A vertex array of a shader."""
 
     whole: moderngl.VertexArray
-    """Over the world's own indices."""
+    """Vertex array over the world's own indices."""
     chosen: moderngl.VertexArray
-    """Over the indices that a draw chooses."""
+    """Vertex array over the indices that a draw selects."""
 
 
 class GpuWorld:
@@ -152,7 +152,7 @@ class GpuWorld:
         """Upload it."""
         self.packed = packed
         self._context = context
-        # GL knows no empty buffers.
+        # GL has no empty buffers.
         self._vertices = context.buffer(packed.vertices.tobytes() or bytes(VERTEX.itemsize))
         self._indices = context.buffer(packed.indices.tobytes() or bytes(12))
         self._chosen = context.buffer(reserve=max(packed.indices.nbytes, 12), dynamic=True)
@@ -180,7 +180,7 @@ class GpuWorld:
             buffer.release()
 
     def _vertex_arrays(self, shader: Shader) -> _Bound:
-        """Return the vertex arrays of a shader, made once; attributes that it does not read are skipped."""
+        """Return the vertex arrays of a shader, created once; attributes that it does not read are skipped."""
         glo = shader.program.glo
         if glo not in self._bound:
             content = [(self._vertices, VERTEX_FORMAT, *VERTEX_NAMES)]
@@ -194,20 +194,20 @@ class GpuWorld:
 
 
 class TextureStore:
-    """The textures of worlds, in one array. Those of earlier worlds stay, because episodes often share them."""
+    """Textures in one array. Textures of earlier worlds are kept, because episodes often share them."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        """Make an empty one."""
+        """Create an empty store."""
         self._context = context
         self._array: moderngl.TextureArray | None = None
         self.names: tuple[str, ...] = ()
-        """Names of textures by the number that vertices have: 0 is none, and 1 the array's first layer."""
+        """Texture names by the number in the vertices: 0 means no texture, 1 is the array's first layer."""
 
     def hold(self, names: Iterable[str]) -> None:
-        """See to it that the textures are there.
+        """Ensure that the array holds the textures.
 
         Raises:
-            ConfigError: When there is no such texture.
+            ConfigError: On an unknown texture name.
         """
         wanted = tuple(dict.fromkeys(names))
         if not set(wanted) - set(self.names):
@@ -227,7 +227,7 @@ class TextureStore:
         self._array, self.names = None, ()
 
     def _upload(self, names: tuple[str, ...]) -> None:
-        """Make the array anew, with mipmaps; four channels, because three are slower to read."""
+        """Rebuild the array with mipmaps; it has four channels, because three are slower to read."""
         images = [textures.pixels(name) for name in names if name]
         self.release()
         size = textures.SIZE

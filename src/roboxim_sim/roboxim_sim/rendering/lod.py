@@ -1,4 +1,4 @@
-"""Coarser meshes: for shadows, and for what is small in an image."""
+"""Mesh simplification (level of detail) for shadows and for bodies that are small in an image."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from roboxim_core.rendering import TriangleMesh
 CREASE_RAD = np.radians(45.0)
 """Faces that meet at a smaller angle are shaded as one smooth surface."""
 SLIVER = 0.15
-"""A triangle that is thinner than this, over its longest side, is one."""
+"""A triangle whose height over its longest side is smaller than this ratio is a sliver."""
 NEIGHBOURS = 8
-"""Fine vertices that a coarse corner chooses its texture coordinates from."""
+"""Number of fine vertices among which a coarse corner selects its texture coordinates."""
 SEAM = 0.3
-"""Texture coordinates further apart than this, within a triangle, lie on two sides of a seam."""
+"""Texture coordinates of one triangle that are further apart than this lie on different sides of a seam."""
 
 _COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[TriangleMesh, ...], tuple[TriangleMesh, ...]]]
 _COARSE = WeakKeyDictionary()
-"""By a body's first mesh: its other meshes, and all its coarse ones. Meshes come from caches and outlive a scene."""
+"""Cache by a body's first mesh: its other meshes and all its coarse meshes. Meshes are cached and outlive a scene."""
 
 
 def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleMesh, ...]:
@@ -32,10 +32,10 @@ def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleM
 
     Args:
         meshes: The meshes; at least one.
-        faces: About how many faces they shall have in all.
+        faces: Approximate total number of faces of the result.
 
     Returns:
-        A coarse mesh for each, with texture coordinates where the fine one has some. A mesh may lose all its faces.
+        A coarse mesh for each mesh, with texture coordinates if the fine one has them. It may have no faces left.
     """
     if sum(len(mesh.faces) for mesh in meshes) <= faces:
         return tuple(meshes)
@@ -47,12 +47,12 @@ def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleM
 
 
 def same(some: Sequence[TriangleMesh], others: Sequence[TriangleMesh]) -> bool:
-    """Tell whether these are the very same meshes."""
+    """Return whether both sequences hold the same mesh objects."""
     return len(some) == len(others) and all(a is b for a, b in zip(some, others, strict=True))
 
 
 def _simplified(meshes: Sequence[TriangleMesh], target: int) -> tuple[TriangleMesh, ...]:
-    # Welded first: vertices that are split for their normals would come apart.
+    # Weld vertices first: vertices that were split for their normals would separate.
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
     points, index = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -78,9 +78,9 @@ def _whole(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
 
 
 def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fine: TriangleMesh) -> TriangleMesh:
-    """Give each corner of the faces the mean normal of the faces around it that are within `CREASE_RAD` of its own.
+    """Assign each face corner the mean normal of the adjacent faces within `CREASE_RAD` of its own face.
 
-    Where the fine mesh has texture coordinates, each gets those of a fine vertex beside it.
+    If the fine mesh has texture coordinates, each corner gets those of a nearby fine vertex.
     """
     corners = points[faces].astype(np.float64)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -90,7 +90,7 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fi
     around = csr_matrix((np.ones(faces.size), (np.arange(faces.size), faces.ravel())), (faces.size, len(points)))
     pairs = (around @ around.T).tocoo()
     own, other = face_of[pairs.row], face_of[pairs.col]
-    # A sliver's own normal says nothing: it takes that of all around.
+    # A sliver's own normal is meaningless: use the mean of all adjacent faces.
     longest = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
     sliver = np.linalg.norm(areas, axis=1) < SLIVER * longest
     near = (np.einsum("ij,ij->i", flat[own], flat[other]) > np.cos(CREASE_RAD)) | sliver[own]
@@ -111,7 +111,7 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fi
 
 
 def _coordinates(corners: npt.NDArray[np.float64], fine: TriangleMesh) -> npt.NDArray[np.float64]:
-    """Return texture coordinates of triangles' corners, shape (M, 3, 2), so that no triangle reaches across a seam."""
+    """Return texture coordinates of triangle corners, shape (M, 3, 2), such that no triangle crosses a seam."""
     assert fine.uv is not None
     tree, count = cKDTree(fine.vertices), min(NEIGHBOURS, len(fine.vertices))
     uv = fine.uv.astype(np.float64)

@@ -1,7 +1,7 @@
-"""How much of its surroundings each vertex of a body sees past the body itself, worked out once when it is loaded.
+"""Ambient occlusion of each vertex by its own body (openness), computed once when the body is loaded.
 
-A body's depth is drawn from many sides into one picture, and each vertex looked up there: darkness inside a mug, under
-a plate's rim and between the robot's covers then costs a tick nothing.
+The body's depth is drawn from many sides into one image, in which each vertex is then looked up. Darkness inside a
+mug, under a plate's rim and between the robot's covers thus adds no cost to a tick.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from roboxim_sim.rendering.lod import same
 Array = npt.NDArray[np.float64]
 
 COLUMNS, ROWS = 8, 4
-"""Sides that a body is looked at from are laid out in so many columns and rows."""
+"""Columns and rows of the image in which the views from all sides are laid out."""
 CELL = 96
-"""Width and height of one side's picture [px]."""
+"""Width and height of the view from one side [px]."""
 BIAS = 0.03
-"""What is nearer than this share of the body's radius does not hide."""
+"""Surfaces nearer than this fraction of the body's radius do not occlude."""
 FLOOR = 0.25
-"""Share of the light that reaches what is wholly hidden, from one wall to another."""
+"""Fraction of the light that reaches fully occluded points by reflection between walls."""
 MAX_FACES = 20_000
-"""Bodies of more faces are taken for open: drawing them from all sides would take too long."""
+"""Bodies with more faces are assumed open: drawing them from all sides would take too long."""
 
 
 class OcclusionBaker:
-    """Works out openness, on the context that it was made on."""
+    """Computes openness on the GL context that created it."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        """Make what it draws with."""
+        """Create the shader and the framebuffer."""
         self._context = context
         self._axes = _sides(COLUMNS * ROWS)
         self._target: Buffer | None = None
@@ -45,13 +45,13 @@ class OcclusionBaker:
         self._known = WeakKeyDictionary()
 
     def openness(self, meshes: Sequence[TriangleMesh], seen: Sequence[TriangleMesh]) -> list[npt.NDArray[np.uint8]]:
-        """Return the openness of vertices, 255 = nothing hides anything.
+        """Return the openness of vertices, from 0 to 255 = not occluded.
 
         Args:
             meshes: A body's meshes; at least one.
-            seen: Meshes of the same body whose vertices are asked about.
+            seen: Meshes of the same body whose vertices are evaluated.
         """
-        # Not the first mesh, which would then never be forgotten.
+        # Leave out the first mesh: a reference to it would keep the cache entry alive forever.
         others = [mesh for mesh in (*meshes, *seen) if mesh is not meshes[0]]
         known = self._known.get(meshes[0])
         if known is None or not same(known[0], others):
@@ -59,7 +59,7 @@ class OcclusionBaker:
         return known[1]
 
     def release(self) -> None:
-        """Free what it drew with."""
+        """Free the GL resources."""
         if self._target:
             self._target.release()
         if self._shader:
@@ -86,7 +86,7 @@ class OcclusionBaker:
         return result
 
     def _draw(self, meshes: Sequence[TriangleMesh], center: Array, radius: float) -> npt.NDArray[np.float32]:
-        """Draw depth from all sides; shape (rows, cell, columns, cell), 0..1 from near to far."""
+        """Draw the depth from all sides and return it, shape (rows, cell, columns, cell), 0..1 from near to far."""
         ctx = self._context
         if self._target is None or self._shader is None:
             self._target = Buffer(ctx, (COLUMNS * CELL, ROWS * CELL), depth="texture")
@@ -108,7 +108,7 @@ class OcclusionBaker:
 
 
 def _sides(count: int) -> Array:
-    """Return axes that look inwards from all around (a Fibonacci sphere), shape (count, 3, 3): rows x, y, forward."""
+    """Return view axes that look inwards from a Fibonacci sphere, shape (count, 3, 3): rows x, y, forward."""
     k = np.arange(count) + 0.5
     z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
     forward = -np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)

@@ -1,4 +1,4 @@
-"""Binds a renderer to the thread that made it."""
+"""Binding of a renderer to the thread that created it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from roboxim_core.errors import SimError
 
 
 class Owner:
-    """Refuses calls from another thread, from a forked child and after closing.
+    """Rejects calls from another thread, from a forked child process and after closing.
 
-    GL drivers answer such calls with the previous image or never; a renderer without GL keeps the same rule, so that
-    a program that works with one works with all.
+    GL drivers answer such calls with the previous image or never. Renderers without GL follow the same rule, so that a
+    program that works with one renderer works with all.
     """
 
     def __init__(self) -> None:
@@ -24,12 +24,13 @@ class Owner:
         """Check the calling thread.
 
         Raises:
-            SimError: When it is not the owner, or the renderer is closed.
+            SimError: When the calling thread is not the owner, or the renderer is closed.
         """
         if self.closed:
-            raise SimError("the renderer is closed; make another one")
+            raise SimError("the renderer is closed; create another one")
         if (self._pid, self._thread) != (os.getpid(), threading.current_thread()):
             raise SimError(
-                f"a renderer is bound to the thread that made it ({self._thread.name} of process {self._pid}); called "
-                f"from {threading.current_thread().name} of process {os.getpid()}: call it there, or make another one"
+                f"a renderer is bound to the thread that created it ({self._thread.name} of process {self._pid}); "
+                f"called from {threading.current_thread().name} of process {os.getpid()}: call it "
+                "there, or create another one"
             )

@@ -1,13 +1,14 @@
-"""The `photo` renderer: Blender's Cycles, a path tracer, for rendering recorded episodes again.
+"""The `photo` renderer: Blender's path tracer Cycles, for re-rendering recorded episodes.
 
 Non-obvious behaviours:
-- Blender runs in a process of its own, in an environment of its own (`make photo`): it is under the GPL and wants an
-  older numpy. `photo_worker` is that process.
-- Few samples and a denoiser: light is right, fine noise is guessed. Sampling starts from the same seed in every frame.
-- Depth and segmentation come from a second pass, one sample through the middle of each pixel.
-- The tone curve is `raster`'s, so that both have the same whites.
-- The light of the surroundings passes through floor and walls, as in `raster`; the sun and the lamps do not light
-  through the floor.
+- Blender runs in a separate process, `photo_worker`, with a separate environment (`make photo`), because it is under
+  the GPL and needs an older numpy.
+- Images use few samples and a denoiser: the lighting is correct, fine detail is estimated. Sampling starts from the
+  same seed in every frame.
+- Depth and segmentation come from a second pass with one sample through the centre of each pixel.
+- The tone curve is that of `raster`, so that both renderers have the same whites.
+- The light of the surroundings passes through floor and walls, as in `raster`. The light of the sun and the lamps does
+  not pass through the floor.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from roboxim_sim.rendering.owner import Owner
 SAMPLES = 6
 """Paths per pixel."""
 PYTHON_VARIABLE = "ROBOXIM_PHOTO_PYTHON"
-"""Environment variable that names another Python with bpy."""
+"""Environment variable with the path of another Python that has bpy."""
 THREADS_VARIABLE = "ROBOXIM_PHOTO_THREADS"
 """Environment variable with the number of threads; the images do not depend on it."""
 OPTICAL_TO_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -60,7 +61,7 @@ def photo_python() -> Path:
 
 
 class PhotoRenderer:
-    """See the module; implements `roboxim_core.rendering.Renderer`."""
+    """Path-tracing renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
 
     name = "photo"
 
@@ -69,10 +70,10 @@ class PhotoRenderer:
 
         Args:
             samples: Paths per pixel.
-            threads: Threads; 0: what `THREADS_VARIABLE` says, else one per core.
+            threads: Number of threads; 0: the value of `THREADS_VARIABLE`, or one per core if that is unset.
 
         Raises:
-            SimError: RENDERER_UNAVAILABLE when it is not installed or does not start.
+            SimError: RENDERER_UNAVAILABLE when Blender is not installed or does not start.
         """
         self._owner = Owner()
         python = photo_python()
@@ -147,7 +148,7 @@ class PhotoRenderer:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:
-            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load`, after `close`, or when Blender fails.
         """
         self._owner.check()
@@ -173,7 +174,7 @@ class PhotoRenderer:
         }
 
     def close(self) -> None:
-        """End Blender. Closing twice is harmless."""
+        """Stop Blender. Closing twice is harmless."""
         if self._owner.closed:
             return
         self._owner.check()
@@ -218,7 +219,7 @@ def _camera(camera: CameraSpec, pose: Pose) -> dict[str, Any]:
 
 
 def _light(light: LightSpec) -> dict[str, Any]:
-    """Return a light as Blender has it: a sun's irradiance [W/m^2], a lamp's power [W]; both shine along -z."""
+    """Return a light in Blender's units: a sun's irradiance [W/m^2], a lamp's power [W]; both shine along -z."""
     if light.kind == "lamp":
         pose = Pose(position=light.position)
         energy = light.intensity * 4 * np.pi * max(float(np.dot(light.position, light.position)), 0.01)
@@ -241,6 +242,6 @@ def _developed(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
 
 
 def _foreign_environment() -> dict[str, str]:
-    """Return an environment for a Python that is not ours: nothing of ROS' libraries, nothing of our packages."""
+    """Return the environment variables for a foreign Python, without the paths of ROS and of RoboXim's packages."""
     drop = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
     return {name: value for name, value in os.environ.items() if name not in drop}

@@ -1,10 +1,10 @@
-"""Renders with Blender's Cycles for `photo`, in a process of its own. Imports nothing of RoboXim but numpy.
+"""Worker process of the `photo` renderer, which renders with Blender's Cycles. Imports numpy, but nothing of RoboXim.
 
-Run by the Python of another environment, which has `bpy` and an older numpy. Requests come on stdin and answers leave
-on stdout, each a line of JSON followed by the raw bytes of its arrays (`send`, `receive`). Blender prints on stdout
-too, so that file descriptor is moved away first.
+The worker runs with the Python of a separate environment that has `bpy` and an older numpy. It reads requests from
+stdin and writes responses to stdout, each a line of JSON followed by the raw bytes of its arrays (`send`, `receive`).
+Blender prints to stdout too, so the worker first moves the pipe to another file descriptor.
 
-`bpy` is under the GPL, RoboXim is not: the two meet in this file only, over a pipe.
+`bpy` is under the GPL and RoboXim is not: only this file uses both, and it talks to RoboXim over a pipe.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ import numpy as np
 PIXEL_TYPES = {0: np.uint32, 1: np.float16, 2: np.float32}
 """OpenEXR's pixel types."""
 MARGIN = 4
-"""Pixels that are drawn around the image and cut off: the denoiser is wrong at its edges."""
+"""Width of the margin that is rendered around the image and cropped, because the denoiser errs at the edges [px]."""
 FAR_M = 1e9
-"""Cycles gives this or more where there is nothing."""
+"""Depth from which on Cycles reports that a ray hit nothing."""
 
 
 def send(stream: IO[bytes], message: dict[str, Any], arrays: dict[str, Any] | None = None) -> None:
-    """Write a message with its arrays."""
+    """Write a message and its arrays to the pipe."""
     contiguous = {name: np.ascontiguousarray(array) for name, array in (arrays or {}).items()}
     layout = [[name, array.dtype.str, array.shape] for name, array in contiguous.items()]
     stream.write(json.dumps({**message, "arrays": layout}).encode() + b"\n")
@@ -40,10 +40,10 @@ def send(stream: IO[bytes], message: dict[str, Any], arrays: dict[str, Any] | No
 
 
 def receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read a message with its arrays.
+    """Read a message and its arrays from the pipe.
 
     Raises:
-        EOFError: When the other side has gone.
+        EOFError: When the other side has closed the pipe.
     """
     line = stream.readline()
     if not line:
@@ -61,7 +61,7 @@ class Studio:
     """A Blender scene that mirrors a `RenderWorld`."""
 
     def __init__(self, samples: int, threads: int) -> None:
-        """Set Cycles up; ``threads`` 0: one per core."""
+        """Configure Cycles; ``threads`` 0: one per core."""
         import bpy  # type: ignore[import-not-found]
 
         self._bpy = bpy
@@ -72,7 +72,7 @@ class Studio:
         self._bodies: dict[str, list[Any]] = {}
 
     def close(self) -> None:
-        """Remove what is on the disk."""
+        """Remove the temporary files."""
         for path in self._folder.glob("*"):
             path.unlink()
         self._folder.rmdir()
@@ -94,7 +94,7 @@ class Studio:
             body = bpy.data.objects.new(f"part{number}", mesh)
             body.pass_index = part["entity_id"]
             body.rotation_mode = "QUATERNION"
-            if part["surroundings"]:  # the light of the surroundings comes through the walls
+            if part["surroundings"]:  # the light of the surroundings passes through the walls
                 body.visible_diffuse = body.visible_shadow = False
             self._scene.collection.objects.link(body)
             self._bodies.setdefault(part["key"], []).append(body)
@@ -195,7 +195,7 @@ class Studio:
         self._scene.collection.objects.link(holder)
 
     def _surroundings(self, sky: list[float], ground: list[float], backdrop: list[float]) -> None:
-        """Light from everywhere, from ground below to sky above; what the camera sees of it is the backdrop."""
+        """Set the light of the surroundings, from ground colour below to sky above; the camera sees the backdrop."""
         world = self._bpy.data.worlds.new("world")
         self._scene.world = world
         world.use_nodes = True
@@ -227,7 +227,7 @@ class Studio:
     # ------------------------------------------------------------------ images
 
     def render(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Place the bodies and take a picture with every camera."""
+        """Place the bodies and render an image with every camera."""
         for key, parts in self._bodies.items():
             matrix = _matrix(message["poses"].get(key, np.eye(4).tolist()))
             for part in parts:
@@ -263,7 +263,7 @@ class Studio:
     def _take(self, samples: int, *, denoise: bool) -> dict[str, Any]:
         cycles = self._scene.cycles
         cycles.samples, cycles.use_denoising = samples, denoise
-        # One sample through the middle of each pixel: depth and ids must not be of a neighbour's.
+        # One sample through the centre of each pixel: depth and ids must not come from a neighbour.
         cycles.filter_width = 1.1 if denoise else 0.01
         path = self._folder / "image.exr"
         self._scene.render.filepath = str(path)
@@ -279,7 +279,7 @@ def _matrix(rows: Any) -> Any:
 
 
 def _channel(channels: dict[str, Any], render_pass: str, *endings: str) -> Any:
-    """Return a pass' channel, e.g. ``ViewLayer.Combined.R``."""
+    """Return a channel of a render pass, e.g. ``ViewLayer.Combined.R``."""
     for ending in endings:
         for name, pixels in channels.items():
             if name.endswith(f"{render_pass}.{ending}"):
@@ -288,10 +288,10 @@ def _channel(channels: dict[str, Any], render_pass: str, *endings: str) -> Any:
 
 
 def read_exr(path: Path) -> dict[str, Any]:
-    """Read an uncompressed OpenEXR file of scan lines: channel to pixels, shape (height, width).
+    """Read an uncompressed scan-line OpenEXR file: pixels by channel, shape (height, width).
 
     Raises:
-        ValueError: When it is another kind of OpenEXR file.
+        ValueError: When the file is of another kind.
 
     Source: "OpenEXR File Layout" of the OpenEXR project.
     """
@@ -329,7 +329,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 
 def main(samples: str, threads: str) -> None:
-    """Answer requests until stdin ends."""
+    """Serve requests until stdin ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     requests = sys.stdin.buffer
@@ -346,7 +346,7 @@ def main(samples: str, threads: str) -> None:
                     before = time.process_time()
                     arrays = studio.render(message)
                     send(answers, {"cpu_s": time.process_time() - before}, arrays)
-            except Exception as error:  # the other side tells the user
+            except Exception as error:  # the parent process reports it
                 send(answers, {"error": f"{type(error).__name__}: {error}"})
     studio.close()
 

@@ -1,21 +1,21 @@
-"""The `raster` renderer: physically based rasterisation with OpenGL, on a GPU or, as fast as it goes, without one.
+"""The `raster` renderer: physically based rasterisation with OpenGL, on a GPU or in software.
 
-Metallic-roughness shading (GGX) under one shadowed main light, further lights without shadows and an analytic studio
-as image-based light; soft shadow edges; darkness where a body hides its own surroundings (`occlusion`) and where things
-stand on the table; sRGB; FXAA. Colour, depth and segmentation leave one pass, and all cameras of a tick share the
-shadow map.
+Features: metallic-roughness shading (GGX); one main light with soft shadows; further lights without shadows; an
+analytic studio as image-based light; ambient occlusion by the body itself (`occlusion`) and under objects on the table;
+sRGB; FXAA. One pass writes colour, depth and segmentation, and all cameras of a tick share the shadow map.
 
 Non-obvious behaviours:
-- A lamp's intensity is what arrives at the world's origin; nearer to the lamp it is brighter (inverse square).
+- A lamp's intensity is the light that arrives at the world's origin; it grows towards the lamp (inverse square).
 - A pixel (column, row) looks along ``((column + 0.5 - width / 2) / f, (row + 0.5 - height / 2) / f, 1)`` in the
-  optical frame, ``f = height / 2 / tan(fov_y / 2)``. Depth and segmentation are of that ray; FXAA moves colour only.
-- A camera's images depend on the world, the poses and that camera alone, bit for bit: not on other cameras, earlier
-  worlds and frames, the process or the number of threads. (So each has a framebuffer of its own: where a viewport
-  lies in a shared one changes the rounding.)
-- Entities ``floor`` and ``wall`` receive shadows and cast none; the table's own shadow is that of a rectangle.
-- A robot's links, and bodies of many faces, are drawn with coarser shapes where they are small in an image (a few
-  millimetres off at most); their shadows are always those of the coarse shapes.
-- A shadow's edge is as wide as the light's size makes it for a caster 10 cm away, near and far, 4 to 10 mm.
+  optical frame, ``f = height / 2 / tan(fov_y / 2)``. Depth and segmentation follow that ray; FXAA changes colour only.
+- A camera's images depend on the world, the poses and that camera only, bit for bit: not on other cameras, earlier
+  worlds and frames, the process or the number of threads. For this each camera has its own framebuffer, because the
+  position of a viewport within a shared framebuffer changes the rounding.
+- Entities ``floor`` and ``wall`` receive shadows and cast none; the table casts the shadow of a rectangle.
+- Robot links and bodies with many faces are drawn with coarse shapes where they are small in an image (at most a few
+  millimetres off); they always cast the shadows of the coarse shapes.
+- A shadow's edge has the same width everywhere: the one that the light's size gives for a caster 10 cm away, limited
+  to 4 to 10 mm.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from roboxim_sim.rendering.occlusion import OcclusionBaker
 from roboxim_sim.rendering.owner import Owner
 
 CONTACT_SIZE = 96
-"""Width and height of the map of what stands where [texel]."""
+"""Width and height of the contact map [texel]."""
 VIEW_BYTES = 512
-"""Space for a camera's uniform block: its size, rounded up to what every driver aligns to."""
+"""Size of a camera's uniform block, rounded up to an alignment that suits every driver."""
 SAMPLERS = {"shadow_map": 0, "contact_map": 1, "textures": 2, "image": 3, "Poses": 0, "View": 1}
 """Texture units of the shaders' samplers, and bindings of their uniform blocks."""
 
@@ -47,7 +47,7 @@ Cameras = Sequence[tuple[CameraSpec, Pose]]
 
 
 class RasterRenderer:
-    """See the module; implements `roboxim_core.rendering.Renderer`."""
+    """OpenGL renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
 
     name = "raster"
 
@@ -106,7 +106,7 @@ class RasterRenderer:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:
-            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load` or after `close`.
         """
         self._owner.check()
@@ -187,7 +187,7 @@ class RasterRenderer:
             self._shadow.depth.use(SAMPLERS["shadow_map"])
 
     def _find_contacts(self, world: GpuWorld, frame: Frame) -> None:
-        """Draw what stands or hangs where, and from it how much of the surroundings points of the table see."""
+        """Draw a height map of the objects above the table, and from it the occlusion of the table's points."""
         if not frame.touching.any():
             return
         ctx, box = self._context, frame.contact_box
@@ -217,7 +217,7 @@ class RasterRenderer:
         self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
 
     def _smooth(self, target: _Target) -> None:
-        """Anti-alias the colour: edges are drawn over a copy, because most pixels have none."""
+        """Anti-alias the colour: copy it and redraw the edges only, because most pixels have none."""
         self._context.enable_only(moderngl.NOTHING)
         self._context.copy_framebuffer(target.final.fbo, target.colour)
         target.final.fbo.use()
@@ -235,7 +235,7 @@ class RasterRenderer:
         self._screens[key].render(vertices=3)
 
     def _shader(self, vertex: str, fragment: str, *flags: str) -> Shader:
-        """Return a shader by its sources' names in `shaders`, compiled when it is first used."""
+        """Return a shader by the names of its sources in `shaders`; compile it on first use."""
         key = (vertex, fragment, *flags)
         if key not in self._shaders:
             defines = {**self._defines, **dict.fromkeys(flags, "1")}
@@ -244,7 +244,7 @@ class RasterRenderer:
         return self._shaders[key]
 
     def _targets_of(self, cameras: Cameras) -> list[_Target]:
-        """Return a target for each camera; those of the last call are used again where they fit."""
+        """Return a target for each camera; reuse those of the last call where they fit."""
         old, self._targets = self._targets, []
         for i, (camera, _) in enumerate(cameras):
             size, geometry = (camera.width, camera.height), camera.depth or camera.segmentation
@@ -259,7 +259,7 @@ class RasterRenderer:
 
 
 class _Target:
-    """Where a camera's image is drawn."""
+    """The framebuffers of one camera."""
 
     def __init__(self, context: moderngl.Context, size: tuple[int, int], geometry: bool) -> None:
         colors = [(4, "f1"), *([(2, "f4")] if geometry else [])]
@@ -267,7 +267,7 @@ class _Target:
         self.raw = Buffer(context, size, colors, depth="buffer")
         self.final = Buffer(context, size, [(4, "f1")])
         self.colour = context.framebuffer([self.raw.colors[0]])
-        """The colour of `raw` alone, to copy it from."""
+        """A framebuffer with the colour of `raw` only, as the source of copies."""
 
     def release(self) -> None:
         self.colour.release()

@@ -1,14 +1,18 @@
-"""From a renderer's ideal pinhole images to what a scene's cameras deliver: lens, sensor, frame rate.
+"""Camera models on top of a renderer's ideal pinhole images: lens distortion, sensor noise and frame rate.
 
-A renderer draws pinhole cameras without distortion and noise. `CameraRig` asks it for a pinhole image that covers what
-the lens sees, bends it, adds the sensor's noise, and holds the frames of a camera that is slower than the tick.
+A renderer draws pinhole cameras without distortion and noise. For each camera `CameraRig`:
+
+1. requests a pinhole image that covers the lens' field of view,
+2. distorts that image,
+3. adds the sensor's noise,
+4. holds the frame if the camera is slower than the tick.
 
 Non-obvious behaviours:
-- An observation belongs to a tick, so every camera gives an image at every tick. A slower camera takes its frames at
-  the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, until the next: what a control loop that reads the
-  newest frame sees. (Where the world is loaded between two frames, by restoring a snapshot, it starts with a new one.)
-- Depth and segmentation are bent with the nearest pixel, never blended; noise is added to colour and depth only.
-- A frame's noise follows from the camera's noise seed, its name and the tick alone, so a frame can be made again.
+- Every camera delivers an image at every tick, because an observation belongs to a tick. A slower camera takes frames
+  at the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, in between, as a control loop that reads the newest
+  frame sees it. When a restored snapshot loads the world between two frames, the camera starts with a new frame.
+- Depth and segmentation are distorted with the nearest pixel, never blended; noise is added to colour and depth only.
+- A frame's noise depends only on the camera's noise seed, its name and the tick, so a frame can be reproduced.
 """
 
 from __future__ import annotations
@@ -31,26 +35,26 @@ from roboxim_core.rendering import CameraImages, Renderer, RenderWorld
 from roboxim_core.specs import CameraNoise, CameraSpec, SceneSpec
 
 MAX_SIZE = 4096
-"""Largest pinhole image that is drawn for a distorted one [px]."""
+"""Maximum width and height of the pinhole image for a distorted one [px]."""
 FINER = 2
-"""Finer resolution of that image, so that the nearest pixel is at most a quarter of a pixel away."""
+"""Oversampling of the pinhole image, so that the nearest pixel is at most a quarter of a pixel away."""
 Views = Sequence[tuple[CameraSpec, Pose]]
 
 
 class CameraRig:
-    """The cameras of a scene on a renderer; belongs to the renderer's thread."""
+    """The cameras of a scene on a renderer; use it from the renderer's thread only."""
 
     def __init__(self, renderer: Renderer) -> None:
-        """Use a renderer; whoever made it closes it."""
+        """Use a renderer; the caller keeps its ownership and closes it."""
         self.renderer = renderer
         self._frame_ticks: dict[str, int] = {}
         self._held: dict[str, CameraImages] = {}
 
     def load(self, world: RenderWorld, scene: SceneSpec) -> None:
-        """Replace the world and forget all frames.
+        """Replace the world and discard all held frames.
 
         Raises:
-            InvalidRequestError: On a malformed world, or a camera whose distortion makes no image.
+            InvalidRequestError: On a malformed world, or a camera with an impossible lens (see `Lens`).
             SimError: As the renderer's `load`.
         """
         for camera in scene.cameras:
@@ -60,15 +64,15 @@ class CameraRig:
         self.renderer.load(world)
 
     def capture(self, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
-        """Return what every camera delivers at a tick; a held frame is the same object as before.
+        """Return the images of every camera at a tick; a held frame is the same object as before.
 
         Args:
             seq: The tick.
-            poses: Body key to pose in the world.
+            poses: Poses in the world by body key.
             views: Cameras of the loaded scene with the poses of their optical frames in the world.
 
         Raises:
-            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: As the renderer's `render`.
         """
         due = [
@@ -82,16 +86,16 @@ class CameraRig:
 
 
 def draw_frames(renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
-    """Take a frame with every camera, whatever its rate.
+    """Take a frame with every camera, regardless of its rate.
 
     Args:
         renderer: A renderer with the world loaded.
-        seq: The tick, for the noise.
-        poses: Body key to pose in the world.
+        seq: The tick, which the noise depends on.
+        poses: Poses in the world by body key.
         views: Cameras with the poses of their optical frames in the world.
 
     Raises:
-        InvalidRequestError: On a pose of an unknown body, two cameras of one name, or an impossible lens.
+        InvalidRequestError: On a pose of an unknown body, two cameras with the same name, or an impossible lens.
         SimError: As the renderer's `render`.
     """
     lenses = {camera.name: _lens(camera) for camera, _ in views}
@@ -104,18 +108,18 @@ def draw_frames(renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: 
 
 
 class Lens:
-    """A distorting lens: the pinhole camera to draw, and how its image is bent."""
+    """A distorting lens: the pinhole camera to draw, and the mapping that distorts its image."""
 
     def __init__(self, camera: CameraSpec) -> None:
-        """Work out the pinhole camera.
+        """Compute the pinhole camera and the mapping.
 
         Raises:
-            InvalidRequestError: When the distortion folds the image or sees too wide a field.
+            InvalidRequestError: When the distortion folds the image or its field of view is too wide.
         """
         rays = rays_of_pixels(camera)
         fx, fy, _, _ = camera.matrix
         low, high = rays.min(axis=(0, 1)), rays.max(axis=(0, 1))
-        # One pixel of margin for the blending; the focal lengths stay, so that the middle is as sharp.
+        # One pixel of margin for the interpolation; the same focal lengths keep the centre as sharp.
         cx, cy = (math.ceil(-low[0] * fx) + 1, math.ceil(-low[1] * fy) + 1)
         width = max(math.ceil(high[0] * fx) + 2 + cx, 16)
         height = max(math.ceil(high[1] * fy) + 2 + cy, 16)
@@ -126,14 +130,14 @@ class Lens:
             )
         coarse = replace(ideal_camera(camera), width=width, height=height, intrinsics=(fx, fy, cx, cy))
         self.source = coarse.resized(FINER * width, FINER * height)
-        """The pinhole camera whose image covers what the lens sees, `FINER` than the lens' image."""
+        """The pinhole camera whose image covers the lens' field of view at `FINER` times the resolution."""
         at = rays * (fx, fy) + (cx, cy)
         self._linear = (at[..., 0].astype(np.float32), at[..., 1].astype(np.float32))
         fine = np.rint((at + 0.5) * FINER - 0.5).astype(np.float32)
         self._nearest = (fine[..., 0].copy(), fine[..., 1].copy())
 
     def bend(self, images: CameraImages) -> CameraImages:
-        """Return the distorted images of the pinhole camera's."""
+        """Return the distorted images, given the pinhole camera's images."""
         height, width, _ = images.rgb.shape
         rgb = cv2.resize(images.rgb, (width // FINER, height // FINER), interpolation=cv2.INTER_AREA)
         return CameraImages(
@@ -148,10 +152,10 @@ class Lens:
 
 
 def _lens(camera: CameraSpec) -> Lens | None:
-    """Return a camera's lens; none: it does not distort."""
+    """Return a camera's lens, or none if the camera does not distort."""
     if not any(camera.distortion):
         return None
-    # What moves with the robot or changes with the episode does not matter to the lens.
+    # Clear the fields that move with the robot or change with the episode: the lens does not depend on them.
     return _cached_lens(replace(camera, pose=Pose(), parent="", noise=CameraNoise(), rate_hz=0.0))
 
 
@@ -161,7 +165,7 @@ def _cached_lens(camera: CameraSpec) -> Lens:
 
 
 def _expose(camera: CameraSpec, seq: int, images: CameraImages) -> CameraImages:
-    """Add what the sensor adds."""
+    """Apply the sensor's blur, exposure and noise."""
     noise = camera.noise
     if noise == CameraNoise(seed=noise.seed):
         return images
@@ -169,7 +173,7 @@ def _expose(camera: CameraSpec, seq: int, images: CameraImages) -> CameraImages:
     if noise.shot or noise.read or noise.blur_px or noise.exposure_ev:
         light = _LINEAR[rgb]
         if noise.blur_px:
-            # OpenCV's kernel ends at 4 standard deviations where the image is of floats.
+            # OpenCV's kernel ends at 4 standard deviations if the image has floats.
             light = np.asarray(cv2.GaussianBlur(light, (0, 0), noise.blur_px, borderType=cv2.BORDER_REPLICATE))
         light *= np.float32(2.0**noise.exposure_ev)
         if noise.shot or noise.read:
@@ -204,5 +208,5 @@ _LINEAR, _SRGB = _linear_table(), _srgb_table()
 
 
 def _to_srgb(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """Return 8-bit sRGB of linear light 0..1, by a table: ten times as fast as the power."""
+    """Return 8-bit sRGB of linear light 0..1 from a lookup table, which is ten times as fast as the power function."""
     return np.asarray(_SRGB[np.rint(np.clip(light, 0.0, 1.0) * _STEPS).astype(np.intp)])

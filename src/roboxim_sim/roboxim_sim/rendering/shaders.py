@@ -1,8 +1,10 @@
 """GLSL of the `raster` renderer.
 
-Written for software GL first (llvmpipe), where every instruction of the fragment shader counts: no ``pow``, ``exp``
-or trigonometry per pixel, the surroundings are an analytic studio (sky, ground, two soft boxes) instead of a map, and
-depth and segmentation leave the same pass as the colour.
+Optimised for software GL (llvmpipe), where every instruction of the fragment shader counts:
+
+- no ``pow``, ``exp`` or trigonometry per pixel;
+- an analytic studio (sky, ground, two soft boxes) instead of an environment map;
+- one pass that writes colour, depth and segmentation.
 """
 
 _POSES = """
@@ -17,7 +19,7 @@ _VIEW = """
 layout(std140) uniform View {
     mat4 clip_from_world;
     mat4 light_from_world;               // to the shadow map's coordinates
-    vec4 eye;                            // w: offset along the normal of what casts shadows when the shadow map is read
+    vec4 eye;                            // w: offset along a caster's normal for reading the shadow map [m]
     vec4 sky;                            // w: number of further lights
     vec4 ground;                         // w: texels of the shadow map
     vec4 main_vector;                    // xyz: towards a sun, or a lamp's position; w: 0 sun, else lamp's range^2
@@ -44,7 +46,7 @@ SHADOW_FRAGMENT = """
 void main() {}
 """
 
-# A body from many sides at once, one instance each, side by side.
+# A body seen from many sides, one instance for each side, in adjacent cells.
 OCCLUSION_VERTEX = """
 uniform mat3 axes[SIDES];
 in vec3 in_position;
@@ -80,7 +82,7 @@ void main() {
     uv = in_uv;
 #endif
     color = in_color;
-    // What faces a table close by sees it in its own shade.
+    // Darken surfaces that face the nearby table, because the table is shaded there.
     float near = clamp(1.0 - 12.0 * abs(position.z - slab.z), 0.0, 1.0);
     openness = in_surface.z * (1.0 - 0.55 * slab.w * near * clamp(-normal.z, 0.0, 1.0));
     surface = vec3(in_surface.x, floor(in_surface.y * 255.0 - 0.5), float(in_ids.y));    // texture 1 is layer 0
@@ -93,7 +95,7 @@ SCENE_FRAGMENT = (
     _VIEW
     + """
 uniform sampler2DShadow shadow_map;
-uniform sampler2D contact_map;            // share of the surroundings that what stands or hangs there hides
+uniform sampler2D contact_map;            // fraction of the surroundings that objects above the table occlude
 uniform sampler2DArray textures;
 in vec3 position;
 in vec3 normal;
@@ -108,10 +110,10 @@ layout(location = 0) out vec4 out_color;
 layout(location = 1) out vec2 out_geometry;
 #endif
 
-// Tent filter of 3x3 texels by four bilinear comparisons (Castano, "Shadow mapping summary"): smooth at any scale.
+// 3x3 texel tent filter with four bilinear comparisons (Castano, "Shadow mapping summary"): smooth at any scale.
 float sunlit() {
     float shadow_size = ground.w;
-#ifdef CONTACT                             // the table's top casts none: nothing to keep away from
+#ifdef CONTACT                             // the table's top is not in the shadow map: no offset needed
     vec4 p = light_from_world * vec4(position, 1.0);
 #else
     vec4 p = light_from_world * vec4(position + normal * eye.w, 1.0);
@@ -129,7 +131,7 @@ float sunlit() {
         / 16.0;
 }
 
-// The table's shadow, a rectangle, on what is below it.
+// The rectangular shadow of the table on surfaces below it.
 float beside_slab() {
 #ifdef LAMP
     vec3 l = main_vector.xyz - position;
@@ -184,7 +186,7 @@ void main() {
     reaches *= beside_slab();
 #endif
     vec3 lit = reflected(s, main_vector, main_color.rgb * reaches);
-#ifdef MORE_LIGHTS                         // even a loop without a turn costs a fifth of the frame
+#ifdef MORE_LIGHTS                         // even a loop with zero iterations costs a fifth of the frame
     for (int i = 0; i < int(sky.w); i++) lit += reflected(s, more_vectors[i], more_colors[i].rgb);
 #endif
 
@@ -237,8 +239,9 @@ void main() {
 }
 """
 
-# Fast approximate anti-aliasing on the luma in alpha. Edges are smoothed along their direction. A pixel that differs
-# from all around it has none (a seam thinner than a pixel is a row of dots): it is blended with its neighbourhood.
+# Fast approximate anti-aliasing (FXAA) on the luma in alpha. Edges are smoothed along their direction. A pixel that
+# differs from all its neighbours has no edge direction (a seam thinner than a pixel is a row of dots): it is blended
+# with its neighbourhood.
 FXAA_FRAGMENT = """
 uniform sampler2D image;
 out vec4 out_color;
@@ -269,8 +272,9 @@ void main() {
 }
 """
 
-# What stands or hangs where, from the table's top upwards: the space between its lowest and its highest point is taken.
-# Blended by maximum; heights over CONTACT_REACH, the lower one from above, so that nothing is (0, 0).
+# Height map of the objects above the table's top: the space between an object's lowest and highest point is occupied.
+# Heights are divided by CONTACT_REACH and blended by maximum; the lower height is stored as 1 - h, so that empty space
+# is (0, 0).
 CONTACT_VERTEX = (
     _POSES
     + """
@@ -295,11 +299,11 @@ void main() {
 }
 """
 
-# Share of the cosine-weighted surroundings that is taken, for points of the table: in each direction the elevations
-# that columns at growing distances take, the near ones above what the far ones have taken already.
+# Fraction of the cosine-weighted surroundings that is occluded at points of the table. In each direction, columns at
+# decreasing distances occlude ranges of elevation; a nearer column counts only above what farther ones occlude.
 CONTACT_SHADE_FRAGMENT = """
 uniform sampler2D image;
-uniform float texels;                     // of the map, per metre
+uniform float texels;                     // texels of the map per metre
 out float out_hidden;
 vec2 taken(vec2 offset) {                 // squared sines of the lowest and the highest elevation
     vec2 h = texture(image, (gl_FragCoord.xy + offset * texels) / vec2(textureSize(image, 0))).xy;
@@ -323,6 +327,6 @@ void main() {
         hidden += max(above.y - max(above.x, most), 0.0);
     }
     float open = clamp(1.0 - 0.125 * hidden, 0.0, 1.0);
-    out_hidden = 1.0 - open * sqrt(open);   // deeper than ambient light alone: so does light from lamps with a size
+    out_hidden = 1.0 - open * sqrt(open);   // darker than ambient occlusion alone, as lamps with a size cause it
 }
 """

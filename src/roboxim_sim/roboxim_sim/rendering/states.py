@@ -1,4 +1,4 @@
-"""Draws states that are not simulated: a scene's models at the poses of a state record."""
+"""Rendering of recorded states without simulation: a scene's models at the poses of a state record."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboxim_sim.rendering.rig import draw_frames
 
 
 class StateRenderer:
-    """Draws states on a renderer; belongs to the renderer's thread, and whoever made that closes it."""
+    """Draws states with a renderer. Use it from the renderer's thread only; the renderer's owner closes that."""
 
     def __init__(self, renderer: Renderer, library: ModelLibrary) -> None:
         """Use a renderer and the models of a library."""
@@ -24,12 +24,12 @@ class StateRenderer:
         self._arms: dict[str, ArmKinematics] = {}
 
     def draw(self, scene: SceneSpec, state: StateRecord) -> dict[str, CameraImages]:
-        """Return what each camera of a scene sees of a state; a scene is loaded once for many states and cameras.
+        """Return the images of a state from each camera of a scene; loads a scene once for many states and cameras.
 
         Raises:
             ConfigError: On an unknown model, texture or link.
             InvalidRequestError: On a malformed world or an impossible camera.
-            SimError: As the renderer's.
+            SimError: As the renderer's `load` and `render`.
         """
         bodies = replace(scene, cameras=())
         if self._loaded != bodies:

@@ -1,4 +1,4 @@
-"""The room's procedural textures: tables, floors, walls. Deterministic, tileable, no files."""
+"""The room's procedural textures, for tables, floors and walls: deterministic, tileable, without files."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import roboxim_core.models.textures  # noqa: F401  (registers the objects' textu
 from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise, pixels, rolled
 
 TILE_M = 0.8
-"""Side of the square that one repeat covers on a mesh without texture coordinates [m]."""
+"""Side of the square that one tile covers on a mesh without texture coordinates [m]."""
 
 
 @TEXTURES.register("wood")
 def wood() -> Field:
-    """Boards along x with grain, a thin gap between boards, and a tone of its own for each board."""
+    """Boards along x with grain, thin gaps between boards, and a different tone for each board."""
     _, y = grid()
     boards = 6
     board = np.minimum((y[:, 0] * boards).astype(np.int64), boards - 1)

@@ -1,7 +1,7 @@
 """The `tiny` renderer: PyBullet's built-in software rasteriser, which needs no GL.
 
-Slower and plainer than `raster`: no metals, no anti-aliasing, hard shadows, the main light only. Pixels look along the
-same rays, and depth and segmentation mean the same.
+It is slower and simpler than `raster`: no metals, no anti-aliasing, hard shadows, the main light only. Its pixels use
+the same rays, and depth and segmentation have the same meaning.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, kw_only=True)
 class _Part:
-    """A PyBullet body that shows one part."""
+    """A PyBullet body that displays one part."""
 
     uid: int
     key: str
@@ -42,17 +42,17 @@ class _Part:
 
 
 class TinyRenderer:
-    """See the module; implements `roboxim_core.rendering.Renderer`."""
+    """PyBullet's software renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
 
     name = "tiny"
     device = "PyBullet TinyRenderer"
 
     def __init__(self) -> None:
-        """Start a PyBullet client of its own."""
+        """Start a separate PyBullet client."""
         self._owner = Owner()
         self._client = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
-            raise SimError("PyBullet gives no further client; close some", ErrorCode.RENDERER_UNAVAILABLE)
+            raise SimError("PyBullet provides no more clients; close some", ErrorCode.RENDERER_UNAVAILABLE)
         self._parts: tuple[_Part, ...] | None = None
         self._keys: tuple[str, ...] = ()
         self._look = LookSpec()
@@ -81,7 +81,7 @@ class TinyRenderer:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:
-            InvalidRequestError: On a pose of an unknown body, or two cameras of one name.
+            InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load` or after `close`.
         """
         self._owner.check()
@@ -137,7 +137,7 @@ class TinyRenderer:
         projection = list(pybullet.computeProjectionMatrixFOV(45.0, 1.0, near, far))
         fx, fy, cx, cy = camera.matrix
         projection[0], projection[5] = 2 * fx / camera.width, 2 * fy / camera.height
-        # It samples pixels at a corner, not centrally: half a pixel more.
+        # PyBullet samples pixels at a corner instead of the centre: shift by half a pixel.
         projection[8] = 1 - 2 * cx / camera.width
         projection[9] = (2 * cy + 2) / camera.height - 1
         view = OPTICAL_TO_GL @ pose.inverse().matrix
@@ -166,7 +166,7 @@ class TinyRenderer:
 
 
 _LISTS: dict[bytes, dict[str, list[Any]]] = {}
-"""PyBullet never lets go of a list that it was given (7 MiB for each load of a scene), so equal meshes share theirs."""
+"""PyBullet never frees the lists that it receives (7 MiB for each load of a scene), so equal meshes share theirs."""
 
 
 def _lists(mesh: TriangleMesh) -> dict[str, list[Any]]:
@@ -186,7 +186,7 @@ def _backdrop(rgb: npt.NDArray[np.uint8], nothing: npt.NDArray[np.bool_], look: 
 
 
 def _light(look: LookSpec) -> dict[str, object]:
-    """Return PyBullet's light for the main light and the surroundings."""
+    """Return PyBullet's light parameters for the main light and the surroundings."""
     main = next((light for light in look.lights if light.shadow), None) or next(iter(look.lights), None)
     if main is None:
         main = LightSpec(intensity=0.0, shadow=False)

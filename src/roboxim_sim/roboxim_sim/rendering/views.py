@@ -1,7 +1,7 @@
-"""Matrices of cameras and of the main light.
+"""Matrices of the cameras and of the main light.
 
-Clip space is used with y downwards, so that row 0 of a framebuffer is the top row of the image and nothing has to be
-flipped after reading it; triangles that are counter-clockwise from outside are then clockwise for GL.
+The y axis of clip space points down, so that row 0 of a framebuffer is the top row of the image and no image has to be
+flipped after reading. Triangles that are counter-clockwise seen from outside are therefore clockwise for GL.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from roboxim_core.specs import CameraSpec, LightSpec
 Array = npt.NDArray[np.float64]
 
 CASTER_HEIGHT_M = 0.1
-"""Typical distance between what casts a shadow and where it falls [m]."""
+"""Typical distance between a shadow's caster and its receiver [m]."""
 NOMINAL_EXTENT_M = 1.4
-"""Typical extent of all that casts shadows [m]."""
+"""Typical extent of all shadow casters together [m]."""
 SHADOW_MAP_SIZES = (448, 1024)
-"""Least and greatest size of a shadow map [texel]; a coarser one would miss thin things."""
+"""Minimum and maximum size of a shadow map [texel]; a coarser map would miss thin objects."""
 EXTENT_STEP_M = 0.1
-"""The shadow map's extent grows in such steps, so that shadows' edges do not crawl while the robot moves."""
+"""Step in which the shadow map's extent grows, so that shadow edges do not crawl while the robot moves."""
 
 
 def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
-    """Return the projection of a camera's pinhole; see `CameraSpec.matrix` for the image coordinates."""
+    """Return a pinhole camera's projection from the world to clip space; see `CameraSpec.matrix` for the image axes."""
     fx, fy, cx, cy = camera.matrix
     near, far = camera.near, camera.far
     projection = np.zeros((4, 4))
@@ -37,7 +37,7 @@ def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
     projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
     projection[3, 2] = 1.0
     x, y, z, w = pose_optical_in_world.quat_xyzw
-    view = np.eye(4)  # by hand: a scipy rotation costs as much as all the rest of a tick's matrices
+    view = np.eye(4)  # by hand: a scipy rotation costs as much as all other matrices of a tick
     view[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
         [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
@@ -48,12 +48,12 @@ def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
 
 
 def visible(matrix: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
-    """Tell which spheres touch a clip volume.
+    """Return which spheres touch a clip volume.
 
     Args:
         matrix: Clip from world, shape (4, 4).
-        centers: Shape (N, 3) [m].
-        radii: Shape (N,) [m].
+        centers: Centres in the world, shape (N, 3) [m].
+        radii: Radii, shape (N,) [m].
     """
     planes = np.concatenate([matrix[3] + matrix[:3], matrix[3] - matrix[:3]])
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
@@ -69,9 +69,9 @@ class LightView:
     size: int
     """Width and height of the shadow map [texel]."""
     texel_m: float
-    """Size of a shadow map's texel at the casters [m]."""
+    """Size of a texel of the shadow map at the casters [m]."""
     softness: float
-    """Width of a shadow's edge over the distance to what casts it."""
+    """Width of a shadow's edge divided by the distance to its caster."""
 
 
 def shadow_map_size(light: LightSpec) -> int:
@@ -82,7 +82,7 @@ def shadow_map_size(light: LightSpec) -> int:
 
 
 def softness(light: LightSpec) -> float:
-    """Return the width of a shadow's edge over the distance to what casts it."""
+    """Return the width of a shadow's edge divided by the distance to its caster."""
     distance = float(np.linalg.norm(light.position)) if light.kind == "lamp" else 1.0
     return 2 * light.radius / max(distance, 0.1)
 
@@ -93,7 +93,7 @@ def light_view(light: LightSpec, centers: Array, radii: Array) -> LightView:
     Args:
         light: The light.
         centers: Centres of the casters' bounding spheres, shape (N, 3), N > 0 [m].
-        radii: Their radii, shape (N,) [m].
+        radii: Radii of these spheres, shape (N,) [m].
     """
     size = shadow_map_size(light)
     if light.kind == "lamp":
@@ -102,7 +102,7 @@ def light_view(light: LightSpec, centers: Array, radii: Array) -> LightView:
     points = centers @ axes.T
     low, high = (points - radii[:, None]).min(axis=0), (points + radii[:, None]).max(axis=0)
     extent = math.ceil((high - low)[:2].max() / EXTENT_STEP_M + 0.5) * EXTENT_STEP_M
-    extent = max(extent, NOMINAL_EXTENT_M)  # so that the edges around few small things are as soft
+    extent = max(extent, NOMINAL_EXTENT_M)  # so that shadow edges are as soft when the casters are few and small
     texel = extent / size
     middle = np.round((low + high)[:2] / 2 / texel) * texel
     scale = np.array([2 / extent, 2 / extent, 2 / (high - low)[2]])
@@ -134,7 +134,7 @@ def _lamp_view(light: LightSpec, centers: Array, radii: Array, size: int) -> Lig
 
 
 def _axes(forward: Array) -> Array:
-    """Return an orthonormal right-handed frame's axes as rows, the third along ``forward``."""
+    """Return the axes of an orthonormal right-handed frame as rows; the third is along ``forward``."""
     z = forward / max(float(np.linalg.norm(forward)), 1e-9)
     side = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     x = np.cross(side, z)
