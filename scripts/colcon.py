@@ -1,8 +1,10 @@
 """Build the tree with colcon and the ROS wheels, both from PyPI, and check what was installed.
 
-An ordinary ROS 2 Jazzy workspace needs none of this: clone RoboXim into its `src/` and run `colcon build`. This shows
-on a machine without ROS that the tree builds so. The two differences: the standard interface packages that PyPI lacks
-are built from `src/roboxim_interfaces/standard`, and CMake is told that ROS comes from wheels.
+An ordinary ROS 2 Jazzy workspace does not need this script: clone RoboXim into its `src/` and run `colcon build`. The
+script shows that the tree builds with colcon on a machine without ROS. Two things differ from an ordinary workspace:
+
+- the standard interface packages that PyPI lacks are built from `src/roboxim_interfaces/standard`;
+- CMake is configured to find ROS in the wheels.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ sys.exit(f"not installed, or not found by Python: {missing}" if missing else 0)
 
 
 def main() -> int:
-    """Build, then look for every package with ament's index and with Python."""
+    """Build the tree, then check that ament's index and Python find every package."""
     environment = clean_environment() | {
         "AMENT_PREFIX_PATH": str(PREFIX),
         "CMAKE_PREFIX_PATH": str(PREFIX),
         "LD_LIBRARY_PATH": str(PREFIX / "lib"),
-        # As the wheel does: compile for a demonstration, and generate what changed.
+        # As for the wheel: regenerate and compile only what changed.
         "PYTHONPATH": str(ROOT / "src" / "roboxim_interfaces" / "cmake" / "generate_once"),
         "ROBOXIM_GENERATOR_CACHE": str(WORKSPACE / "generated"),
         "PATH": f"{PREFIX / 'bin'}:{clean_environment()['PATH']}",

@@ -1,4 +1,4 @@
-"""Render the documentation's pictures of cameras: one frame by every renderer, views, lights and scenes."""
+"""Render the documentation's camera images: one frame with every renderer, views, lights and scenes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Tile = npt.NDArray[np.uint8]
 
 
 def shoot(scene: SceneSpec, cameras: Sequence[CameraSpec], renderer: str = "raster") -> list[Tile]:
-    """Return what the cameras see of the example scene."""
+    """Return the camera images of the example scene."""
     library = ModelLibrary()
     scene = replace(scene, cameras=tuple(cameras))
     poses, views = example_poses(scene, library)
@@ -41,7 +41,7 @@ def shoot(scene: SceneSpec, cameras: Sequence[CameraSpec], renderer: str = "rast
 
 
 def sheet(rows: Sequence[Sequence[tuple[str, Tile]]]) -> Image.Image:
-    """Put labelled tiles of one size together."""
+    """Combine labelled tiles of equal size into one image."""
     height, width = rows[0][0][1].shape[:2]
     picture = Image.new("RGB", (width * max(map(len, rows)), height * len(rows)), "white")
     for y, row in enumerate(rows):
@@ -64,7 +64,7 @@ def main() -> None:
     """Render and save."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
-    parser.add_argument("--only", choices=["renderers", "views", "looks"], help="make one of the pictures")
+    parser.add_argument("--only", choices=["renderers", "views", "looks"], help="render only one of the images")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     scene = example_scene(384)

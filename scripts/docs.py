@@ -1,6 +1,6 @@
 """Check the links of every Markdown file, then write the reference of all packages into `site/`.
 
-Links to the web are not followed: what is checked is that each file and heading that a link names is there.
+The check covers links to files and to headings. It does not follow links to the web.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def broken_links(page: Path) -> list[str]:
-    """Return the links of a page that lead to no file or to no heading."""
+    """Return the broken links of a page: those to a missing file or heading."""
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
     broken = []
     for target in (first or second for first, second in LINK.findall(text)):
@@ -48,9 +48,9 @@ def main() -> int:
     pages = [ROOT / name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
     broken = [link for page in pages for link in broken_links(page)]
     if broken:
-        print("Links that lead nowhere:", *broken, sep="\n  ", file=sys.stderr)
+        print("Broken links:", *broken, sep="\n  ", file=sys.stderr)
         return 1
-    print(f"The links of {len(pages)} pages lead somewhere.")
+    print(f"The links of {len(pages)} pages are valid.")
     command = [sys.executable, "-m", "pdoc", "--docformat", "google", "--output-directory", str(SITE), *PACKAGES]
     result = subprocess.run(command, cwd=ROOT, check=False)
     if result.returncode == 0:

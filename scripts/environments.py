@@ -1,7 +1,7 @@
-"""Environments that know whether they are whole, and commands whose output is shown when they fail.
+"""Virtual environments that record their completed steps, and commands whose output is shown on failure.
 
-What `set_up.py` and the scripts for other environments share. RoboXim imports nothing from here: this runs before
-there is anything to import.
+`set_up.py` and the scripts for other environments share this module. It imports nothing of RoboXim, because it runs
+before RoboXim is installed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOCKS = ROOT / "requirements"
 UV = TOOLS / "uv" / "bin" / "uv"
 PYTHON = os.path.realpath(getattr(sys, "_base_executable", None) or sys.executable)
 
-# Of another ROS installation, another environment or ours: none of it may reach a build.
+# Variables of a ROS installation or a Python environment, which must not reach a build.
 FOREIGN_VARIABLES = (
     "AMENT_PREFIX_PATH",
     "CMAKE_PREFIX_PATH",
@@ -37,13 +37,13 @@ FOREIGN_VARIABLES = (
 
 
 class SetupError(Exception):
-    """A step failed; the message says what to do about it."""
+    """A step failed; the message says how to fix it."""
 
 
-running: dict[str, tuple[float, Path | None]] = {}  # step -> when it began, the log it writes now
-current = threading.local()  # .step: the step that this thread is in
+running: dict[str, tuple[float, Path | None]] = {}  # step -> its start time and its current log
+current = threading.local()  # .step: the current step of this thread
 print_lock = threading.Lock()
-interrupted = threading.Event()  # set by Ctrl-C: start nothing more
+interrupted = threading.Event()  # set by Ctrl-C: start no further command
 
 
 def say(text: str) -> None:
@@ -68,7 +68,7 @@ def step(name: str) -> Iterator[None]:
 
 
 def show_progress(stop: threading.Event) -> None:
-    """Say what is running: every second in a terminal, every 20 s elsewhere."""
+    """Print the running steps: every second in a terminal, every 20 s otherwise."""
     terminal = sys.stdout.isatty()
     while not stop.wait(1.0 if terminal else 20.0):
         status = " | ".join(describe(name) for name in list(running))
@@ -83,7 +83,7 @@ def show_progress(stop: threading.Event) -> None:
 
 
 def describe(name: str) -> str:
-    """Describe a running step by its age and the last line that it wrote."""
+    """Describe a running step by its duration and the last line of its log."""
     begun, log = running.get(name, (time.monotonic(), None))
     line = last_line(log) if log else ""
     return f"{name} {time.monotonic() - begun:.0f} s" + (f": {line}" if line else "")
@@ -99,18 +99,18 @@ def last_line(log: Path) -> str:
 
 
 def clean_environment() -> dict[str, str]:
-    """Return the process environment without the traces of any ROS or Python environment."""
+    """Return the process environment without variables of ROS and Python environments."""
     environment = {name: value for name, value in os.environ.items() if name not in FOREIGN_VARIABLES}
     if environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
-        environment.pop("LD_LIBRARY_PATH", None)  # set by the ROS wheels of the environment that we were started from
+        environment.pop("LD_LIBRARY_PATH", None)  # set by the ROS wheels of the calling environment
     return environment
 
 
 def run(name: str, *command: str | Path, cwd: Path = ROOT, extra: dict[str, str] | None = None) -> None:
-    """Run a command, its output going to a log that is shown when it fails.
+    """Run a command and log its output; show the log when the command fails.
 
     Raises:
-        SetupError: the command failed, or Ctrl-C was pressed.
+        SetupError: The command failed, or Ctrl-C was pressed.
     """
     if interrupted.is_set():
         raise SetupError("interrupted")
@@ -167,17 +167,17 @@ def digest(*parts: str | Path) -> str:
 
 
 def environment_key() -> str:
-    """Hash what makes an environment unusable when it changes: its interpreter and its place."""
+    """Hash an environment's interpreter and path, whose change makes the environment unusable."""
     return digest(PYTHON, sys.version, str(ROOT))
 
 
 def packages_key(lock: Path) -> str:
-    """Hash what an environment made from a lock depends on."""
+    """Hash everything that an environment made from a lock depends on."""
     return digest(lock, environment_key())
 
 
 class Environment:
-    """A virtual environment that knows which steps have been finished in it."""
+    """A virtual environment that records which steps have finished in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -185,7 +185,7 @@ class Environment:
         self._state = path / ".roboxim"
 
     def has(self, step: str, key: str) -> bool:
-        """Tell whether the step was finished with this key, and nothing was interrupted since."""
+        """Return whether the step finished with this key and no later step was interrupted."""
         stamp = self._state / step
         if (self._state / "busy").exists() or not self.python.exists():
             return False
@@ -193,7 +193,7 @@ class Environment:
 
     @contextlib.contextmanager
     def writing(self, step: str, key: str) -> Iterator[None]:
-        """Mark the environment as half made while its body runs, and the step as finished after it."""
+        """Mark the environment as incomplete while the body runs, and the step as finished afterwards."""
         (self._state / step).unlink(missing_ok=True)
         (self._state / "busy").touch()
         yield
@@ -201,10 +201,10 @@ class Environment:
         (self._state / "busy").unlink()
 
     def make(self, lock: Path) -> None:
-        """Make the environment anew, with exactly the packages of a lock.
+        """Create the environment from scratch, with exactly the packages of a lock.
 
-        Always anew: the ROS wheels register themselves under a second name that no lock knows, so bringing an existing
-        environment in line (`uv pip sync`) would remove half of ROS.
+        The ROS wheels register themselves under a second name that no lock contains, so updating an existing
+        environment (`uv pip sync`) would remove half of ROS.
         """
         shutil.rmtree(self.path, ignore_errors=True)
         run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", PYTHON, self.path)

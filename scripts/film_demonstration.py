@@ -1,4 +1,4 @@
-"""Films the README's demonstration: one episode of the expert, seen by the workspace and the wrist camera.
+"""Record the README's demonstration film: one episode of the expert, from the workspace and the wrist camera.
 
 Usage: ``python scripts/film_demonstration.py``; writes ``docs/images/demonstration.webp``.
 """
@@ -28,7 +28,7 @@ EVERY = 2
 
 
 def main() -> None:
-    """Record the episode and write the film."""
+    """Run the episode and write the film."""
     with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder)) as cores:
         task = task_text(skill="place_on", objects=("apple,cucumber,onion", "support=plate"), distractors="3")
         wide: dict[str, Any] = yaml.safe_load(task)  # sees the whole arm
@@ -59,7 +59,7 @@ def main() -> None:
     frames[0].save(
         FILE, save_all=True, append_images=[*frames[1:], *pause], duration=100 * EVERY, loop=0, quality=55, method=6
     )
-    sys.stdout.write(f"{result.instruction}: {result.outcome}, {len(frames)} pictures, {FILE.stat().st_size} bytes\n")
+    sys.stdout.write(f"{result.instruction}: {result.outcome}, {len(frames)} frames, {FILE.stat().st_size} bytes\n")
 
 
 if __name__ == "__main__":

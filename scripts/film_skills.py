@@ -1,8 +1,8 @@
-"""Draws a filmstrip of every skill, and of the tasks in `TASKS`: the expert, seen by the workspace camera.
+"""Draw a filmstrip of every skill and of the tasks in `TASKS`: the expert, seen by the workspace camera.
 
-A strip begins with the scene as it was drawn and ends after the settle phase, which is what the verdict is about. The
-instruction above it is the one that was given. Nothing is staged: the scenes are those that ``roboxim generate`` draws
-with the same options, chosen so that one sees what the skill is.
+A strip begins with the initial scene and ends after the settle phase, which the verdict is about. The line above it is
+the episode's instruction. Nothing is staged: ``roboxim generate`` draws the same scenes with the same options. The
+scenes were chosen because they show the skill clearly.
 
 Usage: ``python scripts/film_skills.py [NAME ...]``; writes ``docs/images/skills/<skill>.jpg`` and
 ``docs/images/tasks/<task>.jpg``, and fails when the expert does.
@@ -37,14 +37,14 @@ SIZE = 260
 """Side of a frame [px]."""
 GAP = 4
 STILL_M = 0.003
-"""What has come less far than this has not moved, a button's cap included [m]."""
+"""Distance below which an object or a button's cap counts as not moved [m]."""
 ABOVE = 0.06
-"""By how much of a frame the objects are below its middle: the hand comes from above."""
+"""Fraction of a frame by which the objects are below its centre, because the hand comes from above."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """Which episodes of a task are filmed, and how."""
+    """The episodes of a task to film, and how to film them."""
 
     objects: tuple[str, ...] = ()
     """As ``--object`` of ``roboxim generate``."""
@@ -55,12 +55,12 @@ class Film:
     seed: int
     """As ``--seed``."""
     episodes: tuple[int, ...] = (0,)
-    """Indices; of one episode there is a strip, of several the last frames."""
+    """Episode indices. One episode gives a strip; several give their last frames."""
     purpose: str = "demo"
     zoom: float = 1.0
-    """The camera's picture is cut to one part in so many a side, around what the instruction names."""
+    """Zoom factor: the frame is cropped to 1/n of its side, around the objects that the instruction names."""
     frames: int = 0
-    """Number of frames, equally far apart; 0: five, about the way of the target (`moments`)."""
+    """Number of equidistant frames; 0: five frames, chosen by the target's motion (`moments`)."""
 
 
 FILMS = {
@@ -79,19 +79,19 @@ FILMS = {
     "push_object": Film(objects=("sponge",), distractors="1", seed=8, zoom=1.3),
     "turn_upright": Film(objects=("milk_carton",), distractors="2", seed=11, zoom=1.5),
 }
-"""Skill to its film."""
+"""Films by skill."""
 TASKS = {
     "pick_up_blocked": Film(seed=2, purpose="test", frames=6),
     "place_on_blocked": Film(seed=2, purpose="test", frames=6),
     "pick_cube_areas": Film(seed=2, purpose="test", episodes=(0, 1, 2, 3, 4)),
 }
-"""Task of ``config/tasks`` to its film."""
+"""Films by task of ``config/tasks``."""
 
 
 def main() -> None:
-    """Film what is named on the command line, or everything."""
+    """Film the skills and tasks named on the command line, or all."""
     if missing := set(SKILLS) - set(FILMS):
-        sys.exit(f"no film of {', '.join(sorted(missing))}: say in FILMS which scene shows the skill")
+        sys.exit(f"no film of {', '.join(sorted(missing))}: add a scene that shows the skill to FILMS")
     for name in sys.argv[1:] or (*FILMS, *TASKS):
         folder, film = ("skills", FILMS[name]) if name in FILMS else ("tasks", TASKS[name])
         file = FOLDER / folder / f"{name}.jpg"
@@ -100,7 +100,7 @@ def main() -> None:
 
 
 def picture(name: str, film: Film) -> Image.Image:
-    """Run a film's episodes and lay their frames side by side; a strip is headed by its instruction."""
+    """Run a film's episodes and arrange their frames side by side, with the instruction above a strip."""
     task, skill = ("", name) if name in FILMS else (name, "")
     text = task_text(task, skill=skill, objects=film.objects, distractors=film.distractors, colors=film.colors)
     frames: list[Picture] = []
@@ -138,7 +138,7 @@ def run(text: str, film: Film, index: int, folder: str) -> BagReader:
 def moments(ticks: list[BagTick]) -> list[int]:
     """Choose five ticks: the start; the target about to move, half-way, just arrived; the end.
 
-    What is still held when it has arrived looks the same at the end; then the second one is of the hand on its way.
+    If the target is still held on arrival, the end looks the same; then the second tick shows the hand on its way.
     """
     targets = [tick.state.entity("target") for tick in ticks]
     ways = np.array([(*target.pose.position, *target.joint_positions) for target in targets])
@@ -153,7 +153,7 @@ def moments(ticks: list[BagTick]) -> list[int]:
 
 
 def cut(bag: BagReader, ticks: list[BagTick]) -> list[Picture]:
-    """Cut the same square of every tick's picture, around where the instruction's objects are at these ticks."""
+    """Crop the same square from the image of every tick, around the instruction's objects at these ticks."""
     camera = bag.info.scene.cameras[0]
     named = [thing.entity for thing in task_objects(bag.info.task)]
     points = [tick.state.entity(name).pose.position for tick in ticks for name in named]
@@ -164,7 +164,7 @@ def cut(bag: BagReader, ticks: list[BagTick]) -> list[Picture]:
 
 
 def strip(frames: list[Picture], title: str = "", camera: CameraSpec | None = None) -> Image.Image:
-    """Lay frames side by side, under a line with the instruction and a compass of the robot's directions."""
+    """Arrange frames side by side, under a line with the instruction and a compass of the robot's directions."""
     sheet = Image.new("RGB", (len(frames) * (SIZE + GAP) - GAP, SIZE), "white")
     for number, frame in enumerate(frames):
         sheet.paste(Image.fromarray(frame), (number * (SIZE + GAP), 0))

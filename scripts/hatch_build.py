@@ -1,4 +1,4 @@
-"""Put the configuration into the wheel of RoboXim; an editable installation reads that of the checkout."""
+"""Hatch build hook that adds `config/` to RoboXim's wheel; an editable installation reads the checkout's."""
 
 from typing import Any
 
@@ -9,6 +9,6 @@ class ConfigurationHook(BuildHookInterface):
     """Add `config/` to roboxim_core, where `roboxim_core.config` looks for it."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add it to what is built, unless that is editable."""
+        """Add `config/` to the build, unless the build is editable."""
         if version != "editable":
             build_data["force_include"]["config"] = "roboxim_core/config"

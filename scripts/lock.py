@@ -1,7 +1,7 @@
-"""Make the locks in `requirements/` from the requirements in the pyproject.toml files.
+"""Generate the locks in `requirements/` from the requirements in the pyproject.toml files.
 
-Each lock names every package with its version and the hashes of its files, and no index: it installs from wherever the
-machine gets its packages. Versions stay as they are locked unless a requirement says otherwise or `--upgrade` is given.
+A lock names every package with its version and the hashes of its files, but no index, so it installs from any index.
+Locked versions do not change unless a requirement demands it or `--upgrade` is given.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MEMBERS = [ROOT / "src" / name / "pyproject.toml" for name in ("roboxim_interfac
 
 
 def build_requirements() -> list[str]:
-    """Return what building the compiled distributions takes."""
+    """Return the build requirements of the compiled distributions."""
     needed = [tomllib.loads(member.read_text())["build-system"]["requires"] for member in MEMBERS]
     return sorted({requirement for requirements in needed for requirement in requirements})
 
@@ -52,7 +52,7 @@ def lock(name: str, requirements: list[str], *options: str) -> None:
 def main() -> None:
     """Make every lock."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--upgrade", action="store_true", help="take the newest versions that the requirements allow")
+    parser.add_argument("--upgrade", action="store_true", help="use the newest versions that the requirements allow")
     upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
     lock("installer", group("installer"), *upgrade)
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]

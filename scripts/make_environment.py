@@ -1,6 +1,6 @@
-"""Make an environment beside the main one from its lock: `make_environment.py NAME` gives `.tools/NAME-env`.
+"""Create a separate environment from its lock: `make_environment.py NAME` creates `.tools/NAME-env`.
 
-Such an environment holds what must not or cannot live with RoboXim's own packages: a second TensorFlow, a colcon.
+Separate environments hold packages that conflict with RoboXim's own, such as a second TensorFlow or colcon.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from environments import LOCKS, TOOLS, Environment, SetupError, packages_key, sa
 
 
 def main(name: str) -> int:
-    """Make the environment unless it is there and whole."""
+    """Create the environment unless it exists and is complete."""
     environment, lock = Environment(TOOLS / f"{name}-env"), LOCKS / f"{name}.lock"
     stop = threading.Event()
     threading.Thread(target=show_progress, args=(stop,), daemon=True).start()

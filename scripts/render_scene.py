@@ -1,4 +1,4 @@
-"""Render the picture of the README: the workspace and the wrist camera's view of the Panda over a few objects."""
+"""Render the README's image: the workspace and the wrist camera's view of the Panda above a few objects."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OBJECTS = {
     "plate": (0.63, 0.17, 0.7),
     "cucumber": (0.38, 0.21, 0.25),
 }
-"""Model to x, y [m] and yaw [rad]."""
+"""Position x, y [m] and yaw [rad] by model."""
 ARM = (0.12, 0.28, 0.0, -2.05, 0.0, 2.33, 0.9)
 """Arm joint positions [rad]: the hand above the apple."""
 
@@ -33,8 +33,8 @@ def example_scene(size: int, depth: bool = False, segmentation: bool = False) ->
 
     Args:
         size: Width and height of the cameras [px].
-        depth: Whether the cameras give depth.
-        segmentation: Whether the cameras give segmentation.
+        depth: Whether the cameras deliver depth images.
+        segmentation: Whether the cameras deliver segmentation images.
     """
     library = ModelLibrary()
     entities = tuple(
@@ -65,8 +65,8 @@ def example_poses(
 
     Args:
         scene: The scene.
-        library: Where its models come from.
-        turned_rad: How far the arm's joints are from `ARM` [rad].
+        library: Library of its models.
+        turned_rad: Offset of the arm's joints from `ARM` [rad].
     """
     arm = tuple(angle + turned_rad for angle in ARM)
     state = RobotState(

@@ -1,12 +1,15 @@
-"""Install RoboXim into its checkout: tools, locked packages, what is compiled, the `roboxim` command.
+"""Install RoboXim into its checkout: tools, locked packages, compiled packages, the `roboxim` command.
 
-Everything lands in `.tools/` and `.venv/`; `make clean-all` removes both. Only Python 3.11, a C and C++ compiler and a
-package index are needed.
+All files go to `.tools/` and `.venv/`; `make clean-all` removes both. Requirements: Python 3.11, a C and C++ compiler
+and a package index.
 
-Design. Each step has a key, a hash over all that its result depends on, stored beside the result when the step has
-finished. A step whose key is stored already is skipped, so the second run does nothing. An environment being written
-carries a `busy` mark, so that one left half made by Ctrl-C or a crash is thrown away, never taken for whole. Packages
-are installed while ours compile: the two do not depend on each other until the end.
+Design:
+
+- Each step has a key, a hash over everything that its result depends on. The key is stored beside the result when the
+  step has finished. A step whose key is already stored is skipped, so a second run does nothing.
+- An environment that is being written has a `busy` mark. If Ctrl-C or a crash leaves it incomplete, the next run
+  discards it.
+- Packages are installed while RoboXim's own compile, because both are independent until the end.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ from environments import (
     uv_pip,
 )
 
-WHEELS_KEPT = 5  # of each member, so that changing branches does not build them again
+WHEELS_KEPT = 5  # of each member, so that switching branches does not rebuild them
 GL_PACKAGES = ("libegl1", "libgl1-mesa-dri")
 
 venv = Environment(ROOT / ".venv")
@@ -57,19 +60,19 @@ started = time.monotonic()
 
 @dataclass(frozen=True)
 class Member:
-    """A distribution of ours that is compiled: built into a wheel, installed from it."""
+    """A compiled distribution of RoboXim: built into a wheel and installed from it."""
 
     name: str
     folder: Path
 
     @property
     def build_dir(self) -> Path:
-        """Where it is compiled; kept, so that the next time only what changed is."""
+        """Build folder; kept, so that the next build compiles changed files only."""
         return TOOLS / "build" / self.name
 
     @property
     def wheels(self) -> Path:
-        """Folder of its wheels, each in a folder named by its key."""
+        """Folder of its wheels, each in a subfolder named by its key."""
         return TOOLS / "wheels" / self.name
 
     def files(self) -> list[Path]:
@@ -79,7 +82,7 @@ class Member:
         return sorted(path for path in files if not any(path.is_relative_to(other) for other in others))
 
     def key(self) -> str:
-        """Hash names and contents of its files, and what it is built with."""
+        """Hash the names and contents of its files, and its build tools."""
         names = "\n".join(str(path.relative_to(self.folder)) for path in self.files())
         return digest(names, *self.files(), LOCKS / "build.lock", environment_key())
 
@@ -91,10 +94,10 @@ MEMBERS = (
 
 
 def require_build_tools() -> None:
-    """Check for what only the system can provide.
+    """Check the requirements that only the system can provide.
 
     Raises:
-        SetupError: a compiler or Python's headers are missing.
+        SetupError: A compiler or Python's headers are missing.
     """
     missing = []
     if not (shutil.which("cc") and shutil.which("c++")):
@@ -181,7 +184,7 @@ def build(member: Member) -> Path:
 
 
 def forget_removed_files(member: Member) -> None:
-    """Throw the build folder away when a file of the member is gone: what came from it would stay in the wheel."""
+    """Delete the build folder when a file of the member was removed: its outputs would otherwise stay in the wheel."""
     record = member.build_dir.with_suffix(".json")
     names = [str(path.relative_to(member.folder)) for path in member.files()]
     known = json.loads(record.read_text()) if record.exists() else names
@@ -204,7 +207,7 @@ def install_ours(wheels: dict[Member, Path]) -> None:
 
 
 def install_gl() -> None:
-    """Install the libraries that render cameras where that can be done, otherwise say how to."""
+    """Install the libraries for camera rendering if possible, otherwise print the command that does."""
     if not shutil.which("dpkg-query"):
         return
     found = subprocess.run(
@@ -217,7 +220,7 @@ def install_gl() -> None:
     if not missing:
         return
     command = f"apt-get install -y --no-install-recommends {' '.join(missing)}"
-    failed = TOOLS / "no-system-libraries"  # tried in vain: not again until `make clean-all`
+    failed = TOOLS / "no-system-libraries"  # failed: do not retry until `make clean-all`
     may = os.geteuid() == 0 and shutil.which("apt-get") and not os.environ.get("ROBOXIM_NO_APT")
     if may and not failed.exists():
         try:
@@ -246,7 +249,7 @@ def only_one() -> Iterator[None]:
 
 
 def set_up() -> None:
-    """Run every step that is not done yet."""
+    """Run every unfinished step."""
     install_uv()
     lanes: list[Callable[[], object]] = [install_gl, install_packages, build_members]
     with ThreadPoolExecutor(len(lanes)) as pool:
@@ -258,13 +261,13 @@ def set_up() -> None:
 
 
 def interrupt(number: int, frame: object) -> NoReturn:
-    """Stop at Ctrl-C: what runs has got the signal too, and nothing more is started."""
+    """Handle Ctrl-C: running commands receive the signal too, and no further command starts."""
     interrupted.set()
     raise KeyboardInterrupt
 
 
 def main() -> int:
-    """Set the checkout up and say how long it took."""
+    """Set up the checkout and print the duration."""
     signal.signal(signal.SIGINT, interrupt)
     stop = threading.Event()
     progress = threading.Thread(target=show_progress, args=(stop,), daemon=True)
@@ -276,7 +279,7 @@ def main() -> int:
         say(f"make setup: {error}")
         return 1
     except KeyboardInterrupt:
-        say("make setup: interrupted; run it again to go on")
+        say("make setup: interrupted; run it again to continue")
         return 130
     finally:
         stop.set()

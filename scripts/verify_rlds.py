@@ -1,7 +1,7 @@
-"""Read an exported data set with TensorFlow Datasets, as a training would, and check every step of it.
+"""Read an exported dataset with TensorFlow Datasets, as a training script would, and check every step.
 
-Needs tensorflow and tensorflow-datasets and nothing of RoboXim: `make verify-rlds DATASET=FOLDER` makes such an
-environment. The exit code is 0 when everything is as it should be, 1 when not, 2 when there is no data set.
+Needs tensorflow and tensorflow-datasets and nothing of RoboXim; `make verify-rlds DATASET=FOLDER` creates such an
+environment. Exit codes: 0: no problems, 1: problems found, 2: no dataset found.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ import tensorflow_datasets as tfds
 
 SEMANTICS_KEYS = {"control", "frame", "rotation", "gripper", "delta_base", "rate_hz"}
 LARGEST_TURN = 0.5
-"""What a component of the tool's axes may change by in a step: twice the limit of an action's rotation [rad]."""
+"""Maximum change of a component of the tool's axes in a step: twice the rotation limit of an action [rad]."""
 
 
 def find_dataset(path: Path) -> Path:
-    """Return the folder of the only data set at or below a path; exit with 2 when there is not exactly one."""
+    """Return the folder of the only dataset at or below a path; exit with 2 if there is not exactly one."""
     found = [p.parent for p in sorted(path.rglob("dataset_info.json")) if not p.parent.name.startswith(".")]
     if len(found) != 1:
-        print(f"{path} holds {len(found)} data sets {[str(p) for p in found]}; name the folder of one", file=sys.stderr)
+        print(f"{path} holds {len(found)} datasets {[str(p) for p in found]}; name the folder of one", file=sys.stderr)
         raise SystemExit(2)
     return found[0]
 
 
 def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], images: dict[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with an episode."""
+    """Yield the problems of an episode."""
     if not steps:
         yield "it has no steps"
         return
@@ -48,7 +48,7 @@ def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], image
     flags = [(bool(s["is_first"]), bool(s["is_last"]), bool(s["is_terminal"])) for s in steps]
     last = len(steps) - 1
     if flags != [(index == 0, index == last, index == last) for index in range(len(steps))]:
-        yield "is_first, is_last and is_terminal do not mark its ends"
+        yield "is_first, is_last and is_terminal do not mark its first and last step"
     instructions = {step["language_instruction"] for step in steps}
     if len(instructions) != 1 or not next(iter(instructions)).decode().strip():
         yield f"its instruction is not one text: {instructions}"
@@ -63,7 +63,7 @@ def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], image
 
 
 def step_problems(step: dict[str, Any], images: dict[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with a step."""
+    """Yield the problems of a step."""
     arrays = {"action": (step["action"], 7), "state": (step["observation"]["state"], 10)}
     for name, (value, size) in arrays.items():
         if value.shape != (size,) or value.dtype != np.float32 or not np.isfinite(value).all():
@@ -82,11 +82,11 @@ def step_problems(step: dict[str, Any], images: dict[str, Any]) -> Iterator[str]
         if image.shape != shape or image.dtype != np.uint8:
             yield f"{key} is {image.dtype} of shape {image.shape}, expected uint8 of {shape}"
         elif image.max() == image.min():
-            yield f"{key} is of a single colour"
+            yield f"{key} has a single colour"
 
 
 def verify(path: Path) -> int:
-    """Check a data set, print what it holds and what is wrong; return the number of problems."""
+    """Check a dataset, print its contents and problems, and return the number of problems."""
     builder = tfds.builder_from_directory(path)
     observation = builder.info.features["steps"]["observation"]
     images = {key: feature.shape for key, feature in observation.items() if key not in ("state", "joint_positions")}
@@ -111,20 +111,20 @@ def verify(path: Path) -> int:
             f"{len(instructions)} instructions {sorted(instructions)[:3]}"
         )
     if "train" not in builder.info.splits:
-        problems.append("there is no split 'train'")
+        problems.append("the split 'train' is missing")
     if actions:
         low, high = np.min(actions, axis=0), np.max(actions, axis=0)
         print("actions: " + ", ".join(f"{a:.4g}..{b:.4g}" for a, b in zip(low, high, strict=True)))
     for problem in problems[:20]:
         print(f"PROBLEM {problem}")
-    print(f"{len(problems)} problems" if problems else "everything is as it should be")
+    print(f"{len(problems)} problems" if problems else "no problems found")
     return len(problems)
 
 
 def main() -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("dataset", type=Path, help="the data set's folder, or one above it that holds only it")
+    parser.add_argument("dataset", type=Path, help="the dataset's folder, or a parent folder without other datasets")
     return 1 if verify(find_dataset(parser.parse_args().dataset)) else 0
 
 

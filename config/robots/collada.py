@@ -1,4 +1,4 @@
-"""Reads the COLLADA files of `example-robot-data`: triangles, matrices and diffuse colours, no more."""
+"""Reader for the COLLADA files of `example-robot-data`; supports triangles, matrices and diffuse colours only."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import trimesh
 
 
 def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
-    """Return the colour (0..255, as the file has it) and the placed mesh of each part of each geometry.
+    """Return the colour (0..255, as in the file) and the transformed mesh of each part of each geometry.
 
     Raises:
-        ValueError: When the file uses what this does not read.
+        ValueError: When the file uses features that this reader does not support.
     """
     root = ElementTree.fromstring(re.sub(r' xmlns="[^"]*"', "", path.read_text(), count=1))
     by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}

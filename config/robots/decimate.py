@@ -1,4 +1,4 @@
-"""Visual meshes of robots from COLLADA files: what the robots' ``derive.py`` share."""
+"""Visual meshes of robots from COLLADA files, shared by the robots' ``derive.py``."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from collada import read_collada
 TRIANGLES = 1600
 CREASE_RAD = np.radians(32.0)
 SLIVER_M = 0.002
-"""A triangle that is thinner than this is one."""
-WHITE = (233, 234, 236)  # the files say 255, which no painted surface reflects
+"""A triangle thinner than this is a sliver."""
+WHITE = (233, 234, 236)  # the files contain 255, which no painted surface reflects
 GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
 
 
 def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) -> trimesh.Scene:
-    """Decimate a COLLADA file's meshes, all together so that no gaps open between colours, and group them by colour.
+    """Decimate a COLLADA file's meshes and group them by colour.
+
+    All meshes are decimated together, so that no gaps open between colours.
 
     Args:
         source: The file.
-        triangles: Number of triangles to come to.
+        triangles: Target number of triangles.
         linear: Whether the file's colours are linear instead of sRGB.
     """
     vertices, faces, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], []
@@ -68,9 +70,9 @@ def decimated(
 
 
 def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return the mesh with slivers shaded as the surface around them.
+    """Return the mesh with slivers shaded like the surface around them.
 
-    Where decimation leaves a step of a millimetre, its own normals would draw it as a black crack.
+    Decimation leaves steps of about a millimetre; with their own normals they would appear as black cracks.
     """
     corners, normals = mesh.vertices[mesh.faces], np.asarray(mesh.vertex_normals)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -90,7 +92,7 @@ def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def whole(faces: np.ndarray) -> np.ndarray:
-    """Tell which faces have three different corners."""
+    """Return which faces have three different corners."""
     a, b, c = faces.T
     return (a != b) & (b != c) & (c != a)
 

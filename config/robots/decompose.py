@@ -1,7 +1,7 @@
-"""Convex parts that together cover a mesh: what the robots' ``derive.py`` make of links that are far from convex.
+"""Decomposition of a mesh into convex parts that cover it, for the robots' ``derive.py`` and strongly concave links.
 
-The mesh is cut by a plane across an axis, where the hulls of the two pieces are smallest, again and again. A cut
-piece's hull holds all of the piece, so the parts hold all of the mesh: whatever touches the mesh touches a part.
+The mesh is cut repeatedly by a plane perpendicular to an axis, where the hulls of the two pieces are smallest. The hull
+of a piece contains the piece, so the parts contain the mesh: a body that touches the mesh also touches a part.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 Array = npt.NDArray[np.float64]
 PLANES = 40
-"""Cuts across each axis that are tried."""
+"""Number of cuts to try along each axis."""
 
 
 def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trimesh.Trimesh]:
@@ -21,8 +21,8 @@ def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trim
 
     Args:
         mesh: The mesh.
-        worth: Share of the whole hull's volume that a cut must save.
-        most: Largest number of parts.
+        worth: Minimum fraction of the whole hull's volume that a cut must save.
+        most: Maximum number of parts.
     """
     pieces = [np.asarray(mesh.triangles, dtype=float)]
     cuts = [_best_cut(pieces[0])]
@@ -38,11 +38,11 @@ def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trim
 
 
 def around(points: npt.ArrayLike, directions: int = 100) -> trimesh.Trimesh:
-    """Return a polytope of few faces that holds points of shape (N, 3): each face touches them.
+    """Return a tight polytope with few faces that contains the points: each face touches a point.
 
     Args:
-        points: The points.
-        directions: Number of faces, whose normals are spread evenly over the sphere, beside the six of the box.
+        points: The points, shape (N, 3).
+        directions: Number of faces in addition to the six of the box; their normals are spread evenly over the sphere.
     """
     inside = np.asarray(points, dtype=float)
     k = np.arange(directions) + 0.5
@@ -55,7 +55,7 @@ def around(points: npt.ArrayLike, directions: int = 100) -> trimesh.Trimesh:
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array]]:
-    """Return by how much the best cut makes the hulls' volume smaller, and the two halves."""
+    """Return the decrease of the hulls' volume by the best cut, and the two halves."""
     whole = _volume(triangles)
     best: tuple[float, list[Array]] = (0.0, [])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
@@ -77,13 +77,13 @@ def _volume(triangles: Array) -> float:
 
 
 def _clip(triangles: Array, heights: Array) -> Array:
-    """Return what of triangles of shape (N, 3, 3) has a height >= 0; heights of the corners, shape (N, 3)."""
+    """Clip triangles, shape (N, 3, 3), to heights >= 0, given the heights of their corners, shape (N, 3)."""
     inside = heights >= 0.0
     count = inside.sum(axis=1)
     kept = [triangles[count == 3]]
     for corners in (1, 2):
         some = count == corners
-        odd = np.argmax(inside[some] == (corners == 1), axis=1)  # the corner that is alone on its side
+        odd = np.argmax(inside[some] == (corners == 1), axis=1)  # the only corner on its side
         order = (odd[:, None] + np.arange(3)) % 3
         a, b, c = np.moveaxis(np.take_along_axis(triangles[some], order[:, :, None], axis=1), 1, 0)
         high = np.take_along_axis(heights[some], order, axis=1)

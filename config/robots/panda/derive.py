@@ -1,6 +1,6 @@
-"""Make this folder's URDF, SRDF and meshes from the `example-robot-data` wheel: ``make robot-visuals``.
+"""Generate this folder's URDF, SRDF and meshes from the `example-robot-data` wheel: ``make robot-visuals``.
 
-``--check`` writes nothing and says which visual meshes are not what would be made.
+``--check`` writes nothing and lists the visual meshes that differ from the generated ones.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import trimesh
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-from collada import read_collada  # noqa: E402 - found beside this folder
+from collada import read_collada  # noqa: E402 - in the parent folder
 from decimate import visual  # noqa: E402
 from decompose import around, convex_parts  # noqa: E402
 
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
 TRIANGLES, FINGER_TRIANGLES = 1130, 400
-"""Of a link; 11,000 in all, so that a renderer without a GPU has time for other things."""
+"""Triangles of a link; 11,000 in all, which a renderer without a GPU can draw in time."""
 
 
 def drawn(source: Path) -> trimesh.Scene:
@@ -31,7 +31,7 @@ def drawn(source: Path) -> trimesh.Scene:
 
 
 def stale() -> list[str]:
-    """Return the visual meshes whose triangles are not those that would be made."""
+    """Return the visual meshes whose triangles differ from the generated ones."""
 
     def count(scene: trimesh.Scene) -> dict[str, int]:
         return {name: len(mesh.faces) for name, mesh in scene.geometry.items()}
@@ -46,14 +46,14 @@ def stale() -> list[str]:
 
 
 def forearm_parts() -> list[trimesh.Trimesh]:
-    """Return convex parts of the bent forearm as it is drawn: its collision mesh fills the hollow under the bend."""
+    """Return convex parts of the forearm's visual mesh: its collision mesh fills the hollow under the bend."""
     meshes = [mesh for _, mesh in read_collada(SOURCE / "meshes/visual/link5.dae")]
     drawn_one = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
     return [around(part.vertices) for part in convex_parts(drawn_one, worth=0.02, most=4)]
 
 
 def main() -> int:
-    """Write everything, or check."""
+    """Write all files, or check the visual meshes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when a visual mesh is stale")
     if parser.parse_args().check:

@@ -1,6 +1,6 @@
-"""Make this folder's URDF, SRDF and meshes: a UR5 of the `example-robot-data` wheel with the Panda's hand.
+"""Generate this folder's URDF, SRDF and meshes: the UR5 of the `example-robot-data` wheel with the Panda's hand.
 
-``make robot-visuals`` renews them.
+``make robot-visuals`` regenerates them.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ PANDA = HERE.parent / "panda"
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/ur_description"
 SAMPLES = 10_000
 WORTH = 0.03
-"""Share of a link's hull that another convex part must save: one whole hull says in a quarter of all states that links
-touch which do not."""
-TRIANGLES, UPPERARM_TRIANGLES = 4500, 9000  # the caps are thin shells, which fewer would tear
+"""Fraction of a link's hull that another convex part must save. With one hull per link, links that do not touch appear
+to collide in a quarter of all states."""
+TRIANGLES, UPPERARM_TRIANGLES = 4500, 9000  # the caps are thin shells, which fewer triangles would tear
 
 sys.path.append(str(HERE.parent))
-from decimate import visual  # noqa: E402 - found beside this folder
+from decimate import visual  # noqa: E402 - in the parent folder
 from decompose import convex_parts  # noqa: E402
 
 
@@ -92,17 +92,17 @@ def hand() -> str:
 
 
 def with_parts(urdf: str, mesh: str, parts: list[str]) -> str:
-    """Return a URDF with several collision meshes in the place of one."""
+    """Return a URDF with one collision mesh replaced by several."""
     found = re.search(rf'\s*<collision>(?:(?!</collision>).)*/{re.escape(mesh)}".*?</collision>', urdf, flags=re.S)
     assert found is not None
     return urdf.replace(found[0], "".join(found[0].replace(f"/{mesh}", f"/{part}") for part in parts))
 
 
 def srdf(text: str) -> str:
-    """Return the pairs of links that are not checked: adjacent ones, and those whose meshes never or always touch.
+    """Return the pairs of links to exclude from collision checks: adjacent links, and those that never or always touch.
 
     Args:
-        text: The URDF with the original meshes, which decide.
+        text: The URDF with the original meshes, which the decision is based on.
     """
     with tempfile.TemporaryDirectory() as folder:
         urdf = str(Path(folder, "whole.urdf"))
