@@ -1,1 +1,1 @@
-"""RoboXim's benchmarks, a folder for each subject; `make bench-NAME` runs one."""
+"""RoboXim's benchmarks, in folders by subject; `make bench-NAME` runs one."""

@@ -1,4 +1,4 @@
-"""What every benchmark shares: options, a table, a JSON file, and a headline figure as the last line.
+"""Common parts of all benchmarks: options, a table, a JSON file, and a headline figure as the last line.
 
 A benchmark is a file ``benchmarks/SUBJECT/NAME.py``, run by ``make bench-NAME``::
 
@@ -7,7 +7,7 @@ A benchmark is a file ``benchmarks/SUBJECT/NAME.py``, run by ``make bench-NAME``
         bench.row(renderer="raster", ms=round(measure(quick=bench.quick), 2))
         bench.finish("256x256 pair", 18.2, "ms", at_most=20)
 
-and understands ``--quick`` (ends within 45 s) and ``--json FILE``.
+Its options include ``--quick`` (ends within 45 s) and ``--json FILE``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from statistics import median
 import click
 
 VERSIONS_OF = ("numpy", "pybullet", "moderngl", "pin", "ompl", "ruckig", "mcap", "jax", "ros-jazzy-rclpy")
-"""Distributions whose versions decide what a benchmark measures."""
+"""Distributions whose versions influence the measurements."""
 
 
 class Bench:
@@ -42,7 +42,7 @@ class Bench:
         Args:
             name: Name of the benchmark's file, without ``.py``.
             description: Text for ``--help``; its first line is printed above the table.
-            add_options: Adds options of the benchmark's own, which end up in ``options``.
+            add_options: Adds the benchmark's own options; ``options`` then contains them.
         """
         parser = argparse.ArgumentParser(
             prog=f"make bench-{name}", description=description, formatter_class=argparse.RawTextHelpFormatter
@@ -66,17 +66,17 @@ class Bench:
     def finish(
         self, name: str, value: float, unit: str, *, at_most: float | None = None, at_least: float | None = None
     ) -> None:
-        """Print the table and the headline; write the JSON file if one was asked for.
+        """Print the table and the headline; write the JSON file if requested.
 
         Args:
-            name: What the headline figure is.
+            name: Description of the headline figure.
             value: The figure.
             unit: Its unit; empty for a ratio.
-            at_most: The goal, where less is better.
-            at_least: The goal, where more is better.
+            at_most: The goal, if less is better.
+            at_least: The goal, if more is better.
         """
         if (at_most is None) == (at_least is None):
-            raise ValueError("a headline has one goal: give at_most or at_least")
+            raise ValueError("a headline has exactly one goal: set at_most or at_least")
         goal = f"<= {at_most:g}" if at_most is not None else f">= {at_least:g}"
         holds = bool(value <= at_most if at_most is not None else value >= (at_least or 0.0))
         headline = {"name": name, "value": round(value, 4), "unit": unit, "goal": goal, "holds": holds}
@@ -91,7 +91,7 @@ class Bench:
 
 
 def time_ms(call: Callable[[], object], repeats: int, warm_up: int = 3) -> float:
-    """Return the median wall time of a call [ms] over some repeats after a warm-up."""
+    """Return the median wall time of a call [ms] over several repetitions after a warm-up."""
     for _ in range(warm_up):
         call()
     times = []
@@ -109,7 +109,7 @@ def rss_mib() -> float:
 
 
 def describe_machine() -> dict[str, str | float]:
-    """Describe the machine; ``calibration_ms`` is a fixed one-core job's time, to compare machines and loads by."""
+    """Describe the machine; ``calibration_ms`` is the time of a fixed one-core job, to compare machines and loads."""
     cpu = platform.machine()
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):

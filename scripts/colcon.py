@@ -36,7 +36,7 @@ def main() -> int:
         "AMENT_PREFIX_PATH": str(PREFIX),
         "CMAKE_PREFIX_PATH": str(PREFIX),
         "LD_LIBRARY_PATH": str(PREFIX / "lib"),
-        # As for the wheel: regenerate and compile only what changed.
+        # As for the wheel: compile with -O1 and regenerate only what changed.
         "PYTHONPATH": str(ROOT / "src" / "roboxim_interfaces" / "cmake" / "generate_once"),
         "ROBOXIM_GENERATOR_CACHE": str(WORKSPACE / "generated"),
         "PATH": f"{PREFIX / 'bin'}:{clean_environment()['PATH']}",

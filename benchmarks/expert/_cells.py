@@ -1,4 +1,4 @@
-"""What the expert is measured on: cells of skill and object, each a task configuration."""
+"""The cells that the expert is measured on: combinations of skill and object, each a task configuration."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from roboxim_tasks.skills import SKILLS
 OBJECTS = ("cube", "apple", "soda_can", "onion", "cucumber", "knife")
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
 ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
-"""Skills that make sense for whatever can be grasped; the others for what their configuration lists."""
+"""Skills that apply to every graspable object; other skills apply to the objects that their configuration lists."""
 DRAWERS = ("top", "middle", "bottom")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One combination of skill and object, among a number of distractors."""
+    """One combination of skill and object, with a number of distractors."""
 
     skill: str
     """The skill."""
@@ -32,11 +32,11 @@ class Cell:
     clutter: int
     """Distractors."""
     core: bool
-    """Whether it is one of the combinations that every robot-learning suite has; they are measured more often."""
+    """Whether every robot-learning suite has this combination; such cells are measured with more episodes."""
     change: dict[str, Any] = field(default_factory=dict)
-    """What differs from the skill's own configuration."""
+    """Differences from the skill's default configuration."""
     task: str = ""
-    """Task of ``config/tasks`` that it is, if not the skill's own."""
+    """Task of ``config/tasks`` that the cell uses, if not the skill's default task."""
 
     @property
     def name(self) -> str:
@@ -44,7 +44,7 @@ class Cell:
         return f"{self.skill}/{self.thing}/{self.clutter}"
 
     def config(self) -> str:
-        """Return the task configuration as YAML text, with the workspace camera alone."""
+        """Return the task configuration as YAML text, with the workspace camera only."""
         plain = yaml.safe_load(task_text(self.task) if self.task else task_text(skill=self.skill))
         cameras = {"reset": {"cameras": {**plain["reset"].get("cameras", {}), "names": ["workspace"]}}}
         clutter = {"distractors": {"minimum": self.clutter, "maximum": self.clutter}}
@@ -52,7 +52,7 @@ class Cell:
 
 
 def cells(clutter: int) -> list[Cell]:
-    """Return every combination of a skill and an object that it makes sense for."""
+    """Return every combination of a skill and an object that the skill applies to."""
     return [Cell(clutter=clutter, **values) for values in (*_core_cells(), *_other_cells())]
 
 
@@ -85,7 +85,7 @@ def _other_cells() -> Iterator[dict[str, Any]]:
 
 
 def _other_places(models: Mapping[str, ObjectModel]) -> Iterator[dict[str, Any]]:
-    """Yield the cells of what a thing is put on or into, with the targets of the skill's own task."""
+    """Yield the cells of the objects to put something on or into, with the targets of the skill's default task."""
     for skill, role in (("place_on", "support"), ("stack", "support"), ("put_into", "container")):
         configured = yaml.safe_load(task_text(skill=skill))["objects"][role]["models"]["values"]
         for model in SKILLS[skill].suited(models)[role]:

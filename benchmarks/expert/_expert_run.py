@@ -1,4 +1,4 @@
-"""Runs one of the expert's episodes through the cores and notes what a reader of the table wants to know of it."""
+"""Execution of one expert episode through the cores, with the figures that the table reports."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ DISTURBED_M = 0.01
 
 @dataclass(kw_only=True)
 class Outcome:
-    """One episode. Written as a line of JSON."""
+    """The outcome of one episode, written as a line of JSON."""
 
     cell: str
     index: int
     first_try: bool
-    """Success without a second grasp, judged after settling."""
+    """Whether it succeeded without a second grasp, judged after settling."""
     recovered: bool
     reason: str
-    """Why it failed; empty: it did not."""
+    """Reason of the failure; empty: it succeeded."""
     ticks: int
     reset_ms: float
-    """From the seed to the settled scene [ms]."""
+    """Time from the seed to the settled scene [ms]."""
     draws: int
     rejections: Mapping[str, int]
-    """Constraint to the placements that it refused."""
+    """Number of rejected placements by constraint."""
     seen_share: float
-    """Least share of a named object's silhouette that the workspace camera sees at tick 0."""
+    """Smallest fraction of a named object's silhouette that the workspace camera sees at tick 0."""
     seen_px: int
-    """Fewest pixels of one, in a picture of 128 x 128."""
+    """Smallest number of pixels of a named object, in an image of 128 x 128."""
     near: bool
-    """Whether a distractor starts close to the target, by the cell's own measure (10 cm where it has none)."""
+    """Whether a distractor starts close to the target, by the cell's own distance (default: 10 cm)."""
     disturbed: int
-    """Distractors that moved by more than 1 cm."""
+    """Number of distractors that moved by more than 1 cm."""
     replayed: bool | None
-    """Whether its actions, open loop from the restored scene, gave the same hashes and success; none: not tried."""
+    """Whether an open-loop replay from the restored scene gave the same hashes and success; none: not replayed."""
     seconds: float
 
 
 @dataclass
 class _Watch:
-    """Stands between the loop and the ports, and keeps what the outcome needs."""
+    """A proxy between the loop and its ports that records the data for the outcome."""
 
     ports: Ports
     library: ModelLibrary
@@ -122,7 +122,7 @@ class _Watch:
 
 
 class CellRunner:
-    """Runs episodes of cells; belongs to the thread that made it, and ends with its process."""
+    """Runs episodes of cells. Use it from the thread that created it; it lives until the process ends."""
 
     def __init__(self) -> None:
         """Make the cores."""
@@ -133,7 +133,7 @@ class CellRunner:
         self._world = World(self._library)
 
     def run(self, cell: str, config: str, index: int, *, replay: bool) -> Outcome:
-        """Run the episode of an index of a cell."""
+        """Run the episode with the given index in a cell."""
         start = time.perf_counter()
         ports = self._cores.ports
         near = parse_task_config(config).at(index)[0].reset["distractors"].near or NearConfig()
@@ -156,7 +156,7 @@ class CellRunner:
         )  # fmt: skip
 
     def _replays(self, watch: _Watch) -> bool:
-        """Execute the recorded actions again in a world built anew."""
+        """Execute the recorded actions again in a fresh world."""
         assert watch.scene is not None
         assert watch.task is not None
         judge = CoreTasks(self._library)
@@ -171,14 +171,14 @@ class CellRunner:
 
 
 class ChunkWorker:
-    """Runs some indices of a cell for each job; see `roboxim_bringup.executors`."""
+    """Runs several indices of a cell in each job; see `roboxim_bringup.executors`."""
 
     def __init__(self, settings: None, number: int) -> None:
         """Make the cores."""
         self._runner = CellRunner()
 
     def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> list[dict[str, Any]]:
-        """Run a chunk: ``cell``, ``config``, ``indices`` and ``replayed``; notes every episode."""
+        """Run a chunk, given ``cell``, ``config``, ``indices`` and ``replayed``, and report every episode."""
         outcomes = []
         for index in job["indices"]:
             outcomes.append(
@@ -188,4 +188,4 @@ class ChunkWorker:
         return outcomes
 
     def close(self) -> None:
-        """Free nothing: the cores end with the process."""
+        """Do nothing: the cores live until the process ends."""

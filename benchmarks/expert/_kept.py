@@ -1,4 +1,4 @@
-"""Episodes that a long benchmark keeps in a folder, with what made them, so that no two codes end in one table."""
+"""Storage of a long benchmark's episodes in a folder; rejects episodes of other code or another configuration."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from roboxim_core.config import config_dirs
 
 PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup")
 SUFFIXES = (".py", ".so", ".yaml", ".urdf", ".srdf", ".obj", ".stl", ".glb")
-"""Files that decide what happens in an episode; textures and documents do not."""
+"""Patterns of the files that influence an episode; textures and documents do not."""
 
 
 class Kept:
     """A folder with ``episodes.jsonl``, one episode a line, and ``made_by.json``."""
 
     def __init__(self, folder: Path, configs: Mapping[str, str]) -> None:
-        """Open or make a folder.
+        """Open or create a folder.
 
         Args:
             folder: The folder.
-            configs: Cell to its configuration.
+            configs: Configurations by cell.
 
         Raises:
-            SystemExit: When it holds episodes of other code, or of another configuration of a cell.
+            SystemExit: When the folder has episodes of other code, or of another configuration of a cell.
         """
         self._log = ResultsLog(folder / "episodes.jsonl")
         made_by, cells = folder / "made_by.json", {name: _digest(text.encode()) for name, text in configs.items()}
@@ -41,13 +41,13 @@ class Kept:
             )
             if then["code"] != now["code"]:
                 raise SystemExit(
-                    f"{folder} holds episodes that other code made (commit {then['commit']}; this is {now['commit']}, "
-                    "or files were changed since): give --out a new folder, or go on with the code that began it"
+                    f"{folder} holds episodes of other code (commit {then['commit']}; this is {now['commit']}, "
+                    "or files have changed since): set --out to a new folder, or continue with the original code"
                 )
             other = [name for name, digest in cells.items() if then["cells"].get(name, digest) != digest]
             if other:
                 raise SystemExit(
-                    f"{folder} holds episodes of another configuration of {', '.join(other)}: give --out a new folder"
+                    f"{folder} holds episodes of another configuration of {', '.join(other)}: set --out to a new folder"
                 )
             now["cells"] = then["cells"] | cells
         folder.mkdir(parents=True, exist_ok=True)
@@ -59,7 +59,7 @@ class Kept:
         """Return the episodes of each cell.
 
         Raises:
-            SystemExit: When an episode is of other code, or of another configuration of its cell.
+            SystemExit: When an episode comes from other code, or from another configuration of its cell.
         """
         found: dict[str, list[dict[str, Any]]] = defaultdict(list)
         for entry in self._log.read():
@@ -76,7 +76,7 @@ class Kept:
 
 
 def code_digest() -> str:
-    """Return a hash of the code and configuration that this process uses, wherever they were imported from."""
+    """Return a hash of the code and configuration that this process actually uses, independent of their location."""
     digest = hashlib.blake2b(digest_size=8)
     roots = [Path(str(import_module(f"roboxim_{name}").__file__)).parent for name in PACKAGES]
     for root in (*roots, *config_dirs()):
@@ -89,7 +89,7 @@ def code_digest() -> str:
 
 
 def commit() -> str:
-    """Return the checkout's commit; ``unknown`` outside of one."""
+    """Return the checkout's commit; ``unknown`` outside a checkout."""
     asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=12", "HEAD"]
     answer = subprocess.run(asked, capture_output=True, text=True, check=False)
     return answer.stdout.strip() or "unknown"

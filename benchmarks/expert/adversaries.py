@@ -1,9 +1,9 @@
-"""Whether every skill's evaluator refuses cheats and accepts honest ways (roboxim_tasks/trials).
+"""Whether every skill's evaluator rejects cheats and accepts honest solutions (roboxim_tasks/trials).
 
 Each trial acts in scenes of its skill through the delta controller, as a policy does, over the cores and without
-cameras. A cheat is as expected when no tick was a success; an honest way when it is a success after settling. With
-``--out`` episodes are kept as they end, and the same command goes on where it was stopped. ``--docs`` writes the table
-into docs/tasks.md.
+cameras. A cheat is as expected if no tick is a success; an honest solution if the episode is a success after settling.
+With ``--out`` each finished episode is stored, and the same command continues an interrupted run. ``--docs`` writes the
+table into docs/tasks.md.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main() -> None:
     options = bench.options
     chosen = {key: TRIALS[key] for key in TRIALS if any(text in key for text in options.trials.split(","))}
     if not chosen:
-        raise SystemExit(f"no trial's name contains any of '{options.trials}'; trials are: {', '.join(TRIALS)}")
+        raise SystemExit(f"no trial's name contains any of '{options.trials}'; known trials: {', '.join(TRIALS)}")
     scenes = 1 if bench.quick else options.scenes
     start = time.perf_counter()
     outcomes = measure(chosen, scenes, options.out)
@@ -50,16 +50,16 @@ def main() -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes here and go on from them")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--trials", default="", metavar="TEXT[,TEXT]", help="only trials whose name contains a text")
     parser.add_argument("--scenes", type=int, default=10, metavar="N", help="scenes per trial (default: 10)")
     parser.add_argument("--docs", action="store_true", help="write the table into docs/tasks.md")
 
 
 def measure(chosen: dict[str, Trial], scenes: int, out: Path | None) -> dict[str, list[dict[str, Any]]]:
-    """Run what is not there yet, all trials in turns; return the episodes of each that has some.
+    """Run the missing episodes, all trials in turns; return the episodes of each trial that has some.
 
-    An interruption (Ctrl-C) ends it early.
+    An interruption (Ctrl-C) ends the run early.
     """
     kept = Kept(out, {key: trial.config() for key, trial in chosen.items()}) if out else None
     known = kept.load() if kept else {}

@@ -1,9 +1,9 @@
-"""How often scenes whose way is blocked are solved: by the expert, and by one that goes straight from stage to stage.
+"""Success rates in scenes with a blocked path: of the expert, and of an actor that moves straight from stage to stage.
 
-Both act in the same scenes, through the cores, with the noise that demonstrations have. An episode succeeds when the
-skill's own conditions hold after a second of rest, at the first try, and no distractor was moved by more than 1 cm,
-as the tasks demand. Why others fail is counted apart: not solved, or a distractor disturbed. To see both of every
-episode it is judged by the skill alone here and goes on after a disturbance.
+Both act in the same scenes, through the cores, with the noise of demonstrations. An episode succeeds if, as the tasks
+demand, the skill's own conditions hold at the first try after a second of rest, and no distractor moved by more than
+1 cm. Failures are counted by cause: not solved, or a distractor disturbed. To measure both causes in every episode, the
+benchmark judges episodes by the skill alone and continues after a disturbance.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ TASKS = ("pick_up_blocked", "place_on_blocked")
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How an episode ended."""
+    """The result of an episode."""
 
     solved: bool
-    """By the skill's own conditions, at the first try."""
+    """Whether the skill's own conditions held at the first try."""
     shift_m: float
     """Largest distance that a distractor was moved at any tick [m]."""
     reason: str
-    """Why it was not solved."""
+    """Reason why it was not solved."""
     draws: int
-    """Placements drawn for the scene."""
+    """Number of placements drawn for the scene."""
 
     @property
     def succeeded(self) -> bool:
-        """Whether the task as it is shipped counts it."""
+        """Whether it is a success by the conditions of the shipped task."""
         return self.solved and self.shift_m <= DISTURBED_M
 
 
 class Watch:
-    """Stands before the sim, leaves the cameras out and notes how far distractors are moved."""
+    """A proxy of the sim that omits the cameras and records how far distractors move."""
 
     def __init__(self, sim: SimPort) -> None:
         """Watch a sim."""
@@ -85,7 +85,7 @@ class Watch:
         return state
 
     def __getattr__(self, name: str) -> Any:
-        """Leave the rest to the sim."""
+        """Delegate everything else to the sim."""
         return getattr(self._sim, name)
 
 
@@ -120,7 +120,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(cores: CoreGraph, actor: ActorPort, task: str, scenes: int, folder: str) -> list[Ended]:
-    """Run an actor in the scenes of a task."""
+    """Run an actor in the scenes of a task and return its results."""
     text = yaml.safe_dump(merged(yaml.safe_load(task_text(task)), {"distractors": {"stay_m": 0.0}}))
     watch = Watch(cores.ports.sim)
     ports: Ports = replace(cores.ports, actor=actor, sim=watch)

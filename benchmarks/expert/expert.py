@@ -1,10 +1,10 @@
-"""How often the expert succeeds at its first try, for every skill and object, among distractors.
+"""The expert's first-try success rate for every skill and object, with distractors.
 
-Through the cores, with the noise that demonstrations have, and without cameras but for one look at each reset. Success
-is judged after a second of rest; an episode that needed a second grasp is no success. A replay rebuilds the episode's
-scene in a fresh world and executes its actions open loop; it counts when every state hash agrees and the judge says
-success again. With ``--out`` episodes are kept as they end, and the same command goes on where it was stopped, as long
-as code and configuration are those that began.
+Episodes run through the cores, with the noise of demonstrations, and without cameras except for one image at each
+reset. Success is judged after a second of rest; an episode that needed a second grasp is not a success. A replay
+rebuilds the episode's scene in a fresh world and executes its actions open loop. It succeeds if every state hash agrees
+and the verdict is success again. With ``--out`` each finished episode is stored, and the same command continues an
+interrupted run, provided that code and configuration are unchanged.
 """
 
 from __future__ import annotations
@@ -69,20 +69,20 @@ def main() -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes here and go on from them")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--cells", default="", metavar="TEXT[,TEXT]", help="only cells whose name contains a text")
     parser.add_argument("--resets", type=int, default=0, metavar="N", help="per cell (default: 200; 40 for rarer ones)")
-    parser.add_argument("--core", action="store_true", help="only the cells that are measured most")
+    parser.add_argument("--core", action="store_true", help="only the cells with the most episodes")
     parser.add_argument("--clutter", type=int, nargs="+", default=[3], metavar="N", help="distractors (default: 3)")
-    parser.add_argument("--replays", type=float, default=0.1, metavar="SHARE", help="replayed share (default: 0.1)")
-    parser.add_argument("--list", action="store_true", help="print the cells' names and end")
+    parser.add_argument("--replays", type=float, default=0.1, metavar="SHARE", help="replayed fraction (default: 0.1)")
+    parser.add_argument("--list", action="store_true", help="print the cells' names and exit")
 
 
 def measure(
     by_name: dict[str, Cell], wanted: dict[str, int], options: argparse.Namespace
 ) -> dict[str, list[dict[str, Any]]]:
-    """Run what is not there yet; return every cell's episodes."""
+    """Run the missing episodes; return every cell's episodes."""
     kept = Kept(options.out, {name: cell.config() for name, cell in by_name.items()}) if options.out else None
     outcomes = kept.load() if kept else {}
     total = sum(wanted.values())
@@ -100,7 +100,7 @@ def measure(
 def missing(
     by_name: dict[str, Cell], wanted: dict[str, int], known: dict[str, list[dict[str, Any]]]
 ) -> Iterator[tuple[Cell, list[int]]]:
-    """Yield chunks of indices that have not been run, all cells in turns."""
+    """Yield chunks of the indices that are still to run, all cells in turns."""
     chunks = []
     for name, count in wanted.items():
         done = {outcome["index"] for outcome in known[name]}
@@ -126,7 +126,7 @@ def run(chunks: Iterable[tuple[Cell, list[int]]], options: argparse.Namespace) -
                 raise SystemExit(f"{outcome.key}: {outcome.message}")
             yield outcome.value
     except KeyboardInterrupt:
-        raise SystemExit("stopped; the same command with --out goes on") from None
+        raise SystemExit("stopped; the same command with --out continues") from None
 
 
 def _tell(note: Note) -> None:
@@ -140,7 +140,7 @@ def row(cell: Cell, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
 
 
 def summary(name: str, outcomes: list[dict[str, Any]], reasons: int | None = 3) -> dict[str, str | float]:
-    """Return a row of the table, with so many of the constraints that refused scenes; none: all of them."""
+    """Return a row of the table with the n constraints that rejected the most scenes; none: all constraints."""
     first = sum(o["first_try"] for o in outcomes)
     rate = success_rate(first, len(outcomes))
     reset = [o["reset_ms"] for o in outcomes]
@@ -171,7 +171,7 @@ def summary(name: str, outcomes: list[dict[str, Any]], reasons: int | None = 3) 
 def floors(
     core: list[dict[str, Any]], others: list[dict[str, Any]], by_cell: dict[str, list[dict[str, Any]]]
 ) -> Iterator[str]:
-    """Yield a line for each demand on the whole table: what was found, what is asked, whether it holds."""
+    """Yield a line for each requirement on the whole table: the figure, the goal, and whether it is met."""
 
     def line(what: str, value: float, goal: float, *, at_least: bool, unit: str = "%") -> str:
         holds = value >= goal if at_least else value <= goal
@@ -186,7 +186,7 @@ def floors(
             names = {o["cell"] for o in group}
             yield line(f"first try, {name} cells", share(group, "first_try"), overall, at_least=True)
             worst = min(names, key=lambda name: share(by_cell[name], "first_try"))
-            yield line(f"least of a cell ({worst})", share(by_cell[worst], "first_try"), each, at_least=True)
+            yield line(f"worst cell ({worst})", share(by_cell[worst], "first_try"), each, at_least=True)
     together = core + others
     yield line("episodes in which a distractor was disturbed", share(together, "disturbed"), 1.0, at_least=False)
     replays = [o for o in together if o["replayed"] is not None]
@@ -205,7 +205,7 @@ def floors(
 
 
 def visible(outcome: dict[str, Any]) -> bool:
-    """Tell whether the settled scene shows what the instruction names, by the thresholds that tasks have by default."""
+    """Return whether the settled scene shows the objects of the instruction, by the tasks' default thresholds."""
     least = VisibleConfig()
     return bool(outcome["seen_share"] >= least.share and outcome["seen_px"] >= least.pixels)
 

@@ -1,6 +1,6 @@
-"""How long a command takes to answer, from the shell: ``roboxim service call`` and others, each a process of its own.
+"""Response time of shell commands: ``roboxim service call`` and others, each in a separate process.
 
-Beside them, in turns: a bare rclpy script that asks the same service once, which is what a user would write instead.
+For comparison, in turns with them: a bare rclpy script that calls the same service once, as a user would write it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def main() -> None:
         times = [took[name] for took in rounds]
         bench.row(command=name, median_s=round(median(times), 2), worst_s=round(max(times), 2))
     bench.finish(
-        "first answer of `roboxim service call`", median(took["service call"] for took in rounds), "s", at_most=1.5
+        "first response of `roboxim service call`", median(took["service call"] for took in rounds), "s", at_most=1.5
     )
 
 

@@ -1,6 +1,6 @@
-"""How many demonstrations an hour: ``roboxim generate`` with 2 workers, two 256 x 256 raster cameras, recorded.
+"""Recorded demonstrations per hour: ``roboxim generate`` with 2 workers and two 256 x 256 raster cameras.
 
-Counts the steady state: from the first finished episode to the last one, and start-up apart.
+Measures the steady state, from the first finished episode to the last one; start-up is reported separately.
 """
 
 import tempfile

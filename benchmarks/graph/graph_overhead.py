@@ -1,7 +1,7 @@
-"""What the node graph costs: an episode through the nodes against the same episode driven through the cores.
+"""Overhead of the node graph: an episode through the nodes, compared with the same episode through the cores.
 
 Both draw, simulate, render two cameras, judge, act with the expert and write the same bag. The episodes are
-interleaved in one process on one machine; the headline is the ratio of the medians of wall time per tick.
+interleaved in one process on one machine. The headline is the ratio of the median wall times per tick.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""A program of another environment under `.tools/` that a benchmark asks to do its work, in the same run as ours."""
+"""A peer program from another environment under `.tools/`, which a benchmark measures in the same run as RoboXim."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "CMA
 
 
 class Peer:
-    """A script in ``peers/`` that speaks the protocol of ``peers/_serve.py``."""
+    """A script in ``peers/`` that implements the protocol of ``peers/_serve.py``."""
 
     def __init__(self, environment: str, script: str, *arguments: str, variables: dict[str, str] | None = None) -> None:
-        """Start it and wait until it is ready.
+        """Start the script and wait until it is ready.
 
         Args:
             environment: Name of the environment; see `installed`.
             script: Name of the script.
             arguments: Its arguments.
-            variables: Environment variables besides ours.
+            variables: Additional environment variables.
         """
         clean = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
         if clean.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
@@ -41,7 +41,7 @@ class Peer:
         self._read()
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        """Send a request and return the answer."""
+        """Send a request and return the response."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
@@ -65,7 +65,7 @@ class Peer:
 
 
 def installed(environment: str) -> bool:
-    """Tell whether an environment is there."""
+    """Return whether an environment is installed."""
     return _python(environment).exists()
 
 

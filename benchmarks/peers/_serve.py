@@ -1,8 +1,12 @@
-"""How a contender talks to the benchmark: a JSON object a line in, a JSON object a line out; needs numpy only.
+"""Protocol between a contender and the benchmark: one JSON object per line in each direction; needs numpy only.
 
-A request is ``{"problem": {...}, "seed": n, "limit_s": t}`` with the fields of ``_problems.Problem``. An answer has
-``ms`` (from the request's values to the timed motion, without setting up the scene where that is apart), ``setup_ms``,
-``error`` (empty when there is a motion), ``positions`` (a sample per millisecond, one at the end) and ``duration_s``.
+A request is ``{"problem": {...}, "seed": n, "limit_s": t}`` with the fields of ``_problems.Problem``. A response has:
+
+- ``ms``: time from the request's values to the timed motion, without the scene's set-up if that is measured separately;
+- ``setup_ms``: time of the scene's set-up;
+- ``error``: empty if there is a motion;
+- ``positions``: a sample per millisecond and one at the end;
+- ``duration_s``.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ Answer = dict[str, Any]
 
 
 def pack(array: np.ndarray) -> dict[str, Any]:
-    """Turn an array into JSON's types, bit for bit."""
+    """Convert an array to JSON types without loss."""
     plain = np.ascontiguousarray(array, dtype=np.float64)
     return {"shape": list(plain.shape), "data": base64.b64encode(plain.tobytes()).decode()}
 
@@ -37,10 +41,10 @@ def sample_times(duration: float) -> np.ndarray:
 
 
 def serve(make: Callable[[], Callable[[dict[str, Any]], Answer]]) -> None:
-    """Answer requests until the input ends; what libraries print goes to the standard error.
+    """Serve requests until the input ends; redirect the output of libraries to standard error.
 
     Args:
-        make: Makes the function that answers; called once.
+        make: Creates the request handler; called once.
     """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)

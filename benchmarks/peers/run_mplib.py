@@ -1,6 +1,6 @@
 """mplib as a contender: inverse kinematics, RRTConnect, simplification and toppra, with its defaults.
 
-Its obstacles are enlarged by the problem's padding. ``ms`` is `plan_pose` or `plan_qpos` alone.
+Obstacles are enlarged by the problem's padding. ``ms`` is the time of `plan_pose` or `plan_qpos` alone.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def make() -> Callable[[dict[str, Any]], Answer]:
         goal = problem["goal"]
         begun = time.perf_counter()
         try:
-            # their own trajectory times are wanted at a kilohertz; sampling costs a small part of the whole
+            # its own time law, sampled at a kilohertz; sampling takes a small part of the time
             options = {"time_step": 0.001, "planning_time": request["limit_s"]}
             if problem["goal_is_joints"]:
                 found = planner.plan_qpos([np.array([*goal, *FINGERS])], start, **options)
             else:
                 x, y, z, w = goal[3:]
                 found = planner.plan_pose(mplib.Pose(goal[:3], [w, x, y, z]), start, **options)
-        except Exception as error:  # whatever it raises means that it has no answer
+        except Exception as error:  # any exception counts as no solution
             return {"ms": 1e3 * (time.perf_counter() - begun), "error": f"{type(error).__name__}: {error}"}
         ms = 1e3 * (time.perf_counter() - begun)
         if found["status"] != "Success":
@@ -76,7 +76,7 @@ def make() -> Callable[[dict[str, Any]], Answer]:
 
 
 def _resampled(found: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """Return samples at whole milliseconds and at the end; theirs are a hair more than a millisecond apart."""
+    """Return samples at whole milliseconds and at the end; mplib's are slightly more than a millisecond apart."""
     times, positions, duration = found["time"], found["position"], float(found["duration"])
     at = sample_times(duration)
     return np.stack([np.interp(at, times, column) for column in positions.T], axis=1), duration

@@ -1,6 +1,6 @@
-"""MuJoCo's renderer on a scene of ours: ``run_mujoco.py FOLDER`` with ``scene.xml`` and ``frames.json``.
+"""MuJoCo's renderer on a RoboXim scene: ``run_mujoco.py FOLDER`` with ``scene.xml`` and ``frames.json``.
 
-A request ``{"pairs": n}`` is answered with the wall and processor times of so many pairs of RGB images [ms].
+The response to a request ``{"pairs": n}`` is the wall and processor times of n pairs of RGB images [ms].
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """robosuite's Lift with two 256x256 RGB cameras at 10 Hz.
 
-A request ``{"steps": n}`` is answered with the wall times of so many control steps, and of a soft reset before [ms].
+The response to a request ``{"steps": n}`` is the wall times of n control steps and of a preceding soft reset [ms].
 """
 
 from __future__ import annotations

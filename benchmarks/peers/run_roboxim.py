@@ -1,6 +1,6 @@
 """RoboXim's planner as a contender. ``ms`` includes setting up the scene, which is part of each request.
 
-Beyond the contenders' protocol it answers requests with an ``op``: ``ik``, ``retreat``, ``repeat`` and ``digests``.
+In addition to the contenders' protocol it serves requests with an ``op``: ``ik``, ``retreat``, ``repeat``, ``digests``.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _plan(planner: Planner, problem: dict[str, Any], seed: int, watch: Callable[
 
 
 def inverse_kinematics(planner: Planner, request: dict[str, Any]) -> Answer:
-    """Solve poses (N, 7), position and quaternion; answers joints (N, 7), NaN where there are none, and times (N,)."""
+    """Solve poses (N, 7), position and quaternion; return joints (N, 7), NaN if unsolved, and times (N,)."""
     reference = planner.named_state("home")
     joints, times = [], []
     for row in unpack(request["poses"]).tolist():
@@ -77,7 +77,7 @@ def inverse_kinematics(planner: Planner, request: dict[str, Any]) -> Answer:
 
 
 def retreat(planner: Planner, request: dict[str, Any]) -> Answer:
-    """Plan to the problem's pose and straight back from there as one request; answers whether both succeed."""
+    """Plan to the problem's pose and straight back from there as one request; return whether both succeed."""
     problem = request["problem"]
     back = StageGoal(pose=Pose(position=(0.0, 0.0, -request["distance_m"])), frame="tcp")
     stages = (
@@ -95,7 +95,7 @@ def retreat(planner: Planner, request: dict[str, Any]) -> Answer:
 
 
 def repeat(planner: Planner, request: dict[str, Any]) -> Answer:
-    """Plan a number of problems without keeping the plans; answers how much memory the process has then [MiB]."""
+    """Plan a number of problems without keeping the plans; return the process's memory afterwards [MiB]."""
     for k, problem in enumerate(request["problems"]):
         try:
             _plan(planner, problem, request["seed"] + k, no_watch)
@@ -107,7 +107,7 @@ def repeat(planner: Planner, request: dict[str, Any]) -> Answer:
 
 
 def digests(planner: Planner, request: dict[str, Any]) -> Answer:
-    """Plan problems; answers a hash of each motion's samples, or the error's code."""
+    """Plan problems; return a hash of each motion's samples, or the error's code."""
     found = []
     for k, problem in enumerate(request["problems"]):
         try:

@@ -1,6 +1,6 @@
-"""Toppra as a measure: the shortest time on the geometric path of a motion within velocity and acceleration limits.
+"""Toppra as a reference: the shortest duration on a motion's geometric path within velocity and acceleration limits.
 
-It knows no limit of jerk, so a motion that keeps one takes longer.
+It has no jerk limits, so a motion with limited jerk takes longer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What else the planner promises, measured by the referee: inverse kinematics, straight retreats, memory, load."""
+"""Further planner benchmarks, judged by the referee: inverse kinematics, straight retreats, memory, load."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Row = dict[str, str | float]
 IK_M, IK_RAD = 1e-4, 1e-3
 RETREAT_M = 0.12
 CANDIDATES = 120
-"""Goal configurations that the brute-force search tries."""
+"""Number of goal configurations that the brute-force search tries."""
 STEPS = 48
-"""Steps in which it follows the line."""
+"""Number of steps in which the search follows the line."""
 
 
 def ik_row(ours: Contender, count: int, salt: int) -> Row:
-    """Solve for the tcp poses of random configurations within the limits; a solution is checked by the referee."""
+    """Solve for the tcp poses of random configurations within the limits; the referee checks the solutions."""
     referee = Referee([])
     rng = np.random.default_rng([20262, salt])
     targets = [referee.tcp(q) for q in rng.uniform(LOWER, UPPER, (count, 7))]
@@ -50,7 +50,7 @@ def ik_row(ours: Contender, count: int, salt: int) -> Row:
 
 
 def load_row(make: Callable[[], Contender], count: int, salt: int) -> Row:
-    """Make the same plans in a fresh process, and in another while four processes per core keep the machine busy."""
+    """Compute the same plans in a fresh process, and in another one under a load of four processes per core."""
     problems = [tabletop(seed, salt).plain() for seed in range(count)]
     request = {"op": "digests", "problems": problems, "seed": 0}
     with make() as alone:
@@ -81,10 +81,10 @@ def _reaches(referee: Referee, joints: Array, target: pin.SE3) -> bool:
 
 
 def retreat_row(ours: Contender, count: int, salt: int) -> Row:
-    """Reach tabletop poses and go 12 cm straight back from there, where a brute-force search says that it can be done.
+    """Reach tabletop poses and retreat 12 cm straight back, where a brute-force search finds this feasible.
 
-    The search tries many goal configurations and follows the line from each, so it says that a configuration at the
-    pose exists from which the line is free; the planner is asked for both motions as one request and must choose it.
+    The search tries many goal configurations and follows the line from each. It thus finds a configuration at the pose
+    from which the line is free. The planner gets both motions as one request and must choose such a configuration.
     """
     times, valid, feasible, seed, faults = [], 0, 0, 0, []
     while feasible < count:
@@ -114,7 +114,7 @@ def retreat_row(ours: Contender, count: int, salt: int) -> Row:
 
 
 def is_retreat_feasible(problem: Problem) -> bool:
-    """Tell whether any of many free configurations at the goal can go straight back by `RETREAT_M`."""
+    """Return whether any of many free configurations at the goal allows a straight retreat by `RETREAT_M`."""
     goal, referee = problem.goal_value, problem.referee()
     assert isinstance(goal, pin.SE3)
     rng = np.random.default_rng(7)
@@ -141,7 +141,7 @@ def _line_is_free(referee: Referee, goal: pin.SE3, joints: Array) -> bool:
 
 
 def _retreat_faults(problem: Problem, motions: list[tuple[dict[str, Any], float]]) -> list[str]:
-    """Judge both motions, and how straight the second is."""
+    """Judge both motions, and the straightness of the second."""
     referee, goal = problem.referee(), problem.goal_value
     assert isinstance(goal, pin.SE3)
     away = goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, -RETREAT_M]))
@@ -160,7 +160,7 @@ def _retreat_faults(problem: Problem, motions: list[tuple[dict[str, Any], float]
 
 
 def memory_row(ours: Contender, plans: int, salt: int) -> Row:
-    """Plan again and again and say by how much the process has grown, after a tenth more as a warm-up."""
+    """Plan repeatedly and report the growth of the process; a tenth as many plans first serve as warm-up."""
     problems = [tabletop(seed, salt).plain() for seed in range(100)]
     sizes = []
     warm_up = max(1, plans // 1000)

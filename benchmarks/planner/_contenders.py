@@ -1,7 +1,7 @@
-"""Planners side by side, each in a process of its own environment, asked one after the other.
+"""Planners to compare, each in a process with its own environment, queried one after the other.
 
-A contender is a script in ``peers/`` that speaks the protocol of ``peers/_serve.py``. Peers get the same robot: the
-planner's URDF and SRDF, its collision meshes replaced by their convex hulls, which is what ours plans with as well.
+A contender is a script in ``peers/`` that implements the protocol of ``peers/_serve.py``. Peers get the same robot: the
+planner's URDF and SRDF with the collision meshes replaced by their convex hulls, which RoboXim's planner uses as well.
 """
 
 from __future__ import annotations
@@ -29,34 +29,34 @@ HERE = Path(__file__).resolve().parents[1]
 TOOLS = HERE.parent / ".tools"
 OURS = "roboxim"
 LIMIT_S = 5.0
-"""Time for a problem."""
+"""Time limit for a problem."""
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a contender made of a problem."""
+    """A contender's result for a problem."""
 
     problem: str
     """Its name."""
     contender: str
     """Who."""
     ms: float
-    """Time of the request; ours with setting up the scene, a peer's without."""
+    """Time of the request; RoboXim's includes the scene's set-up, a peer's does not."""
     scene_ms: float = 0.0
-    """Time in which a peer sets up the scene; 0: it is part of ``ms``."""
+    """Time of a peer's scene set-up; 0: it is part of ``ms``."""
     error: str = ""
-    """Why there is no motion; empty when there is one."""
+    """Reason why there is no motion; empty if there is one."""
     faults: str = ""
-    """Why the motion is not valid; empty when it is."""
+    """Reason why the motion is invalid; empty if it is valid."""
     violations: str = ""
-    """Limits that the motion breaks."""
+    """Limits that the motion violates."""
     duration_s: float = 0.0
     """Duration of the motion."""
     toppra_s: float = 0.0
-    """Shortest duration that toppra finds on its path; 0: not measured."""
+    """Shortest duration that toppra finds on the motion's path; 0: not measured."""
     route: str = ""
-    """How it was found, where the contender says so."""
+    """How the motion was found, if the contender reports it."""
     detour: bool = False
     """Whether the direct joint line collides."""
     positions: Array | None = field(default=None, compare=False, repr=False)
@@ -64,20 +64,20 @@ class Outcome:
 
     @property
     def valid(self) -> bool:
-        """Whether there is a motion without collision from the start to the goal."""
+        """Whether there is a collision-free motion from the start to the goal."""
         return not self.error and not self.faults
 
     @property
     def clean(self) -> bool:
-        """Whether it also keeps all limits."""
+        """Whether the motion also satisfies all limits."""
         return self.valid and not self.violations
 
 
 class Contender:
-    """A planner in a process of its own."""
+    """A planner in a separate process."""
 
     def __init__(self, name: str, python: Path, script: str, *arguments: str) -> None:
-        """Describe the process; it starts with the first question."""
+        """Describe the process; it starts with the first request."""
         self.name = name
         self._command = [str(python), str(HERE / "peers" / script), *arguments]
         self._process: subprocess.Popen[str] | None = None
@@ -101,7 +101,7 @@ class Contender:
         """Start the process and wait until it is ready.
 
         Raises:
-            RuntimeError: When it does not start; its last words are in the message.
+            RuntimeError: When it does not start; the message contains its last output.
         """
         environment = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
         if environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
@@ -114,10 +114,10 @@ class Contender:
             raise RuntimeError(f"{self.name} does not start: {self._last_words()}")
 
     def ask(self, request: dict[str, Any], limit_s: float = 60.0) -> dict[str, Any]:
-        """Send a request and return the answer; that the process hangs, or dies of a signal, is an answer too.
+        """Send a request and return the response; a hang and death by a signal give a response with an error.
 
         Raises:
-            RuntimeError: When it ends by itself, which is a fault of the script in ``peers/``.
+            RuntimeError: When the process exits by itself, which is a fault of the script in ``peers/``.
         """
         if self._process is None:
             self.start()
@@ -141,7 +141,7 @@ class Contender:
         return answer
 
     def solve(self, problem: Problem, seed: int) -> Outcome:
-        """Have a problem solved and judged."""
+        """Let the contender solve a problem and judge the result."""
         answer = self.ask({"problem": problem.plain(), "seed": seed, "limit_s": LIMIT_S}, 6.0 * LIMIT_S)
         common: dict[str, Any] = {"problem": problem.name, "contender": self.name, "detour": problem.detour}
         common["scene_ms"] = answer.get("setup_ms", 0.0)
@@ -193,18 +193,18 @@ def contenders(names: list[str], robot_folder: Path) -> tuple[list[Contender], l
 
 
 def our_planner() -> Contender:
-    """Return ours, in a process of its own."""
+    """Return RoboXim's planner, in a separate process."""
     return Contender(OURS, Path(sys.executable), "run_roboxim.py")
 
 
 def toppra_measure() -> Contender | None:
-    """Return toppra, or none when its environment is not installed."""
+    """Return toppra, or none if its environment is not installed."""
     python = TOOLS / "planner-mplib-env/bin/python"
     return Contender("toppra", python, "run_toppra.py") if python.exists() else None
 
 
 def write_robot(folder: Path) -> None:
-    """Write the URDF, with convex collision meshes (``package://panda/...``) and no visual ones, and the SRDF."""
+    """Write the URDF, with convex collision meshes (``package://panda/...``) and no visual meshes, and the SRDF."""
     tree = ElementTree.parse(SOURCE / "urdf/panda.urdf")
     (folder / "panda").mkdir()
     for link in tree.getroot().iter("link"):
@@ -213,7 +213,7 @@ def write_robot(folder: Path) -> None:
         for mesh in link.iter("mesh"):
             name = Path(mesh.attrib["filename"]).name
             hull = trimesh.load_mesh(SOURCE / "meshes/collision" / name).convex_hull
-            for file in (name, f"{name}.convex.stl"):  # the second is what mplib looks for
+            for file in (name, f"{name}.convex.stl"):  # mplib looks for the second one
                 hull.export(folder / "panda" / file)
             mesh.set("filename", f"package://panda/{name}")
     tree.write(folder / "panda.urdf")

@@ -1,7 +1,7 @@
-"""Says whether a problem that nobody solved has a solution: a search of a minute with the referee's own checks.
+"""Search for a solution of a problem that no contender solved: one minute with the referee's own checks.
 
 A search that finds nothing proves nothing. A problem counts as infeasible only for one of the reasons that
-`why_infeasible` gives; a problem that is neither solved nor proved infeasible stays unsolved.
+`why_infeasible` returns. A problem that is neither solved nor proved infeasible remains unsolved.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ompl import util as ou
 Array = npt.NDArray[np.float64]
 EDGE_RAD = 0.02
 GOAL_ATTEMPTS = 4000
-"""Random configurations from which inverse kinematics descends to a goal pose before it counts as unreachable."""
+"""Number of random initial configurations for inverse kinematics after which a goal pose counts as unreachable."""
 
 
 def why_infeasible(problem: Problem, seed: int = 1, attempts: int = GOAL_ATTEMPTS) -> str:
-    """Return why no motion can solve a problem; empty: that is not proved.
+    """Return why no motion can solve a problem; empty: infeasibility is not proved.
 
     Args:
         problem: The problem.
-        seed: Of the random numbers.
-        attempts: Random configurations from which inverse kinematics descends to a goal pose.
+        seed: Seed of the random numbers.
+        attempts: Number of random initial configurations for inverse kinematics.
     """
     referee = problem.referee()
     start = np.array(problem.start)
@@ -66,8 +66,8 @@ def is_solvable(problem: Problem, limit_s: float = 60.0, seed: int = 1) -> bool:
 
     Args:
         problem: The problem.
-        limit_s: Time.
-        seed: Of the random numbers.
+        limit_s: Time limit [s].
+        seed: Seed of the random numbers.
     """
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
     begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""Runs contenders over problems, keeps what they did in a file so that a long run can go on, and counts."""
+"""Runs of contenders over problems: storage of the outcomes, so that a long run can be resumed, and statistics."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from benchmarks.planner._problems import Problem, tabletop
 from benchmarks.planner._problems_hard import FAMILIES, hard
 
 Draw = tuple[str, int, Callable[[], Problem]]
-"""Name, seed, and how to make the problem."""
+"""Name, seed, and a function that creates the problem."""
 
 
 class Store:
-    """Outcomes by problem and contender, appended to a file when there is one."""
+    """Outcomes by problem and contender, optionally appended to a file."""
 
     def __init__(self, path: Path | None) -> None:
-        """Read what is there."""
+        """Read the outcomes that the file already has."""
         self._path = path
         self._known: dict[tuple[str, str], Outcome] = {}
         for line in path.read_text().splitlines() if path is not None and path.exists() else ():
@@ -50,7 +50,7 @@ def tabletop_draws(count: int, salt: int) -> list[Draw]:
 
 
 def hard_draws(count: int, salt: int) -> list[Draw]:
-    """Return draws of hard problems, ``count`` of each family, the families in turn."""
+    """Return draws of hard problems, ``count`` of each family, alternating between families."""
     return [
         (f"{family}-{seed}", seed, lambda family=family, seed=seed: hard(family, seed, salt))
         for seed in range(count)
@@ -59,7 +59,7 @@ def hard_draws(count: int, salt: int) -> list[Draw]:
 
 
 def file_draws(problems: list[Problem]) -> list[Draw]:
-    """Return draws of problems that exist."""
+    """Return draws of given problems."""
     return [(problem.name, seed, lambda problem=problem: problem) for seed, problem in enumerate(problems)]
 
 
@@ -72,14 +72,14 @@ def run_problems(
     peers_every: int = 1,
     until: float = np.inf,
 ) -> tuple[list[Outcome], bool]:
-    """Have every contender solve every problem, one after the other, in an order that turns.
+    """Let every contender solve every problem, one after the other, in rotating order.
 
     Args:
         draws: The problems.
-        contenders: Who.
-        store: Holds what is known already; gets what is not.
-        measure: Toppra, which times the paths of our motions; none: nothing is compared.
-        peers_every: Peers get every so many-th problem.
+        contenders: The contenders.
+        store: Contains the known outcomes; receives the new ones.
+        measure: Toppra, which times the paths of RoboXim's motions; none: no comparison.
+        peers_every: n, so that peers get every n-th problem.
         until: Time of `time.monotonic` at which to stop.
 
     Returns:
@@ -113,17 +113,17 @@ def _solve(contender: Contender, problem: Problem, seed: int, measure: Contender
 
 
 INFEASIBLE = "infeasible: "
-"""How what the search said of a problem begins when it is proved that nobody can solve it."""
+"""Prefix of the search's result for a problem that is proved infeasible."""
 
 
 def infeasible(outcomes: list[Outcome], draws: Iterable[Draw], store: Store, *, search_s: float) -> set[str]:
-    """Return the problems that are proved to have no solution; print every failure of ours and what is known of it.
+    """Return the problems that are proved infeasible; print every failure of RoboXim and what is known about it.
 
     Args:
-        outcomes: What the contenders did.
+        outcomes: Outcomes of the contenders.
         draws: The problems.
-        store: Remembers what the search said.
-        search_s: Time of a search for a problem that nobody solves [s]; 0: none.
+        store: Stores the search's results.
+        search_s: Duration of the search for a problem that no contender solves [s]; 0: no search.
     """
     solved = {outcome.problem for outcome in outcomes if outcome.valid}
     makers = {name: make for name, _, make in draws}
@@ -142,7 +142,7 @@ def infeasible(outcomes: list[Outcome], draws: Iterable[Draw], store: Store, *, 
 
 
 def _known_of(make: Callable[[], Problem], name: str, store: Store, search_s: float) -> str:
-    """Return what is known of a problem that nobody solved: proved infeasible, solved by a search, or neither."""
+    """Return the status of a problem that no contender solved: proved infeasible, solved by a search, or neither."""
     known = store.get(name, "search")
     if known is None or (known.error and not known.error.startswith(INFEASIBLE)):
         problem = make()
@@ -158,7 +158,7 @@ def _known_of(make: Callable[[], Problem], name: str, store: Store, search_s: fl
 
 
 def summary(outcomes: list[Outcome], contender: str, without: set[str]) -> dict[str, str | float]:
-    """Return a table's row about a contender; the problems in ``without``, proved infeasible, do not count."""
+    """Return a contender's row of the table; the problems in ``without``, proved infeasible, do not count."""
     everything = [o for o in outcomes if o.contender == contender]
     mine = [o for o in everything if o.problem not in without]
     if not mine:

@@ -1,4 +1,4 @@
-"""Reads published planning problems for the Panda: MotionBenchMaker's scenes and requests, and their JSON collection.
+"""Reader for published planning problems for the Panda: MotionBenchMaker's scenes and requests, and a JSON collection.
 
 - A folder or tar archive of pairs ``sceneNNNN.yaml`` (a MoveIt planning scene) and ``requestNNNN.yaml`` (a MoveIt
   motion plan request), as MotionBenchMaker publishes them, one folder for each set; or one such scene file with its
@@ -6,7 +6,7 @@
 - ``problems.json``: ``{"joints": [...], "problems": {set: [{"box": [...], "cylinder": [...], "sphere": [...],
   "start": [...], "goals": [[...]]}]}}``, to which VAMP converts them. Source: https://github.com/KavrakiLab/vamp
 
-All poses are in the robot's base, goals are arm configurations. The planned arm must be the Panda.
+All poses are in the frame of the robot's base, goals are arm configurations. The arm must be the Panda.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ IDENTITY = pin.SE3.Identity()
 
 
 class ProblemFileError(ValueError):
-    """A file does not hold problems of a known format; the message says where."""
+    """A file has no problems in a known format; the message names the place."""
 
 
 def load_problems(path: Path) -> tuple[list[Problem], list[str]]:
-    """Return the problems of a file or folder, and for those left out why.
+    """Return the problems of a file or folder, and the reasons for omitted ones.
 
-    A problem is left out when its start or goal collides on the original meshes: nobody could solve it.
+    A problem is omitted if its start or goal collides on the original meshes, because then it is infeasible.
 
     Args:
         path: A JSON collection, a folder, a tar archive, or a scene's YAML file.
@@ -113,7 +113,7 @@ def _from_yaml(path: Path) -> Iterator[Read]:
 
 
 def _yaml_texts(path: Path) -> Iterator[tuple[str, str]]:
-    """Return the YAML files at a path by their name, folders included."""
+    """Return the YAML files at a path by name, including subfolders."""
     if path.is_dir():
         for file in path.rglob("*.y*ml"):
             yield str(file.relative_to(path.parent)), file.read_text()
@@ -133,13 +133,13 @@ def _yaml_texts(path: Path) -> Iterator[tuple[str, str]]:
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NEEDED = {"": {"robot_state", "world"}, "world": {"collision_objects"}}
-"""What is read of a scene: keys at the top, and of these keys' own mappings."""
+"""The parts of a scene that are read: top-level keys, and keys of their mappings."""
 
 
 def needed_of_scene(text: str) -> str:
-    """Return the parts of a MoveIt scene's YAML that are read; its octomap alone takes seconds to parse.
+    """Return the needed parts of a MoveIt scene's YAML text; parsing the octomap alone would take seconds.
 
-    Block mappings are cut by the indentation of their keys. Anything else (one in flow style) stays as it is.
+    Block mappings are split by the indentation of their keys. Other text, such as flow style, is kept unchanged.
     """
     kept = []
     for key, part in _parts(text, ""):
@@ -173,7 +173,7 @@ def _moveit_solids(scene: dict[str, Any]) -> list[Solid]:
         for primitive, pose in zip(item["primitives"], item["primitive_poses"], strict=True):
             kind, sizes = _KINDS.get(primitive["type"], primitive["type"]), list(primitive["dimensions"])
             if kind == "cylinder":
-                sizes = sizes[1::-1]  # MoveIt gives the height first
+                sizes = sizes[1::-1]  # MoveIt lists the height first
             solids.append(_solid(kind, tuple(sizes), base * _pose(pose)))
     return solids
 

@@ -1,8 +1,8 @@
-"""Planning problems for the Panda by seed: what all contenders are given, and tabletop scenes.
+"""Planning problems for the Panda by seed: the format that all contenders receive, and tabletop scenes.
 
-A problem is plain values in the frame of the robot's base, so that it can be handed to a process that knows nothing of
-RoboXim. Nothing here uses the planner: goals come from random configurations and `roboxim_core`'s kinematics, and
-whether a configuration is free is the referee's word.
+A problem consists of plain values in the frame of the robot's base, so that a process without RoboXim can read it. This
+module does not use the planner: goals come from random configurations and `roboxim_core`'s kinematics, and the referee
+decides whether a configuration is free.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from roboxim_core.poses import Pose
 
 Array = npt.NDArray[np.float64]
 PADDING_M = 0.005
-"""Distance to obstacles that every contender is asked to search with, where a problem's ends allow it."""
+"""Distance to obstacles that contenders keep while searching, if the problem's start and goal allow it."""
 TABLE = Solid(kind="box", size=(0.9, 1.4, 0.05), position=(0.5, 0.0, -0.025))
 STICK = Solid(kind="box", size=(0.02, 0.02, 0.12), position=(0.0, 0.0, 0.03))
 
@@ -38,7 +38,7 @@ class Problem:
     solids: tuple[Solid, ...]
     """Obstacles, poses in the robot's base."""
     held: Solid | None = None
-    """What the gripper holds, pose in the tcp frame."""
+    """Solids that the gripper holds, poses in the tcp frame."""
     start: tuple[float, ...]
     """Arm configuration, 7 numbers [rad]."""
     goal: tuple[float, ...]
@@ -57,15 +57,15 @@ class Problem:
 
     @property
     def goal_value(self) -> pin.SE3 | Array:
-        """The goal as the referee takes it."""
+        """The goal in the referee's format."""
         return np.array(self.goal) if self.goal_is_joints else pin.XYZQUATToSE3(np.array(self.goal))
 
     def referee(self) -> Referee:
-        """Return who judges it."""
+        """Return the referee of the problem's scene."""
         return Referee(self.solids, self.held)
 
     def plain(self) -> dict[str, Any]:
-        """Return it as JSON's types."""
+        """Return the problem as JSON types."""
         return dataclasses.asdict(self)
 
 
@@ -76,14 +76,14 @@ def arm() -> ArmKinematics:
 
 
 def problem(name: str, referee: Referee, start: Array, end: Array, *, joints: bool = False) -> Problem:
-    """Make a problem of a scene and two free configurations.
+    """Create a problem from a scene and two free configurations.
 
     Args:
-        name: Its name.
+        name: Name of the problem.
         referee: The scene.
         start: Configuration at the start.
         end: A configuration at the goal.
-        joints: Whether exactly that configuration is the goal, instead of the tcp's pose there.
+        joints: Whether the goal is that configuration instead of its tcp pose.
     """
     goal = referee.tcp(end)
     wide = all(referee.keeps(q, 1.1 * PADDING_M) for q in (start, end))
@@ -100,7 +100,7 @@ def problem(name: str, referee: Referee, start: Array, end: Array, *, joints: bo
 
 
 def is_detour(referee: Referee, start: Array, end: Array, goal: pin.SE3, *, joints: bool = False) -> bool:
-    """Tell whether the joint lines to a goal configuration, and to the one nearest to the start, collide."""
+    """Return whether the joint lines to a goal configuration and to the one nearest to the start collide."""
     if not referee.edge_collides(start, end):
         return False
     near = arm().ik_near(Pose.from_matrix(goal.homogeneous), start)
@@ -108,7 +108,7 @@ def is_detour(referee: Referee, start: Array, end: Array, goal: pin.SE3, *, join
 
 
 def configuration_at(rng: np.random.Generator, pose: pin.SE3) -> Array | None:
-    """Return a random arm configuration with the tcp at a pose, or none when an attempt fails."""
+    """Return a random arm configuration with the tcp at a pose, or none if the attempt fails."""
     seed = rng.uniform(0.8 * LOWER + 0.2 * UPPER, 0.2 * LOWER + 0.8 * UPPER)
     found = arm().ik_near(Pose.from_matrix(pose.homogeneous), seed)
     inside = found.converged and bool(((found.joints >= LOWER) & (found.joints <= UPPER)).all())
@@ -129,11 +129,11 @@ def free_configuration(
 def tabletop(seed: int, salt: int = 0) -> Problem:
     """Draw a tabletop problem: 3 to 10 boxes, cylinders and spheres on a table; every third with a stick in the hand.
 
-    In every second one the direct joint line collides. An answer exists unless the way is shut.
+    In every second problem the direct joint line collides. A solution exists unless the path is blocked completely.
 
     Args:
         seed: Number of the problem.
-        salt: Another set of problems for each.
+        salt: Selects a set of problems.
     """
     rng = np.random.default_rng([20260, salt, seed])
     while True:

@@ -1,8 +1,8 @@
-"""Hard planning problems in the manner of MotionBenchMaker: shelves, a crate, a cage, a table with clutter.
+"""Hard planning problems in the style of MotionBenchMaker: shelves, a crate, a cage, a table with clutter.
 
-The scenes follow the published families (a small, a tall and a thin bookshelf, a box with a lid, a cage, picking from
-a cluttered table from above and from under it) at the Panda's scale; dimensions, the scene's pose, what stands in it
-and the grasp are drawn per seed. The arm starts outside, and the goal is a grasp's tcp pose inside.
+The scenes follow the published families at the Panda's scale: a small, a tall and a thin bookshelf, a box with a lid, a
+cage, picking from a cluttered table from above and from under it. Dimensions, the scene's pose, its objects and the
+grasp are drawn per seed. The arm starts outside, and the goal is a grasp's tcp pose inside.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from benchmarks.planner._referee import Referee, Solid
 
 Array = npt.NDArray[np.float64]
 Scene = tuple[list[Solid], Callable[[np.random.Generator], pin.SE3], Callable[[np.random.Generator], pin.SE3]]
-"""Solids, a draw of a tcp pose at the start, and one at the goal."""
+"""Solids, and functions that draw a tcp pose at the start and at the goal."""
 WALL = 0.02
 READY = np.array([0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854])
 
@@ -29,7 +29,7 @@ def hard(family: str, seed: int, salt: int = 0) -> Problem:
     Args:
         family: One of `FAMILIES`.
         seed: Number of the problem.
-        salt: Another set of problems for each.
+        salt: Selects a set of problems.
     """
     rng = np.random.default_rng([20261, salt, list(FAMILIES).index(family), seed])
     for _ in range(200):
@@ -164,13 +164,13 @@ def _table(rng: np.random.Generator, *, under: bool) -> Scene:
 
 
 def _outside(rng: np.random.Generator) -> pin.SE3:
-    """Draw a tcp pose near the ready state, clear of what stands in front of the arm."""
+    """Draw a tcp pose near the ready state, clear of the obstacles in front of the arm."""
     tilt = pin.rpy.rpyToMatrix(*rng.uniform(-0.3, 0.3, 2), rng.uniform(-1.5, 1.5))
     return pin.SE3(tilt @ np.diag([1.0, -1.0, -1.0]), rng.uniform([0.15, -0.4, 0.3], [0.35, 0.4, 0.65]))
 
 
 def _forward_grasp(rng: np.random.Generator, *, pitch: float, yaw: float) -> Array:
-    """Return a tcp orientation that approaches (z) along +x, pitched down and yawed; fingers level, either way."""
+    """Return a tcp orientation that approaches (z) along +x, pitched down and yawed; fingers level, either way up."""
     rotation = pin.rpy.rpyToMatrix(0.0, 0.0, yaw) @ pin.rpy.rpyToMatrix(0.0, np.pi / 2 + pitch, 0.0)
     return np.asarray(rotation @ pin.utils.rotate("z", np.pi * rng.integers(2)))
 

@@ -1,9 +1,10 @@
-"""Judges timed motions of the Panda without any code of the planner: the original collision meshes, at a kilohertz.
+"""Referee for timed motions of the Panda: checks the original collision meshes at a kilohertz, without planner code.
 
-Meshes and allowed pairs come from the ``example-robot-data`` wheel, not from this tree; collisions are coal's on the
-triangles, and on their convex hulls, which are the same bodies but solid: triangles miss a finger that is wholly inside
-a link. It is quick because it may skip what cannot collide, and exact because it skips nothing else: where the
-convex hulls of the meshes keep a distance d, every later sample to which no point of the arm has moved by d is free.
+Meshes and allowed pairs come from the ``example-robot-data`` wheel, not from this repository. Coal checks collisions of
+the triangles, and of their convex hulls, because triangles alone miss a finger that is completely inside a link.
+
+The referee skips only samples that cannot collide, so it is fast and exact: if the convex hulls of the meshes keep a
+distance d, every later sample is free as long as no point of the arm has moved by d.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ PERIOD_S = 0.001
 GOAL_M, GOAL_RAD, GOAL_JOINT_RAD = 1e-3, 1e-2, 1e-3
 START_RAD = 1e-4
 SLACK = 1.001
-"""Finite differences of a motion never exceed the largest value of its derivative, so only rounding needs room."""
+"""Finite differences of a motion never exceed the maximum of its derivative, so the tolerance covers rounding only."""
 MARGINS_M = (0.03, 0.01, 0.003)
 FINGERS_M = 0.04
 
@@ -56,10 +57,10 @@ class Solid:
         return pin.XYZQUATToSE3(np.array([*self.position, *self.quat_xyzw]))
 
     def shape(self) -> coal.ShapeBase:
-        """Return it as coal's shape.
+        """Return the solid as a coal shape.
 
         Raises:
-            ValueError: On another kind.
+            ValueError: On an unknown kind.
         """
         makers = {"box": coal.Box, "cylinder": coal.Cylinder, "sphere": coal.Sphere}
         if self.kind not in makers:
@@ -71,25 +72,25 @@ class Solid:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What is wrong with a motion."""
+    """The referee's findings about a motion."""
 
     faults: tuple[str, ...] = ()
-    """What makes it invalid: a collision, a wrong start or goal, a joint beyond its range, no rest at the ends."""
+    """Reasons why it is invalid: a collision, a wrong start or goal, a joint out of range, no rest at the ends."""
     violations: tuple[str, ...] = ()
-    """Limits of velocity, acceleration or jerk that it breaks, with by how much."""
+    """Violated limits of velocity, acceleration or jerk, with the ratio to the limit."""
 
     @property
     def clean(self) -> bool:
-        """Whether nothing at all is wrong."""
+        """Whether the motion has neither problems nor violations."""
         return not self.faults and not self.violations
 
     def __str__(self) -> str:
-        """Say it in a line."""
+        """Return the findings as one line."""
         return "; ".join((*self.faults, *self.violations)) or "valid"
 
 
 class Referee:
-    """The robot among solids. The fingers are fully open."""
+    """Referee for the robot among solids. The fingers are fully open."""
 
     def __init__(self, solids: tuple[Solid, ...] | list[Solid], held: Solid | None = None) -> None:
         """Build the scene."""
@@ -120,15 +121,15 @@ class Referee:
         return geometry
 
     def collides(self, joints: Array) -> bool:
-        """Tell whether an arm configuration of shape (7,) touches anything, on the original meshes."""
+        """Return whether an arm configuration of shape (7,) collides, on the original meshes."""
         return self._exact.hit(joints) or not self.keeps(joints, 0.0)
 
     def folds(self, joints: Array) -> bool:
-        """Tell whether the hand passes through the forearm, or by at 5 mm, as drawn; the SRDF has that not checked."""
+        """Return whether the visual meshes of hand and forearm come within 5 mm; the SRDF disables that pair."""
         return _folding().hit(joints)
 
     def keeps(self, joints: Array, distance: float) -> bool:
-        """Tell whether the hulls of all allowed pairs are farther apart than a distance [m]; never true wrongly."""
+        """Return whether the hulls of all checked pairs are farther apart than a distance [m]; no false positives."""
         if distance not in self._guards:
             self._guards[distance] = _Checker(self._model, self._hulls, distance)
         return not self._guards[distance].hit(joints)
@@ -151,13 +152,13 @@ class Referee:
         return -1
 
     def edge_collides(self, start: Array, end: Array) -> bool:
-        """Tell whether the straight joint line touches anything, looked at every 2 mm of the arm's motion."""
+        """Return whether the straight joint line collides, checked every 2 mm of the arm's motion."""
         count = max(2, int(np.abs(end - start) @ self._reach / 0.002) + 1)
         path = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
         return any(self.collides(q) for q in path[:: max(1, count // 16)]) or self.first_collision(path) >= 0
 
     def tcp(self, joints: Array) -> pin.SE3:
-        """Return the tcp in the base."""
+        """Return the tcp's pose in the frame of the base."""
         pin.forwardKinematics(self._model, self._data, _full(joints))
         return pin.updateFramePlacement(self._model, self._data, self._tcp).copy()
 
@@ -167,8 +168,8 @@ class Referee:
         Args:
             positions: Samples at 0, 1, 2, ... ms and at the end, shape (N, 7) [rad].
             duration_s: Time of the last sample [s].
-            start: Configuration that it must begin with.
-            goal: Pose of the tcp, or arm configuration, that it must end with.
+            start: Required start configuration [rad].
+            goal: Required tcp pose, or arm configuration [rad], at the end.
         """
         if positions.ndim != 2 or positions.shape[1] != 7 or not np.isfinite(positions).all():
             return Verdict(faults=(f"positions of shape {positions.shape} or not finite",))
@@ -204,7 +205,7 @@ class Referee:
 
 
 def _broken_limits(positions: Array) -> tuple[str, ...]:
-    """Return the limits that are broken; rest is assumed before and after the motion."""
+    """Return the violated limits; rest is assumed before and after the motion."""
     rest = np.concatenate([np.repeat(positions[:1], 3, axis=0), positions[:-1]])
     found = []
     rate = rest
@@ -266,7 +267,7 @@ def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
 
 @cache
 def _folding() -> _Checker:
-    """Return a checker of the drawn hand and forearm."""
+    """Return a checker of the visual meshes of hand and forearm."""
     model = _robot()[0]
     folders = [str(SOURCE.parents[2])]
     drawn = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.VISUAL, package_dirs=folders)
@@ -276,7 +277,7 @@ def _folding() -> _Checker:
 
 
 def _reach(geometry: pin.GeometryModel) -> Array:
-    """Bound how far any point of the arm, or of what it holds, can be from each joint's axis, shape (7,) [m]."""
+    """Bound the distance of the arm's and the held solids' points from each joint's axis, shape (7,) [m]."""
     model = _robot()[0]
     reach = np.zeros(model.njoints)
     for item in geometry.geometryObjects:

@@ -1,22 +1,25 @@
-"""Valid share of random planning problems, how long plans take, and how mplib and RoboPlan do on the same problems.
+"""Planner benchmark: valid share of random problems and planning time, compared with mplib and RoboPlan.
 
-A motion is valid when the referee (``_referee.py``), which shares no code with the planner, finds neither a collision
-at a kilohertz on the original collision meshes nor a goal missed; limits of velocity, acceleration and jerk are counted
-apart for everybody, and for ours a broken limit is a failure too. An unsolved problem is a failure unless it is proved
-infeasible: start or goal collides, or no free configuration reaches the goal's pose. A search of 60 s with the
-referee's own collision checks says whether the others can be solved. All failures are listed by seed. Our time begins
-with a scene of plain values; ``our_p95_by_theirs`` compares it with a peer's time once its scene is set up,
-``with_scene`` with the whole of a peer's time. Contenders are processes of their own, asked in turn with the same
-problem; peers come with ``make planner-peers``. Rows:
+A motion is valid if the referee (``_referee.py``) finds no collision at a kilohertz on the original collision meshes
+and the goal is reached. The referee shares no code with the planner. Violated limits of velocity, acceleration and jerk
+are counted separately for all contenders; for RoboXim a violated limit is a failure too.
+
+An unsolved problem is a failure unless it is proved infeasible: start or goal collides, or no free configuration
+reaches the goal's pose. A search of 60 s with the referee's own collision checks tests whether the others can be
+solved. All failures are listed by seed.
+
+RoboXim's time begins with a scene of plain values. ``our_p95_by_theirs`` compares it with a peer's time without scene
+set-up, ``with_scene`` with a peer's total time. Contenders are separate processes that receive the same problems in
+turn; ``make planner-peers`` installs the peers. Rows:
 
 tabletop   3 to 10 obstacles on a table, every third with a stick in the hand, more than half detours
-hard       shelves, a crate, a cage, cluttered tables, in the manner of MotionBenchMaker
+hard       shelves, a crate, a cage, cluttered tables, in the style of MotionBenchMaker
 ik         10,000 reachable poses
 retreat    a pose and 12 cm straight back from it as one request, where a brute-force search finds it feasible
 memory     growth of the process over 10,000 plans
-load       200 plans twice, the second time under four busy processes a core: bit for bit the same
+load       200 plans twice, the second time under four busy processes per core: identical bit for bit
 
-What a service adds to the core's time is ``benchmarks/planner_service.py``.
+``benchmarks/planner/planner_service.py`` measures the overhead of the services.
 """
 
 from __future__ import annotations
@@ -50,15 +53,17 @@ SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory", "load")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add this benchmark's options."""
     parser.add_argument("--rows", help=f"of {','.join(SECTIONS)}; default: all (quick: all but load)")
-    parser.add_argument("--seed", type=int, default=0, help="another set of problems for each; default: 0")
+    parser.add_argument("--seed", type=int, default=0, help="selects a set of problems; default: 0")
     parser.add_argument("--count", type=int, help="tabletop problems; default: 1000 (quick: 30)")
     parser.add_argument("--hard-count", type=int, help="problems of each hard family; default: 100 (quick: 1)")
     parser.add_argument("--peers", default="mplib,roboplan", help="peers to compare with; empty: none")
     parser.add_argument("--peers-every", type=int, default=5, help="peers get every N-th hard problem; default: 5")
-    parser.add_argument("--search", type=float, default=60.0, help="time of the search for unsolved problems [s]")
-    parser.add_argument("--problems", type=Path, metavar="FILE", help="problems of a file or folder instead")
-    parser.add_argument("--resume", type=Path, metavar="FILE", help="keep outcomes in FILE and go on from there")
-    parser.add_argument("--stop-after", type=float, default=float("inf"), help="with --resume: stop after so many [s]")
+    parser.add_argument("--search", type=float, default=60.0, help="duration of the search for unsolved problems [s]")
+    parser.add_argument("--problems", type=Path, metavar="FILE", help="read the problems from a file or folder instead")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="store outcomes in FILE and continue from there")
+    parser.add_argument(
+        "--stop-after", type=float, default=float("inf"), help="with --resume: stop after this time [s]"
+    )
 
 
 def main() -> None:
@@ -106,35 +111,35 @@ def main() -> None:
             headlines.append(("memory left of 1 MB", 1.0 - float(row["grown_mib"]), "MiB", 0.0))
         if "load" in rows:
             row = load_row(our_planner, 20 if bench.quick else 200, options.seed)
-            headlines.append(("share of plans that load does not change", float(row["valid_share"]), "", 1.0))
+            headlines.append(("share of plans that do not change under load", float(row["valid_share"]), "", 1.0))
             bench.row(**row)
     name, value, unit, goal = headlines[0]
     bench.finish(name, value, unit, at_least=goal)
 
 
 class Sets:
-    """Runs sets of problems and adds their rows."""
+    """Runs sets of problems and adds their rows to the table."""
 
     def __init__(
         self, bench: Bench, asked: list[Contender], measure: Contender | None, store: Store, until: float
     ) -> None:
-        """Take the contenders, ours first."""
+        """Set the contenders, RoboXim first."""
         self._bench, self._asked, self._measure, self._store, self._until = bench, asked, measure, store, until
 
     def run(self, name: str, draws: list[Draw], *, peers_every: int = 1, detours: float = 0.0) -> float:
-        """Run a set and return our share of motions without any fault.
+        """Run a set and return RoboXim's share of motions without any fault.
 
         Args:
-            name: For the table.
+            name: Name of the set in the table.
             draws: The problems.
-            peers_every: Peers get every so many-th.
-            detours: Least share of problems whose direct line collides.
+            peers_every: n, so that peers get every n-th problem.
+            detours: Minimum share of problems whose direct line collides.
         """
         outcomes, done = run_problems(
             draws, self._asked, self._store, measure=self._measure, peers_every=peers_every, until=self._until
         )
         if not done:
-            click.echo(f"{name}: stopped after {len(outcomes)} outcomes; the same command goes on")
+            click.echo(f"{name}: stopped after {len(outcomes)} outcomes; the same command continues")
         proved = infeasible(
             outcomes, draws, self._store, search_s=0.0 if self._bench.quick else self._bench.options.search
         )
@@ -157,7 +162,7 @@ class Sets:
 
 
 def read_problems(path: Path) -> list[Draw]:
-    """Return the problems of a file; say which are left out."""
+    """Return the problems of a file; print which ones are omitted."""
     try:
         problems, left_out = load_problems(path)
     except ProblemFileError as error:

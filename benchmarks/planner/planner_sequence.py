@@ -1,8 +1,8 @@
-"""Approach, grasp, lift, carry, lower as one request, beside the same motions planned one after the other.
+"""Approach, grasp, lift, carry, lower as one request, compared with the same motions planned one after the other.
 
-Random scenes: a cube among 4 to 8 boxes on a table, to be carried to another place. "One after the other" asks for each
-motion as soon as the one before is planned, and cannot go back to another goal configuration. Every motion found is
-checked again as sampled at 1 ms, with what the gripper holds. Scenes that neither solves may have no solution.
+Random scenes have a cube among 4 to 8 boxes on a table, to be carried to another place. "One after the other" requests
+each motion as soon as the previous one is planned, and cannot go back to another goal configuration. Every motion is
+checked again, sampled at 1 ms, with the held cube. Scenes that neither variant solves may have no solution.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def problem(seed: int) -> tuple[PlanningScene, tuple[Stage, ...]]:
 
 
 def one_after_the_other(planner: Planner, scene: PlanningScene, stages: tuple[Stage, ...]) -> list:
-    """Return the plans of the stages, each asked for by itself."""
+    """Return the plans of the stages, each requested separately."""
     at, plans = planner.named_state("home"), []
     for stage in stages:
         found = plan_sequence(planner, scene, at, (stage,))
@@ -88,7 +88,7 @@ def one_after_the_other(planner: Planner, scene: PlanningScene, stages: tuple[St
 
 
 def wrong(planner: Planner, scene: PlanningScene, stages: tuple[Stage, ...], plans: list) -> int:
-    """Return how many of the plans a second look refuses."""
+    """Return the number of plans that a second check rejects."""
     count = 0
     for stage, plan in zip(stages, plans, strict=True):
         samples = plan.sample(0.001)

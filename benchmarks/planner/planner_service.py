@@ -1,7 +1,8 @@
-"""What the planner's services cost beyond the core: the same requests through the node and without it, interleaved.
+"""Overhead of the planner's services: the same requests through the node and without it, interleaved.
 
-The node is in this process, in a thread of its own, as in every graph that `roboxim` starts in one process. Also what a
-change of the scene costs: a new snapshot with a body elsewhere, or held, and the geometry of it, up to the first check.
+The node runs in a separate thread of this process, as in every graph that `roboxim` starts in one process. The
+benchmark also measures the cost of a scene change: a new snapshot with a moved or held body and its geometry, up to the
+first check.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def crowded() -> PlanningScene:
 
 
 def moved(step: int) -> Callable[[], PlanningScene]:
-    """Return what makes the scene with its first box elsewhere."""
+    """Return a function that creates the scene with its first box moved."""
     scene = crowded()
 
     def change() -> PlanningScene:
@@ -59,7 +60,7 @@ def moved(step: int) -> Callable[[], PlanningScene]:
 
 
 def held(step: int) -> Callable[[], PlanningScene]:
-    """Return what makes the scene with a mug of 20 parts in the gripper."""
+    """Return a function that creates the scene with a mug of 20 parts in the gripper."""
     mug = Body(name="mug", shapes=model_shapes(ModelLibrary().object("mug"), {}), pose=Pose(position=(0.3, 0.0, 0.05)))
     scene = crowded().with_bodies([mug])
     tcp = Pose(position=(0.3, 0.0, 0.1 + 1e-4 * step), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
@@ -106,7 +107,7 @@ def main() -> None:
                     core()
                     between = time.perf_counter()
                     client.call(request)
-                    if index >= 5:  # the first ones warm up
+                    if index >= 5:  # the first requests warm up
                         spent.append(between - begun)
                         beyond.append(time.perf_counter() - between - spent[-1])
                 overhead = 1e3 * median(beyond)

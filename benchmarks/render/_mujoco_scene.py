@@ -1,4 +1,4 @@
-"""Writes a scene of ours as MuJoCo's: the same meshes, textures, sun and cameras; every body a mocap body."""
+"""Export of a RoboXim scene to MuJoCo, with the same meshes, textures, sun and cameras; every body is a mocap body."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def write_scene(folder: Path, world: RenderWorld, frames: Sequence[tuple[dict[st
 
 
 def _obj(mesh: TriangleMesh) -> str:
-    """Return a mesh as OBJ; MuJoCo wants solids, so what is flat gets a corner a hair below."""
+    """Return a mesh as OBJ; MuJoCo requires solids, so flat meshes get an additional corner slightly below."""
     uv = np.zeros((len(mesh.vertices), 2)) if mesh.uv is None else mesh.uv
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in mesh.normals.tolist()]

@@ -1,6 +1,6 @@
-"""Photo-real images: processor time per 256x256 image of Blender's Cycles, RGB + depth + segmentation.
+"""Photo-realistic images: processor time per 256x256 image of Blender's Cycles, RGB + depth + segmentation.
 
-The scene is the one of ``benchmarks/render.py``. Needs ``make photo``.
+The scene is that of ``benchmarks/render/render.py``. Needs ``make photo``.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Camera images: time per 256x256 pair (workspace and wrist) of raster, tiny and MuJoCo's renderer, start-up, memory.
 
 The scene is the default look with all effects: Panda, table, floor, walls, five textured objects, a light with shadows;
-the arm moves from pair to pair. MuJoCo (``make render-peers``) draws the same meshes and textures, RGB alone.
-``--pairs N`` also draws N pairs and says how the memory grew.
+the arm moves from pair to pair. MuJoCo (``make render-peers``) draws the same meshes and textures, RGB only.
+``--pairs N`` also draws N pairs and reports the memory growth.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ MUJOCO = "MuJoCo, RGB, shadows"
 
 @dataclass(frozen=True)
 class Contender:
-    """Who draws pairs, and how long that took."""
+    """A renderer that draws pairs, and its times."""
 
     title: str
     draw: Callable[[int], tuple[list[float], list[float]]]
-    """From a number of pairs to their wall and processor times [ms]."""
+    """Draws a number of pairs and returns their wall and processor times [ms]."""
     share: float = 1.0
-    """Share of the pairs of a round that it is given: slow ones need fewer."""
+    """Fraction of a round's pairs that it draws: slow renderers draw fewer."""
     wall_ms: list[float] = field(default_factory=list)
     cpu_ms: list[float] = field(default_factory=list)
 
@@ -57,7 +57,7 @@ class Contender:
 def ours(
     title: str, name: str, look: LookSpec, size: int = 256, geometry: bool = True, share: float = 1.0
 ) -> Contender:
-    """Return one of our renderers with a world of its own."""
+    """Return one of RoboXim's renderers with its own world."""
     library, scene = ModelLibrary(), replace(example_scene(size, depth=geometry, segmentation=geometry), look=look)
     frames = [example_poses(scene, library, STEP_RAD * i) for i in range(FRAMES)]
     renderer = make_renderer(name)
@@ -113,10 +113,11 @@ print("@@", ready, before, rss_mib() - before)
 
 
 def fresh(world: RenderWorld, frames: list[object], pairs: int, folder: Path) -> tuple[float, float, float]:
-    """Return a new process's time to its first pair [s], its memory [MiB], and the growth over so many pairs [MiB]."""
+    """Return a new process's time to its first pair [s], its memory [MiB], and the growth over n pairs [MiB]."""
     path = folder / "world.pickle"
     path.write_bytes(pickle.dumps((world, frames)))
-    # argv 3: the folder of the package `benchmarks`. The process's begin is in /proc: the interpreter's start counts.
+    # argv 3: the folder of the package `benchmarks`. The process's start time comes from /proc, to include the
+    # interpreter's start.
     command = [sys.executable, "-c", FRESH, str(path), str(pairs), str(Path(__file__).parents[2])]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     ready, memory, growth = (float(word) for word in done.stdout.rpartition("@@")[2].split())
@@ -138,13 +139,13 @@ def main() -> None:
         ours("raster, RGB", "raster", look, geometry=False),
         ours(NO_SHADOWS, "raster", dark),
         ours("raster, 128x128", "raster", look, size=128),
-        ours("raster, two lamps more", "raster", replace(look, lights=(*look.lights, *[LAMP] * 2))),
+        ours("raster, two more lamps", "raster", replace(look, lights=(*look.lights, *[LAMP] * 2))),
         ours(TINY, "tiny", look, share=0.15),
     ]
     with tempfile.TemporaryDirectory(prefix="roboxim-") as name:
         if installed("robosuite"):
             contenders.append(mujoco(Path(name)))
-        for _ in range(3 if bench.quick else 10):  # in turns, so that all meet the same machine
+        for _ in range(3 if bench.quick else 10):  # in turns, so that all run under the same load
             for each in contenders:
                 wall, cpu = each.draw(max(2, round((20 if bench.quick else 30) * each.share)))
                 each.wall_ms.extend(wall)

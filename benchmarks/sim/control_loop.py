@@ -1,9 +1,11 @@
-"""Control ticks per second through the nodes, over robosuite 1.5's Lift on the same machine, in turns.
+"""Control ticks per second through the nodes, compared with robosuite 1.5's Lift on the same machine, in turns.
 
-Ours: the whole node graph at 10 Hz with two 256x256 cameras, RGB + depth + segmentation. A tick is observe, act (a
-random policy), simulate, render, judge and record. robosuite: `Lift` at 10 Hz with two 256x256 RGB cameras, a random
-action a step, nothing recorded (``make render-peers`` installs it). Both without resets, which are
-a column of their own.
+- RoboXim: the whole node graph at 10 Hz with two 256x256 cameras, RGB + depth + segmentation. A tick consists of
+  observing, acting (a random policy), simulating, rendering, judging and recording.
+- robosuite: `Lift` at 10 Hz with two 256x256 RGB cameras and a random action per step; nothing is recorded
+  (``make render-peers`` installs it).
+
+Both figures exclude resets, which have a separate column.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import activate_transport, free_domain
 
 SHORT, LONG = 10, 60
-"""Ticks of two episodes of one scene: what one takes more than the other is ticks alone."""
+"""Ticks of two episodes of one scene: the difference of their durations is the time of ticks alone."""
 
 
 def main() -> None:
@@ -66,7 +68,7 @@ def main() -> None:
                     answer = clients.call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=120.0)
                     elapsed = 1e3 * (time.perf_counter() - start)
                     if not answer.results or answer.results[0].last_seq != ticks:
-                        raise SystemExit(f"the episode did not run its {ticks} ticks: {answer}")
+                        raise SystemExit(f"the episode did not run {ticks} ticks: {answer}")
                     return elapsed
 
                 episode_ms(0, SHORT)

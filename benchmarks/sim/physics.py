@@ -1,7 +1,8 @@
 """Physics steps per second on one core, without rendering: five objects and the cabinet.
 
-``bare`` is PyBullet alone, ``observed`` adds the arm's targets and the contacts and joint extremes of every step, and
-``ticks`` are whole ticks: controller, physics, state record and its hash, while the arm moves and the gripper works.
+- ``bare``: PyBullet alone;
+- ``observed``: adds the arm's targets, and the contacts and joint extremes of every step;
+- ``ticks``: whole ticks with controller, physics, state record and its hash, while arm and gripper move.
 """
 
 import time
@@ -54,7 +55,7 @@ def main() -> None:
 
 
 def scene(library: ModelLibrary) -> SceneSpec:
-    """Return a table with the objects and the cabinet."""
+    """Return a scene with the objects and the cabinet on the table."""
     cabinet = EntitySpec(name="cabinet", model="cabinet", fixed=True,
                          pose=Pose(position=(0.78, 0.25, library.object("cabinet").rest_height)))  # fmt: skip
     places = [(0.35, -0.3), (0.45, -0.15), (0.6, -0.3), (0.6, 0.0), (0.4, 0.2)]
