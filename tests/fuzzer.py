@@ -1,10 +1,10 @@
 """A fuzzer over every service and action of a running graph, made from the interface definitions.
 
-Requests are of two kinds: made up field by field (extremes, NaN, empty, huge, wrong names, random bytes), and valid
-ones of a corpus with one or two fields changed, which reach deeper. The graph is a process of its own, so that whatever
-ends it is seen.
+There are two kinds of requests: random ones, field by field (extremes, NaN, empty, huge, wrong names, random bytes),
+and valid ones from a corpus with one or two fields changed, which reach deeper. The graph runs in a separate process,
+so that the fuzzer detects its end.
 
-From the command line, with a table of what was answered::
+From the command line, with a table of the responses::
 
     .venv/bin/python tests/fuzzer.py --requests 40 --seed 1
 """
@@ -33,9 +33,9 @@ from typing import Any
 import numpy as np
 
 ANSWER_S = 90.0
-"""Longest wait for an answer, generous for a busy machine."""
+"""Time limit for a response [s], generous for a busy machine."""
 STOP_AFTER_S = 3.0
-"""Goals and steps that run longer are cancelled."""
+"""Duration after which goals and steps are cancelled [s]."""
 FLOATS = (
     0.0, -0.0, 1.0, -1.0, 0.5, 1e-9, 1e9, 100.0, float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 5e-324,
 )  # fmt: skip
@@ -53,12 +53,12 @@ HOSTILE = (
     "roboxim://cube?color=red&scale=1e9", "http://cube",
 )  # fmt: skip
 PARAMETERS = re.compile(r"parameter|type_description")
-"""Services that rclpy offers for every node: asked in each fifth round only."""
+"""Services that rclpy offers for every node; called in every fifth round only."""
 INT_BITS = re.compile(r"(u?)int(\d+)")
 
 
 class Maker:
-    """Makes messages at random from their definitions."""
+    """Creates random messages from their definitions."""
 
     def __init__(self, rng: random.Random) -> None:
         """Make nothing yet."""
@@ -66,14 +66,14 @@ class Maker:
         self._small = False
 
     def message(self, cls: Any, depth: int = 0) -> Any:
-        """Return a message of which every field is made up."""
+        """Return a message with random values in every field."""
         msg = cls()
         for name, kind in cls.get_fields_and_field_types().items():
             setattr(msg, name, self.value(kind, depth))
         return msg
 
     def value(self, kind: str, depth: int = 0) -> Any:
-        """Return a value of a type as `get_fields_and_field_types` names it."""
+        """Return a random value of a type, named as in `get_fields_and_field_types`."""
         if found := re.fullmatch(r"sequence<(.+?)(?:, *(\d+))?>", kind):
             return self._sequence(found[1], int(found[2]) if found[2] else None, depth)
         if found := re.fullmatch(r"(.+)\[(\d+)\]", kind):
@@ -122,7 +122,7 @@ class Maker:
         return array.array(code, items) if code else items
 
     def mutate(self, msg: Any) -> str:
-        """Change one field of a message somewhere and return its path."""
+        """Change one random field of a message and return the field's path."""
         cls = type(msg)
         name, kind = self.rng.choice(sorted(cls.get_fields_and_field_types().items()) or [("", "")])
         if not name:
@@ -169,7 +169,7 @@ def interface(kind: str) -> Any:
 
 @dataclass
 class Live:
-    """A graph in a process of its own, and clients in this one."""
+    """A graph in a separate process, and its clients in this one."""
 
     clients: Any
     process: subprocess.Popen[bytes]
@@ -181,13 +181,13 @@ class Live:
         return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024  # type: ignore[index]
 
     def call(self, kind: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> Any:
-        """Call a service and return its response, whatever it says."""
+        """Call a service and return its response, successful or not."""
         return self.clients.call(kind, name, request, timeout_s=timeout_s, check=False)
 
 
 @contextlib.contextmanager
 def live_graph(folder: Path) -> Iterator[Live]:
-    """Start a whole graph, with the random policy, in a process of its own."""
+    """Start a whole graph, with the random policy, in a separate process."""
     from roboxim_bringup.graph import GraphConfig, PolicyLaunch
     from roboxim_bringup.process import spawn, stop
     from roboxim_core.config import to_json
@@ -220,7 +220,7 @@ def live_graph(folder: Path) -> Iterator[Live]:
 
 
 def corpus(live: Live) -> dict[str, Callable[[], Any]]:
-    """Return by service or action what makes a valid request; the graph is asked for what it needs."""
+    """Return functions that create valid requests, by service or action; they query the graph for values."""
     from control_msgs.action import FollowJointTrajectory, GripperCommand
     from roboxim_interfaces import action, srv
     from roboxim_interfaces.msg import RunConfig
@@ -331,14 +331,14 @@ def _retime(srv: Any, motion: Any, joints: list[str], start: list[float], end: l
 
 @dataclass
 class Report:
-    """What was asked and answered."""
+    """Statistics of the requests and their responses."""
 
     answers: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-    """Service to what was answered how often: ``accepted`` or the error's name."""
+    """Counts of responses by service: ``accepted`` or the error's name."""
     slowest: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    """Service to its slowest answer [s]."""
+    """Slowest response by service [s]."""
     internal: list[str] = field(default_factory=list)
-    """What was answered with ``INTERNAL``, which no request should be."""
+    """Responses with ``INTERNAL``, which no request should get."""
     rss_mib: list[float] = field(default_factory=list)
     """Resident memory of the graph's process after each round [MiB]."""
 
@@ -388,7 +388,7 @@ class Fuzzer:
     """Fuzzes a live graph."""
 
     def __init__(self, live: Live, seed: int) -> None:
-        """Look what there is, and make the corpus."""
+        """List the graph's services and actions, and build the corpus."""
         self.live, self.rng = live, random.Random(seed)
         self.maker = Maker(self.rng)
         self.report = Report()
@@ -410,8 +410,8 @@ class Fuzzer:
         """Send some requests to every service and action, in rounds.
 
         Args:
-            requests: How many to each.
-            until: Time on the monotonic clock at which the round that runs is the last.
+            requests: Number of requests to each.
+            until: Time on the monotonic clock after which no further round starts.
         """
         doors = [("service", name) for name in sorted(self.services)] + [
             ("action", name) for name in sorted(self.actions)
@@ -431,7 +431,7 @@ class Fuzzer:
         return self.report
 
     def heal(self) -> None:
-        """Bring the graph to where requests get deep: a scene is loaded, nobody holds it."""
+        """Prepare the graph so that requests reach deep: load a scene and release it."""
         from roboxim_interfaces.srv import LoadScene, ReleaseEpisode
 
         self.live.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
@@ -439,7 +439,7 @@ class Fuzzer:
         assert answer.error_code == 0, f"the graph no longer takes a valid scene: {answer.error_msg}"
 
     def request(self, name: str, cls: Any) -> Any:
-        """Return a request that is made up, or a valid one of which something is changed."""
+        """Return a random request, or a valid one with changed fields."""
         if name in self.corpus and self.rng.random() < 0.75:
             request = self.corpus[name]()
             for _ in range(self.rng.choice((0, 1, 1, 1, 2))):
@@ -448,7 +448,7 @@ class Fuzzer:
         return self.maker.message(cls)
 
     def shortened(self, request: Any) -> Any:
-        """Return a request to run episodes that is no longer than the fuzzer waits; what is refused stays."""
+        """Return a request to run episodes, shortened to the fuzzer's time limit; invalid requests stay unchanged."""
         config = request.config
         for name, most in (("max_steps", 20), ("settle_ticks", 20), ("max_attempts", 2), ("execute", 20)):
             if most < getattr(config, name) <= 100_000:
@@ -467,7 +467,7 @@ class Fuzzer:
             self.report.internal.append(f"{name}: {message}")
 
     def service(self, name: str) -> None:
-        """Call a service once; it must answer."""
+        """Call a service once and check that it responds."""
         cls = interface(self.services[name])
         request = self.request(name, cls.Request)
         if name == "evaluator/run_episodes":
@@ -480,7 +480,7 @@ class Fuzzer:
         self.note(name, answer, began)
 
     def stopped(self, call: Callable[[], Any]) -> Any:
-        """Make a call that may take long; stop it after a while."""
+        """Make a call that may take long and stop it after a while."""
         import threading
 
         from simulation_interfaces.msg import SimulationState
@@ -497,7 +497,7 @@ class Fuzzer:
         return box[0]
 
     def action(self, name: str) -> None:
-        """Send a goal once; cancel it after a while; it must end."""
+        """Send a goal once, cancel it after a while and check that it ends."""
         from roboxim_core.errors import RequestTimeoutError
         from roboxim_ros.actions import ActionCall
 
@@ -509,7 +509,7 @@ class Fuzzer:
             box: list[Any] = []
             try:
                 ended = call.run(goal, timeout_s=STOP_AFTER_S)
-            except RequestTimeoutError:  # which cancels it; the graph must be free again, or the next one waits in vain
+            except RequestTimeoutError:  # cancels the goal; the graph must be free for the next one
                 del box
                 self.report.answers[f"{name} (action)"]["cancelled"] += 1
                 return

@@ -1,4 +1,4 @@
-"""The walls of the house: who may import whom, and that no core needs ROS."""
+"""Architecture rules: which package may import which, and that no core needs ROS."""
 
 import ast
 import subprocess
@@ -123,7 +123,7 @@ def test_cores_name_no_ros_module():
                 assert not ros, f"{path.relative_to(SRC)} is a core module and imports {name}"
 
 
-def test_what_ros_makes_hang_is_not_used():
+def test_ros_calls_that_hang_are_not_used():
     banned = ["spin_until_" + "future_complete", "Events" + "Executor", "os." + "fork("]
     for package in ALLOWED:
         for path in modules(package):

@@ -1,4 +1,4 @@
-"""In a scene whose way is blocked the expert takes a way around; straight lines run into what stands there."""
+"""In scenes with a blocked path the expert goes around; an actor that moves straight disturbs the obstacles."""
 
 from __future__ import annotations
 

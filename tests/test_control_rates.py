@@ -1,4 +1,4 @@
-"""A task names its control rate, and the expert acts at it."""
+"""A task sets its control rate, and the expert acts at that rate."""
 
 import pytest
 
@@ -12,7 +12,7 @@ from roboxim_tasks.config import parse_task_config
 
 
 def at_rate(rate_hz: float) -> str:
-    """Return a task that names its rate and leaves the limit of steps to the skill."""
+    """Return a task with its own rate and the skill's default step limit."""
     text = task_text("pick_cube")
     assert "rate_hz: 10" in text
     assert "max_steps: 100" in text
@@ -22,7 +22,7 @@ def at_rate(rate_hz: float) -> str:
 @pytest.mark.parametrize(
     "rate_hz", [5.0, 20.0, pytest.param(10.0, marks=pytest.mark.slow), pytest.param(15.0, marks=pytest.mark.slow)]
 )
-def test_a_demonstration_at_the_task_s_rate_succeeds(rate_hz, tmp_path):
+def test_a_demonstration_at_the_tasks_rate_succeeds(rate_hz, tmp_path):
     config = RunConfig(
         run_seed=1, purpose="demo", task_config=at_rate(rate_hz), image_width=32, image_height=32,
         cameras=("workspace",), output_dir=str(tmp_path),
@@ -40,6 +40,6 @@ def test_a_demonstration_at_the_task_s_rate_succeeds(rate_hz, tmp_path):
     assert 3.0 < result.steps / rate_hz < 9.0, "the expert takes its time in seconds, not in ticks"
 
 
-def test_a_skill_s_limit_is_a_time():
+def test_a_skills_limit_is_a_time():
     limits = [parse_task_config(at_rate(rate)).max_steps for rate in (5.0, 10.0, 15.0, 20.0)]
     assert limits == [50, 100, 150, 200]

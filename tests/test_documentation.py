@@ -1,4 +1,4 @@
-"""The code in README.md and the documentation is what works: Python blocks are run or checked, commands are parsed.
+"""The code in README.md and the documentation works: Python blocks are run or checked, commands are parsed.
 
 A Python block is executed. One that needs a recording, a server or a graph says ``not-run`` after ``python``: it is
 compiled, its imports are resolved and its names are defined. ``excerpt`` is a part of something longer: compiled only.
@@ -27,7 +27,7 @@ from roboxim_ros.testing import PATIENCE_S
 ROOT = Path(__file__).parents[1]
 FILES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 OWN_NAMES = ("teapot", "pepper_mill", "shake")
-"""Objects and skills that the documentation has its reader make."""
+"""Objects and skills that the documentation instructs the reader to create."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class Block:
     file: str
     line: int
     language: str
-    """What follows the fence, e.g. ``python not-run``."""
+    """Info string after the fence, e.g. ``python not-run``."""
     text: str
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ def blocks() -> Iterator[Block]:
 
 PYTHON = [block for block in blocks() if block.language.startswith("python")]
 RUN = [block for block in PYTHON if block.language == "python" and not block.text.startswith("# kitchen/")]
-"""The worked example has a test of its own, test_worked_example.py, which undoes what it registers."""
+"""The worked example has a separate test, test_worked_example.py, which undoes its registrations."""
 SHELL = [
     block
     for block in blocks()
@@ -66,7 +66,7 @@ SHELL = [
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)
-def test_python_is_valid_and_what_it_imports_is_there(block: Block) -> None:
+def test_python_is_valid_and_its_imports_exist(block: Block) -> None:
     tree = ast.parse(block.text)
     assert block.language in ("python", "python not-run", "python excerpt")
     for node in ast.walk(tree):
@@ -127,7 +127,7 @@ def parse(command: click.Command, name: str, words: list[str], parent: click.Con
 
 
 def refusal(words: list[str]) -> str:
-    """Return what the command line says against a command; empty: nothing."""
+    """Return the command line's complaint about a command; empty: none."""
     try:
         parse(group, "roboxim", words)
     except (click.exceptions.UsageError, ConfigError) as error:
@@ -136,7 +136,7 @@ def refusal(words: list[str]) -> str:
 
 
 @pytest.mark.parametrize("block", SHELL, ids=str)
-def test_commands_are_those_of_the_command_line(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_are_valid_on_the_command_line(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for words in commands(block.text):
@@ -158,7 +158,7 @@ def test_readme_and_make_demo_use_the_same_folders(monkeypatch: pytest.MonkeyPat
     shown = [words[1:] for words in commands(re.search(r"```bash\n(.*?)```", section, re.DOTALL)[1]) if words]
 
     def essence(words: list[str]) -> list[str]:
-        """Leave out what has the value that it has anyway."""
+        """Omit options that are set to their default."""
         options = [("--seed", "0"), ("--workers", "2"), ("--renderer", "tiny"), ("--steps", "1200")]
         left = list(words)
         for option, value in options:

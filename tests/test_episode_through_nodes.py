@@ -51,7 +51,7 @@ def test_the_same_episode_gives_the_same_bag_through_nodes_and_cores(graph, tmp_
     assert BagReader(tmp_path / "nodes" / result.bag).result.wall_s == 0.0
 
 
-def test_noise_is_recorded_apart_from_the_label(graph, tmp_path):
+def test_noise_is_recorded_separately_from_the_label(graph, tmp_path):
     (result,) = run(graph, RunConfig(**SMALL, output_dir=str(tmp_path)))
     steps = [tick.step for tick in BagReader(tmp_path / result.bag).ticks()]
     noisy = [step for step in steps if step.disturbance]
@@ -74,7 +74,7 @@ def test_a_users_recorded_parameter_is_one_class(graph, tmp_path, monkeypatch):
     assert {"objects", "cameras", "lights", "robot"} <= info.recorded.keys()
 
 
-def test_failed_attempts_are_set_apart_and_nothing_partial_stays(graph, tmp_path):
+def test_failed_attempts_are_stored_separately_and_partial_bags_removed(graph, tmp_path):
     config = RunConfig(**SMALL, output_dir=str(tmp_path), keep="successful", max_steps=5)
     (result,) = run(graph, config)
     assert (result.outcome, result.reason) == ("failure", "not_grasped")
@@ -108,7 +108,7 @@ def test_wrong_configuration_is_refused_with_its_reason(graph, tmp_path):
     assert not list(tmp_path.rglob("*.mcap")), "nothing half-written is left"
 
 
-def test_the_holder_of_the_sim_alone_moves_it(graph):
+def test_only_the_holder_of_the_sim_moves_it(graph):
     from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 
     from roboxim_core.specs import SceneSpec

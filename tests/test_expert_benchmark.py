@@ -1,4 +1,4 @@
-"""The expert's benchmark: what it keeps of a long run, and that an episode's figures are those of its scene."""
+"""The expert's benchmark: storage and resumption of a long run, and the figures of an episode."""
 
 import sys
 from pathlib import Path
@@ -15,7 +15,7 @@ def _benchmarks_importable():
     sys.path.remove(str(ROOT))
 
 
-def test_a_run_goes_on_with_its_own_code_and_configuration_alone(tmp_path, monkeypatch):
+def test_a_run_continues_only_with_its_code_and_configuration(tmp_path, monkeypatch):
     from benchmarks.expert import _kept
 
     folder = tmp_path / "run"
@@ -35,7 +35,7 @@ def test_a_run_goes_on_with_its_own_code_and_configuration_alone(tmp_path, monke
         _kept.Kept(folder, {"a": "skill: pick_up"})
 
 
-def test_the_codes_digest_is_that_of_the_files(tmp_path, monkeypatch):
+def test_the_code_digest_depends_on_the_files(tmp_path, monkeypatch):
     from benchmarks.expert import _kept
 
     monkeypatch.setattr(_kept, "PACKAGES", ())

@@ -1,4 +1,4 @@
-"""The expert over the cores of planner and sim: it solves what the resetters draw; doing nothing solves nothing."""
+"""The expert on the cores of planner and sim: it solves the scenes that resetters draw; doing nothing solves none."""
 
 from dataclasses import replace
 
@@ -146,7 +146,7 @@ def _asked(drawn, seed):
     return drawn.task, drawn.scene, seed.derived_seed("policy")
 
 
-def test_a_scene_that_has_not_settled_as_drawn_is_planned_anew(world, generator, expert):
+def test_a_scene_that_settles_differently_is_replanned(world, generator, expert):
     _, drawn = draw(generator, 5)
     start(expert, drawn, "e")
     state = world.load(drawn.scene, "e")
@@ -195,7 +195,7 @@ reset:
 """
 
 
-def test_the_expert_goes_around_what_blocks_its_way(world, generator, expert):
+def test_the_expert_avoids_obstacles_on_its_path(world, generator, expert):
     drawn = generator.draw(SeedPath(run_seed=11, purpose="test", index=0), parse_task_config(WALLED))
     tower = tuple(
         EntitySpec(name=f"tower_{level}", model="cube", modifiers={"color": "white", "scale": 1.4}, fixed=True,
@@ -212,7 +212,7 @@ def test_the_expert_goes_around_what_blocks_its_way(world, generator, expert):
         assert not any("robot" in (c.body_a, c.body_b) and "tower" in c.body_a + c.body_b for c in record.contacts)
 
 
-def test_what_the_expert_cannot_do_fails_the_episode_by_reason(world, generator, expert):
+def test_unsolvable_scenes_fail_the_episode_with_a_reason(world, generator, expert):
     _, drawn = draw(generator, 0, "pick_cube")
     far = replace(drawn.scene.entities[0], pose=Pose(position=(0.9, 0.6, 0.0225)))
     unreachable = replace(drawn, scene=replace(drawn.scene, entities=(far,)))
@@ -240,7 +240,7 @@ reset:
 """
 
 
-def test_what_sags_in_the_hand_is_carried_as_it_hangs_and_put_down_level(world, generator, expert):
+def test_a_sagging_object_is_carried_as_it_hangs_and_put_down_level(world, generator, expert):
     seed = SeedPath(run_seed=11, purpose="test", index=0)
     drawn = generator.draw(seed, parse_task_config(HEAVY_TRAY))
     start(expert, drawn, "e")

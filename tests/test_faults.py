@@ -1,4 +1,4 @@
-"""What goes wrong, through the nodes: each fault has its name, costs at most its episode, and leaves no trace."""
+"""Faults through the nodes: each fault has a named reason, fails at most its own episode, and leaves no trace."""
 
 import errno
 import os
@@ -42,7 +42,7 @@ SMALL = {"purpose": "test", "actor": "policy", "image_width": 32, "image_height"
 
 
 class Scripted(BasePolicy):
-    """Answers what a test tells it to."""
+    """A policy whose responses the test sets."""
 
     cameras = ("workspace", "wrist")
 
@@ -52,7 +52,7 @@ class Scripted(BasePolicy):
 
 @pytest.fixture(scope="module")
 def shared():
-    """One graph for all tests of this file: what a fault leaves behind would show in the next test."""
+    """One graph for all tests of this file, so that leftovers of a fault show in the next test."""
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
         graph = start_graph(
             host, parameters={"sim": {"scene": "", "renderer": "tiny"}, "recorder": {"output_root": "/"}}
@@ -117,7 +117,7 @@ def raise_(error):
         (lambda: None, "invalid_action", "shape|numbers|finite"),
     ],
 )
-def test_what_a_policy_does_wrong_fails_its_episode_by_reason(run, policy, tmp_path, answer, reason, message):
+def test_policy_faults_fail_the_episode_with_a_reason(run, policy, tmp_path, answer, reason, message):
     policy.answer = lambda window: answer() if "-00000-" in window.episode_id else STILL
     first, second = run((0, 1), output_dir=str(tmp_path), policy_timeout_s=PATIENCE_S)
     assert (first.outcome, first.reason) == ("error", reason)
@@ -158,15 +158,13 @@ def test_a_policy_of_other_semantics_is_refused_before_the_first_step(run, share
 
 
 @pytest.mark.parametrize("older_frame", [False, True])
-def test_an_image_that_does_not_come_is_missing_by_name_and_never_an_older_frame(
-    graph, policy, run, monkeypatch, older_frame
-):
+def test_a_missing_image_is_named_and_never_replaced_by_an_older_frame(graph, policy, run, monkeypatch, older_frame):
     publisher = graph["sim"]._publisher
     policy.answer = lambda window: np.array([0, 0, 0.02, 0, 0, 0, 1])
     sent = []
 
     class Faulty:
-        """From tick 2 on publishes nothing, or tick 1's pixels under the later ticks' stamps."""
+        """From tick 2 on publishes nothing, or tick 1's pixels with the later ticks' stamps."""
 
         def publish(self, message):
             sent.append(message)
@@ -270,7 +268,7 @@ def test_a_second_run_at_a_time_is_refused_and_does_not_disturb_the_first(shared
     assert "running episodes already; wait for them or cancel them" in refusals[0][1]
 
 
-def test_odd_requests(run, tmp_path):
+def test_malformed_requests_are_rejected(run, tmp_path):
     assert run(()) == []
     (result,) = run(max_steps=2**32 - 1, actor="expert", settle_ticks=5)
     assert result.outcome == "success"
@@ -314,7 +312,7 @@ def test_an_evaluator_that_died_does_not_lock_out_its_successor(shared, policy, 
     assert run()[0].steps == 3
 
 
-def test_a_lease_of_somebody_else_is_respected(shared, run):
+def test_a_foreign_lease_is_respected(shared, run):
     graph, clients, _, _ = shared
     sim = ports.SimClient(clients)
     sim.load("a user's", ports.TaskClient(clients).draw(seed(), "").scene)
@@ -325,7 +323,7 @@ def test_a_lease_of_somebody_else_is_respected(shared, run):
     assert run()[0].steps == 3
 
 
-def test_a_folder_that_cannot_be_written_is_an_error_of_the_disk(tmp_path):
+def test_an_unwritable_folder_is_a_disk_error(tmp_path):
     (tmp_path / "file").touch()
     words = [
         sys.executable,

@@ -1,4 +1,4 @@
-"""No request ends a node, hangs, or changes what an episode gives; see `fuzzer` for how requests are made."""
+"""No request crashes a node, hangs, or changes the result of an episode; see `fuzzer` for the requests."""
 
 import sys
 import time

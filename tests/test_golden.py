@@ -28,11 +28,11 @@ EPISODES = {
     "put_into": 4,
     "pick_cube_ur5": 0,
 }
-"""Task to the index of its episode; with other skills, objects and motions."""
+"""Episode indices by task; chosen to cover different skills, objects and motions."""
 
 
 def episode_hashes(task: str, index: int, folder: Path) -> dict[str, str]:
-    """Record one demonstration and hash what it consists of."""
+    """Record one demonstration and hash its parts."""
     config = RunConfig(
         run_seed=7, purpose="demo", task_config=task_text(task), image_width=64, image_height=64,
         noise_translation_m=0.003, noise_rotation_rad=0.01, output_dir=str(folder),
@@ -55,7 +55,7 @@ def episode_hashes(task: str, index: int, folder: Path) -> dict[str, str]:
 
 
 def machine() -> dict[str, str]:
-    """Return what bit-for-bit equality depends on besides the code: processor and software renderer."""
+    """Return the platform that bit-for-bit equality depends on besides the code: processor and software renderer."""
     with CoreGraph(Path(tempfile.gettempdir())) as graph:
         renderer = graph.sim.renderer
     model = next(
@@ -76,7 +76,7 @@ def test_an_episode_is_the_golden_one(task, tmp_path):
 
 
 def renew() -> None:
-    """Write the hashes of the present code."""
+    """Write the hashes of the current code."""
     episodes = {}
     for task, index in EPISODES.items():
         with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Every annotated grasp is carried out by a gripper that floats: it closes, lifts, and the object must come along."""
+"""A floating gripper executes every annotated grasp: it closes and lifts, and the object must come along."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIP = ((0.0175, 0.0152, 0.0185), (0.0, 0.00758, 0.04525))
 """Extents and middle of a fingertip's box in its finger's frame; the other finger's is its mirror image [m]."""
 LIFT_M = 0.12
 WIDE_M = 0.12
-"""What is wider on its shorter side has to hang level: its far edge would tip over what it passes."""
+"""Objects wider than this on their shorter side must hang level, or the far edge tips over obstacles [m]."""
 
 
 def cases() -> list[tuple[str, str, str, int]]:

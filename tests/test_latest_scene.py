@@ -1,4 +1,4 @@
-"""``episode_id: latest`` of the planner means the newest state of the sim, whoever moved it."""
+"""``episode_id: latest`` of the planner means the newest state of the sim, whichever client moved it."""
 
 import pytest
 from roboxim_interfaces.msg import PlanningScene
@@ -32,13 +32,13 @@ def two_clients(graph_host):  # noqa: F811
 
 
 def touched(asker):
-    """What touches the arm in the newest scene, as the planner sees it."""
+    """Return the bodies that touch the arm in the newest scene, as the planner sees it."""
     request = CheckState.Request(scene=PlanningScene(episode_id="latest"))
     answer = asker.call(CheckState, "planner/check_state", request)
     return {name for contact in answer.contacts for name in (contact.body_a, contact.body_b)}
 
 
-def test_latest_is_what_another_client_has_just_made(two_clients):
+def test_latest_is_the_state_that_another_client_has_just_made(two_clients):
     mover, asker = two_clients
     scene = to_msg(SceneSpec(entities=(CUBE,)), SceneSpecMsg)
     loaded = mover.call(LoadScene, "sim/load_scene", LoadScene.Request(scene=scene, episode_id="e"))

@@ -1,4 +1,4 @@
-"""The main job through the command line: killed, interrupted and resumed, it gives the same bags."""
+"""Generation through the command line gives the same bags when it is killed, interrupted and resumed."""
 
 import os
 import re
@@ -80,7 +80,7 @@ def test_killed_interrupted_and_resumed_runs_give_the_same_bags(tmp_path):
     assert [name for name, content in found.items() if content != expected[name]] == []
 
 
-def test_smoke_run_of_the_demo_makes_what_it_names(tmp_path):
+def test_smoke_run_of_the_demo_creates_the_files_that_it_names(tmp_path):
     process = roboxim("demo", "--smoke", "--out", tmp_path / "demo")
     text, _ = process.communicate(timeout=10 * PATIENCE_S)
     assert process.returncode == 0, text

@@ -1,4 +1,4 @@
-"""Contract of every object: what its file says is what physics, picture and gripper find."""
+"""Contract of every object: its file agrees with physics, rendering and the gripper."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from roboxim_sim.rendering import textures  # registers the room's
 LIBRARY = ModelLibrary()
 MAX_TRIANGLES = 1500
 VISUAL_TOLERANCE_M = 0.015
-"""A stem or a leaf may stick out of the shapes that collide."""
+"""A stem or a leaf may protrude from the collision shapes."""
 
 each_object = pytest.mark.parametrize("object_id", LIBRARY.object_ids)
 
@@ -63,7 +63,7 @@ def test_size_and_rest_height_are_those_of_the_collision_shapes(object_id: str) 
 
 
 @each_object
-def test_what_is_seen_is_where_it_collides(object_id: str) -> None:
+def test_visual_and_collision_shapes_agree(object_id: str) -> None:
     model = LIBRARY.object(object_id)
     links = object_link_poses(model, {})
     parts = [(link.name, part) for link in model.links for visual in link.visual for part in visual_parts(visual)]
@@ -90,7 +90,7 @@ def test_faces_and_normals_agree(object_id: str) -> None:
 
 
 @each_object
-def test_it_stands_where_it_says_it_rests(object_id: str, client: int) -> None:
+def test_an_object_rests_at_its_rest_height(object_id: str, client: int) -> None:
     model = LIBRARY.object(object_id)
     assert all(link.mass > 0 for link in model.links)
     for start in (Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled):

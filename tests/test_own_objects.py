@@ -1,4 +1,4 @@
-"""Objects that users bring: a mesh or a URDF and one YAML file; what is wrong with it is said."""
+"""User-defined objects: a mesh or a URDF and one YAML file, with a report of all errors."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModelLibrary:
 
 @pytest.fixture
 def say(library: ModelLibrary) -> Callable[[str], str]:
-    """Write the user's YAML file and return all that is said of it."""
+    """Write the user's YAML file and return all findings about it."""
 
     def written(text: str) -> str:
         file = library.search_path[0] / "objects" / "brick.yaml"
@@ -170,7 +170,7 @@ def test_a_urdf_with_a_hinge_and_a_fixed_joint(library: ModelLibrary) -> None:
     assert check("bin", library) == []
 
 
-def test_what_is_good_is_called_good(say: Callable[[str], str], library: ModelLibrary) -> None:
+def test_a_valid_object_has_no_findings(say: Callable[[str], str], library: ModelLibrary) -> None:
     brick().export(folder(library) / "brick.glb")
     assert say(GOOD) == ""
     assert [f.message for object_id in ("mug", "cabinet") for f in check(object_id, library)] == []
@@ -215,7 +215,7 @@ def test_a_wrong_mass_or_inertia_is_found(say: Callable[[str], str], library: Mo
     assert "an impossible inertia" in say("name: bin\nurdf: bin.urdf")
 
 
-def test_grasps_that_cannot_be_are_found(say: Callable[[str], str], library: ModelLibrary) -> None:
+def test_impossible_grasps_are_found(say: Callable[[str], str], library: ModelLibrary) -> None:
     brick().export(folder(library) / "brick.glb")
     assert "warning: no grasps" in say(GOOD[: GOOD.index("affordances")])
     assert "the gripper opens to 0.08" in say(GOOD.replace("width_m: 0.04", "width_m: 0.09"))
@@ -243,7 +243,7 @@ def test_a_missing_texture_is_found(say: Callable[[str], str], library: ModelLib
     assert "label.png" in say(plain + "size: [0.05, 0.05, 0.05], material: {texture: label.png}}]}]}")
 
 
-def test_what_floats_or_topples_is_found(say: Callable[[str], str], library: ModelLibrary) -> None:
+def test_floating_and_toppling_objects_are_found(say: Callable[[str], str], library: ModelLibrary) -> None:
     brick().export(folder(library) / "brick.glb")
     assert "would float or sink; leave rest_height out, or give 0.015" in say(GOOD + "rest_height: 0.03\n")
     assert "the shapes' is [0.06, 0.04, 0.03]" in say(GOOD + "size: [0.1, 0.04, 0.03]\n")
@@ -298,7 +298,7 @@ def test_the_command_line_draws_checks_and_starts_objects(library: ModelLibrary,
     assert run.invoke(command, ["check", "brick"]).exit_code == 0
 
 
-def test_of_two_objects_of_one_name_the_users_counts(library: ModelLibrary) -> None:
+def test_a_users_object_overrides_one_of_the_same_name(library: ModelLibrary) -> None:
     brick().export(folder(library) / "brick.glb")
     (folder(library) / "cube.yaml").write_text(GOOD)
     assert library.object("cube").name == "brick"

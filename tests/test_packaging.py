@@ -1,4 +1,4 @@
-"""The same facts stated in several packaging files agree."""
+"""Facts that several packaging files state agree."""
 
 import re
 import tomllib
@@ -38,7 +38,7 @@ def test_root_installs_every_python_package() -> None:
 
 
 @pytest.mark.parametrize("name", PYTHON_PACKAGES)
-def test_package_is_one_for_colcon_too(name: str) -> None:
+def test_package_is_also_a_colcon_package(name: str) -> None:
     folder = ROOT / "src" / name
     assert (folder / "resource" / name).exists()
     assert (folder / name / "__init__.py").exists()
@@ -49,7 +49,7 @@ def test_package_is_one_for_colcon_too(name: str) -> None:
 
 
 @pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda path: path.parent.name)
-def test_manifest_is_of_this_version(manifest: Path) -> None:
+def test_manifest_has_the_current_version(manifest: Path) -> None:
     root = ElementTree.parse(manifest).getroot()
     assert root.findtext("name") == manifest.parent.name
     assert root.findtext("version") == PROJECT["project"]["version"]

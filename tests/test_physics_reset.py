@@ -1,4 +1,4 @@
-"""What the reset component ``physics`` draws is what the simulator's bodies weigh and how they slide."""
+"""Masses and frictions that the reset component ``physics`` draws take effect on the simulator's bodies."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def world():
         yield made
 
 
-def test_a_drawn_mass_is_what_presses_on_the_table(world):
+def test_a_drawn_mass_presses_on_the_table(world):
     scene = drawn("objects: {mass_kg: {values: [0.05, 0.2], order: in_order}}", 1)
     assert scene.entity("target").modifiers["mass"] == pytest.approx(0.2 / CUBE_KG)
     record = world.load(from_json(to_json(scene), SceneSpec), "e")
@@ -48,7 +48,7 @@ def test_a_drawn_mass_is_what_presses_on_the_table(world):
 
 
 @pytest.mark.parametrize(("table", "cube"), [(0.4, 0.6), (0.4, 1.0), (0.7, 0.6), (0.7, 1.0)])
-def test_drawn_frictions_are_how_far_it_slides(table, cube, world):
+def test_drawn_frictions_determine_the_sliding_distance(table, cube, world):
     scene = drawn(f"table_friction: {{values: [{table}]}}, objects: {{friction: {{values: [{cube}]}}}}")
     start = world.load(scene, "e").entity("target").pose
     world.set_entity_state("target", start, linear_velocity=(0.5, 0.0, 0.0))
@@ -58,7 +58,7 @@ def test_drawn_frictions_are_how_far_it_slides(table, cube, world):
     assert slid == pytest.approx(0.5**2 / (2 * table * cube * CUBE_FRICTION * 9.81), rel=0.2)
 
 
-def test_every_body_has_a_stream_of_its_own():
+def test_every_body_has_its_own_random_stream():
     everything = [drawn("", index) for index in range(6)]
     for kind in ("mass", "friction"):
         factors = np.array(

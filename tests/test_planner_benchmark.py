@@ -1,4 +1,4 @@
-"""The referee catches what is planted, the problems are what they claim to be, and published files are read."""
+"""The referee detects planted faults, problems have the stated properties, and published files are read."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_step_of_acceleration_within_its_limit_breaks_only_the_jerk_limit() ->
         (lambda q: np.vstack([q[:500], np.full((1, 7), np.nan), q[501:]]), "not finite"),
     ],
 )
-def test_a_spoiled_motion_is_caught(spoil, said: str) -> None:
+def test_a_corrupted_motion_is_detected(spoil, said: str) -> None:
     assert any(said in fault for fault in judge(spoil(quintic(START, END))).faults)
 
 
@@ -139,7 +139,7 @@ def test_skipping_what_cannot_collide_misses_nothing() -> None:
         assert referee.first_collision(path) == expected
 
 
-def test_tabletop_problems_are_what_they_claim() -> None:
+def test_tabletop_problems_have_the_stated_properties() -> None:
     from benchmarks.planner._problems import tabletop
 
     problems = [tabletop(seed) for seed in range(20)]
@@ -163,7 +163,7 @@ def test_every_hard_family_gives_problems() -> None:
         assert not p.referee().collides(np.array(p.start))
 
 
-def test_the_search_tells_solvable_from_walled_in() -> None:
+def test_the_search_distinguishes_solvable_from_enclosed_goals() -> None:
     from benchmarks.planner._exhaustive import is_solvable
     from benchmarks.planner._problems import problem, tabletop
     from benchmarks.planner._referee import Referee, Solid
@@ -243,7 +243,7 @@ def write_pairs(folder: Path) -> Path:
     return pair
 
 
-def test_published_formats_say_the_same(tmp_path: Path) -> None:
+def test_published_formats_give_the_same_problems(tmp_path: Path) -> None:
     from benchmarks.planner._problem_files import load_problems
 
     pair = write_pairs(tmp_path / "set")
@@ -330,7 +330,7 @@ def test_a_scene_with_an_octomap_is_read_for_its_objects_only() -> None:
 
 
 @pytest.mark.parametrize("damage", ["no folder", "empty", "no request", "mesh", "pose goal", "joints"])
-def test_a_file_that_cannot_be_read_says_where(tmp_path: Path, damage: str) -> None:
+def test_an_unreadable_file_is_reported_with_the_place(tmp_path: Path, damage: str) -> None:
     from benchmarks.planner._problem_files import ProblemFileError, load_problems
 
     pair = write_pairs(tmp_path / "set")

@@ -1,4 +1,4 @@
-"""What a drawn scene promises holds in the simulator at tick 0, whatever skill, object and file it comes from."""
+"""The guarantees of a drawn scene hold in the simulator at tick 0, for every skill, object and task file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def cores(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("model", "pose"), POSES)
-def test_what_is_put_down_rests_there_at_tick_0_and_later(model, pose, world):
+def test_placed_objects_rest_at_tick_0_and_later(model, pose, world):
     home = RobotSpec(joint_positions=tuple(LIBRARY.robot("panda").home))
     for yaw in (0.4, 2.9) if pose.quat_xyzw != Pose().quat_xyzw else (0.4,):
         entity = EntitySpec(name="it", model=model, pose=turned((0.5, 0.1, 0.0), yaw) @ pose)
@@ -69,7 +69,7 @@ def marginal(tmp_path, monkeypatch):
     return ModelLibrary()
 
 
-def test_a_toppled_pose_that_is_no_rest_is_found_by_the_check_of_objects(marginal):
+def test_the_object_check_finds_an_unstable_toppled_pose(marginal):
     (found,) = check("cup", marginal)
     assert found.severity == "error"
     assert "toppled pose 1" in found.message
@@ -89,7 +89,7 @@ reset: {cameras: {names: []}, toppled: {yaw_rad: {values: [0.4]}}}
     assert not list(tmp_path.rglob("*.mcap"))
 
 
-def test_an_episode_of_a_skill_of_one_s_own_that_is_solved_already_does_not_begin(cores):
+def test_an_episode_that_is_already_solved_does_not_begin(cores):
     class Leave(type(SKILLS["pick_up"])):
         name = "leave"
         templates = ("Leave the {target} where it is",)
@@ -108,7 +108,7 @@ def test_an_episode_of_a_skill_of_one_s_own_that_is_solved_already_does_not_begi
     assert "not_solved_already" in result.message
 
 
-def test_a_scene_that_is_to_begin_in_motion_says_so(cores, tmp_path):
+def test_a_scene_that_begins_in_motion_declares_it(cores, tmp_path):
     ball = "{name: ball, model: apple, pose: {position: [0.3, 0.4, 0.5]}}"
 
     def run(settle_steps):

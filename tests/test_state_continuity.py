@@ -52,8 +52,8 @@ def test_no_component_jumps(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_same_episodes_show_the_seam_of_other_representations(run):
-    """The bound bites: a quaternion with w >= 0 flips in these very episodes, the one that is offered does not."""
+def test_other_representations_jump_in_the_same_episodes(run):
+    """The bound is effective: a quaternion with w >= 0 flips in these episodes, the exported one does not."""
     flips = total = 0
     for bag in sorted((run / "episodes").iterdir()):
         ticks = list(BagReader(bag).ticks(cameras=[]))

@@ -16,7 +16,7 @@ ATTACK = (
     "push_object/carry", "place_on/drop", "place_left_of/drop", "stack/cage", "push_button/side_of_the_hand",
     "place_on/at_the_far_side",
 )  # fmt: skip
-"""What an attack on the evaluators once found: cheats that passed, an honest end that was refused."""
+"""Regressions: cheats that once passed an evaluator, and an honest solution that was rejected."""
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_a_skill_without_trials_is_named(monkeypatch):
 
 
 @pytest.mark.parametrize("key", ATTACK)
-def test_what_an_attack_found_is_judged_rightly(runs, key):
+def test_known_cheats_and_honest_solutions_are_judged_correctly(runs, key):
     outcome = runs.run(TRIALS[key], 0)
     assert outcome.as_expected, outcome
     assert outcome.reason == TRIALS[key].reason

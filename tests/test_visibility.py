@@ -1,4 +1,4 @@
-"""Whether a scene shows what its instruction names, through real renderers, against scenes whose answer is known."""
+"""Visibility of the objects that an instruction names, with real renderers, in scenes with known visibility."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ DOWN = Pose(position=(0.5, 0.0, 1.0), quat_xyzw=(0.7071067811865476, -0.70710678
 """From one metre above the table, looking down; the image's right is the world's -y."""
 ABOVE = CameraSpec(name="above", width=256, height=256, fov_y_rad=0.6, pose=DOWN)
 FOLDED = (0.0, -1.5, 0.0, -2.9, 0.0, 1.6, 0.785)
-"""The arm back, out of every picture."""
+"""The arm retracted, outside every image."""
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_a_cube_seen_from_above_has_the_pixels_of_its_top(look):
     assert sight.pixels == sight.whole == pytest.approx(side_px**2, rel=0.15)
 
 
-def test_what_stands_before_the_object_is_missing_of_its_silhouette(look):
+def test_an_occluder_reduces_the_visible_silhouette(look):
     roof = at(0.5, 0.0225, z=0.2, name="roof", model="tray")
     beside = replace(roof, pose=Pose(position=(0.5 + 0.14, 0.0, 0.2)))
     assert look(ABOVE, at(0.5, 0.0), roof).pixels == 0
@@ -74,7 +74,7 @@ def test_what_stands_before_the_object_is_missing_of_its_silhouette(look):
     assert half.whole == look(ABOVE, at(0.5, 0.0)).whole
 
 
-def test_what_is_out_of_the_picture_is_missing_too(look):
+def test_parts_outside_the_image_reduce_the_visible_silhouette(look):
     edge = np.tan(0.3) * (1.0 - 0.0225)
     assert look(ABOVE, at(0.5, 0.0)).share == 1.0
     assert look(ABOVE, at(0.5, edge)).share == pytest.approx(0.5, abs=0.2)
@@ -105,7 +105,7 @@ def test_the_ids_of_the_segmentation_are_those_of_the_renderers_world(library):
         assert drawn_entities(scene) == render_world(scene, library).entity_names
 
 
-def test_a_drawn_scene_shows_its_objects_and_the_same_draw_without_the_check_need_not(library, segmentation):
+def test_a_scene_drawn_with_a_visibility_check_shows_its_objects(library, segmentation):
     config = load_task_config("place_on")
     seeing, blind = EpisodeGenerator(library, visibility=Visibility(segmentation)), EpisodeGenerator(library)
     arm = ArmKinematics(library.robot("panda"))
@@ -126,7 +126,7 @@ def test_a_drawn_scene_shows_its_objects_and_the_same_draw_without_the_check_nee
 
 
 @pytest.mark.ros
-def test_the_sim_node_s_service_sees_what_the_cores_see(graph, library, segmentation):
+def test_the_sim_nodes_service_agrees_with_the_cores(graph, library, segmentation):
     arm = ArmKinematics(library.robot("panda"))
     things = (at(0.5, 0.1), at(0.45, -0.1, 0.045, "mug", "mug"))
     robot = replace(SceneSpec().robot, joint_positions=FOLDED)

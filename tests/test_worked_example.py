@@ -1,4 +1,4 @@
-"""The worked example of docs/tasks.md, run from the very text of the document."""
+"""The worked example of docs/tasks.md, run from the text of the document itself."""
 
 from __future__ import annotations
 

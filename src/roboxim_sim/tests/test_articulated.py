@@ -105,7 +105,7 @@ def test_a_button_springs_back_and_the_record_keeps_the_press(world: World) -> N
 
 
 @pytest.mark.parametrize("container", ["bowl", "mug"])
-def test_what_falls_into_a_cavity_stays_inside(world: World, container: str) -> None:
+def test_objects_that_fall_into_a_cavity_stay_inside(world: World, container: str) -> None:
     model = LIBRARY.object(container)
     interior = next(region for region in model.regions if region.kind == "interior")
     ball = standing("ball", "cube", 0.5, 0.0, scale=0.6)

@@ -2,7 +2,7 @@ import subprocess
 import sys
 
 
-def test_pybullet_is_imported_without_its_greeting_and_errors_still_come_through():
+def test_pybullet_import_hides_its_greeting_but_not_errors():
     code = (
         "import os, roboxim_sim.bullet as b\nwith b._without_greeting(): os.write(2, b'an error\\n')\nprint('answer')"
     )

@@ -64,7 +64,7 @@ def robot() -> Iterator[Robot]:
 
 
 def goal(*targets: Any, seconds: float = 1.0, **fields: Any) -> Any:
-    """Return a goal through joint positions, so many seconds apart."""
+    """Return a goal through joint positions with equal time steps [s]."""
     msg = FollowJointTrajectory.Goal(**fields)
     msg.trajectory.joint_names = list(NAMES)
     for number, target in enumerate(targets, start=1):
@@ -86,7 +86,7 @@ TURNED = HOME + [0.6, 0, 0, 0, 0, 0, 0]
 
 
 @pytest.mark.ros
-def test_each_fault_has_the_standards_code(robot: Robot) -> None:
+def test_each_fault_has_the_standard_error_code(robot: Robot) -> None:
     robot.load()
     unknown = [JointTolerance(name="elbow", position=0.1)]
     for code, said, msg in (
@@ -125,7 +125,7 @@ def test_a_stamp_in_the_future_delays_the_start(robot: Robot) -> None:
 
 
 @pytest.mark.ros
-def test_tolerances_of_path_and_goal_are_kept(robot: Robot) -> None:
+def test_path_and_goal_tolerances_are_enforced(robot: Robot) -> None:
     robot.load()
     tight = [JointTolerance(name=NAMES[0], position=1e-6)]
     result = robot.follow(goal(TURNED, seconds=0.5, path_tolerance=tight))
@@ -158,7 +158,7 @@ def test_an_obstacle_violates_the_goals_tolerance(robot: Robot) -> None:
 
 
 @pytest.mark.ros
-def test_the_gripper_says_whether_it_stalled(robot: Robot) -> None:
+def test_the_gripper_reports_a_stall(robot: Robot) -> None:
     robot.load()
     request = GripperCommand.Goal()
     request.command.position = 0.03
@@ -178,7 +178,7 @@ def test_the_gripper_says_whether_it_stalled(robot: Robot) -> None:
     assert robot.gripper.run(request).status == "aborted"
 
 
-def test_tolerances_are_read_as_the_standard_has_them() -> None:
+def test_tolerances_are_interpreted_as_in_the_standard() -> None:
     default = Tolerance(position=0.01)
     assert tolerance("j", 0.0, 0.0, 0.0, default) == default
     assert tolerance("j", -1.0, 0.2, -1.0, default) == Tolerance(position=NO_LIMIT, velocity=0.2)

@@ -1,4 +1,4 @@
-"""Frames and the robot's description: what RViz and Foxglove need besides the tick's messages."""
+"""Frames and the robot's description, which RViz and Foxglove need besides the tick's messages."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_drawers_frame_moves_with_it() -> None:
         assert sorted(round(distance, 2) for distance in moved.values()) == [0.0] * (len(drawers) - 1) + [0.1]
 
 
-def test_what_holds_for_a_scene_comes_with_its_first_tick() -> None:
+def test_static_messages_come_with_the_first_tick() -> None:
     with World() as world:
         record = world.load(SCENE)
         messages = TickMessages(world.scene, world.robot, world.scene_poses)
@@ -68,9 +68,7 @@ def test_what_holds_for_a_scene_comes_with_its_first_tick() -> None:
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5"])
-def test_every_mesh_of_the_description_is_found_as_a_viewer_finds_it(
-    robot: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_viewers_can_resolve_every_mesh_of_the_description(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
     model = ModelLibrary().robot(robot)
     root = ElementTree.fromstring(robot_description(model.urdf))
@@ -82,7 +80,7 @@ def test_every_mesh_of_the_description_is_found_as_a_viewer_finds_it(
     assert str(Path.home()) not in robot_description(model.urdf), "the text is the same on every machine"
 
 
-def test_a_robot_of_ones_own_has_its_meshes_full_paths(tmp_path: Path) -> None:
+def test_meshes_of_a_users_robot_have_full_paths(tmp_path: Path) -> None:
     urdf = tmp_path / "mine" / "mine.urdf"
     urdf.parent.mkdir()
     urdf.write_text('<robot><mesh filename="package://mine/link.stl"/><mesh scale="1" filename="near.stl"/></robot>')
@@ -93,7 +91,7 @@ def test_a_robot_of_ones_own_has_its_meshes_full_paths(tmp_path: Path) -> None:
 
 @pytest.mark.ros
 @pytest.mark.parametrize("depth", [1, 10])
-def test_who_subscribes_late_gets_the_newest_state_only(graph_host: Any, depth: int) -> None:  # noqa: F811
+def test_a_late_subscriber_gets_only_the_newest_state(graph_host: Any, depth: int) -> None:  # noqa: F811
     camera = CameraSpec(
         name="eye", width=16, height=16, pose=Pose(position=(0.5, 0.0, 1.0), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
     )

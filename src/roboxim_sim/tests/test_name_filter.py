@@ -7,7 +7,7 @@ from roboxim_sim.name_filter import name_filter
 
 
 @pytest.mark.parametrize("text", ["", "^red", "cube_[0-9]+$", "a.*b", "red|blue", "(red|blue)_cube", ".*a.*b.*"])
-def test_filters_that_users_write_are_taken(text):
+def test_ordinary_filters_are_accepted(text):
     assert name_filter(text).pattern == text
 
 
@@ -26,6 +26,6 @@ def test_filters_that_users_write_are_taken(text):
         "(" * 100,
     ],
 )
-def test_filters_that_may_take_forever_are_refused(text):
+def test_filters_with_unbounded_search_time_are_rejected(text):
     with pytest.raises(InvalidRequestError, match="filter"):
         name_filter(text)

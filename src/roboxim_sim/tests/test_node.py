@@ -1,4 +1,4 @@
-"""The sim node: what a client in the graph sees."""
+"""The sim node, from the view of a client in the graph."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def tick(clients: Clients, seq: int, episode_id: str = "e") -> StateRecord:
 
 @functools.cache
 def action_client(clients: Clients, kind: Any, name: str) -> ActionClient:
-    """Kept until the node goes: destroying one while another thread spins its node breaks that thread."""
+    """Kept until the node is destroyed: destroying a client while another thread spins its node breaks that thread."""
     return ActionClient(clients.node, kind, name)
 
 
@@ -124,7 +124,7 @@ def without_cameras() -> SceneSpec:
     return replace(SCENE, cameras=())
 
 
-def test_ticks_through_the_node_are_the_worlds(clients: Clients) -> None:
+def test_ticks_through_the_node_equal_those_of_the_world(clients: Clients) -> None:
     with World() as world:
         expected = world.load(without_cameras(), "e")
         assert from_msg(load(clients, without_cameras(), "e").state, StateRecord) == expected
@@ -132,7 +132,7 @@ def test_ticks_through_the_node_are_the_worlds(clients: Clients) -> None:
             assert tick(clients, seq) == world.tick(seq, DOWN)
 
 
-def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
+def test_every_topic_of_a_tick_is_published_and_listed_in_the_notice(clients: Clients) -> None:
     listener = Listener(clients)
     listener.listen(TickNotice, "sim/ticks")
     for kind, topic in ((Clock, "clock"), (JointState, "joint_states"), (TFMessage, "tf")):
@@ -168,7 +168,7 @@ def test_every_topic_of_a_tick_is_published_and_named(clients: Clients) -> None:
     assert info.k[0] == pytest.approx(24 / np.tan(1.3090 / 2))
 
 
-def test_rendering_a_record_again_gives_the_same_pixels(clients: Clients) -> None:
+def test_rerendering_a_record_gives_the_same_pixels(clients: Clients) -> None:
     listener = Listener(clients)
     listener.listen(Image, "camera/wrist/image")
     load(clients, SMALL, "again")
@@ -184,7 +184,7 @@ def test_rendering_a_record_again_gives_the_same_pixels(clients: Clients) -> Non
     assert not answer.segmentation
 
 
-def test_snapshot_travels_and_restores(clients: Clients) -> None:
+def test_a_snapshot_can_be_serialised_and_restored(clients: Clients) -> None:
     load(clients, without_cameras(), "e")
     records = [tick(clients, seq) for seq in (1, 2, 3)]
     snapshot = clients.call(TakeSnapshot, "sim/take_snapshot", TakeSnapshot.Request()).snapshot_json
@@ -195,7 +195,7 @@ def test_snapshot_travels_and_restores(clients: Clients) -> None:
     assert tick(clients, 4).seq == 4
 
 
-def test_a_holder_that_was_started_again_takes_over_what_it_held(clients: Clients) -> None:
+def test_a_restarted_holder_takes_over_its_lease(clients: Clients) -> None:
     scene = to_msg(without_cameras(), SceneSpecMsg)
     clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())  # whatever another test left
     clients.call(LoadScene, "sim/load_scene", LoadScene.Request(episode_id="first", scene=scene, holder="me"))
@@ -212,7 +212,7 @@ def test_a_holder_that_was_started_again_takes_over_what_it_held(clients: Client
     clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
 
 
-def test_the_lease_keeps_others_out(clients: Clients) -> None:
+def test_the_lease_excludes_other_episodes(clients: Clients) -> None:
     load(clients, without_cameras(), "mine")
 
     def code(call: Callable[[], Any]) -> ErrorCode:
@@ -330,7 +330,7 @@ def test_standard_services(clients: Clients) -> None:
     spawn.name, spawn.entity_resource.uri = "x", "aple"
     refused = clients.call(SpawnEntity, "sim/spawn_entity", spawn).result
     assert refused.result == SpawnEntity.Response.NO_RESOURCE
-    assert "cube" in refused.error_message
+    assert "did you mean 'apple'" in refused.error_message
 
     names = GetEntities.Request()
     names.filters.filter = "^red"

@@ -1,4 +1,4 @@
-"""The `photo` renderer keeps the renderers' contract. Needs Blender (`make photo`), and time."""
+"""The `photo` renderer fulfils the renderers' contract. Needs Blender (`make photo`) and is slow."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ SCENE = SceneSpec(entities=(CUBE,), cameras=(CAMERA,))
 POSES = {"cube": CUBE.pose}
 
 
-def test_without_blender_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_error_without_blender_explains_the_installation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(PYTHON_VARIABLE, str(tmp_path / "python"))
     with pytest.raises(SimError, match="make photo") as caught:
         make_renderer("photo")
     assert caught.value.code == ErrorCode.RENDERER_UNAVAILABLE
 
 
-def test_a_python_without_blender_is_named_with_its_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_a_python_without_blender_and_its_output(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PYTHON_VARIABLE, sys.executable)
     with pytest.raises(SimError, match="(?s)does not start.*No module named 'bpy'") as caught:
         make_renderer("photo")
@@ -55,7 +55,7 @@ def photo() -> Iterator[Renderer]:
 
 
 @pytest.mark.slow
-def test_depth_and_ids_are_rasters_to_the_pixel(photo: Renderer) -> None:
+def test_depth_and_ids_equal_those_of_raster(photo: Renderer) -> None:
     world = render_world(SCENE, ModelLibrary())
     raster = make_renderer("raster")
     raster.load(world)
@@ -90,7 +90,7 @@ def test_images_are_the_same_in_any_order_process_and_number_of_threads(photo: R
 
 
 @pytest.mark.slow
-def test_lights_and_backgrounds_are_the_scenes(photo: Renderer) -> None:
+def test_lights_and_backgrounds_follow_the_scene(photo: Renderer) -> None:
     def mean(**look: object) -> np.ndarray:
         scene = replace(SCENE, look=LookSpec(**look))
         photo.load(render_world(scene, ModelLibrary()))
@@ -117,7 +117,7 @@ def test_wrong_use_is_refused_and_does_not_end_blender(photo: Renderer) -> None:
     assert math.isfinite(photo.render(POSES, [(CAMERA, EYE)])["eye"].rgb.mean())
 
 
-def test_the_worker_needs_nothing_of_ours() -> None:
+def test_the_worker_imports_nothing_of_roboxim() -> None:
     from roboxim_sim.rendering import photo_worker
 
     script = (

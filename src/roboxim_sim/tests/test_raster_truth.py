@@ -1,4 +1,4 @@
-"""What `raster` draws is where it is: depth and segmentation against PyBullet's ray tests, and no image of another."""
+"""Correctness of `raster`: depth and segmentation against PyBullet's ray tests, and isolation between renderers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.raster import RasterRenderer
 
 EVERY = 7
-"""Only every so many rows and columns are compared: rays are slow."""
+"""Only every n-th row and column is compared, because rays are slow."""
 EYE = look_at((0.9, 0.5, 0.6), (0.0, 0.05, 0.0))
 CAMERA = CameraSpec(name="eye", width=160, height=120, depth=True, segmentation=True)
 
@@ -52,7 +52,7 @@ def make_or_skip() -> RasterRenderer:
 
 
 def random_scene(seed: int) -> tuple[SceneSpec, dict[str, Pose], RenderWorld]:
-    """Objects thrown about over the table, and the arm in some pose."""
+    """Objects at random poses above the table, and the arm in a random pose."""
     rng = np.random.default_rng(seed)
     library = ModelLibrary()
     models = rng.choice(["apple", "soda_can", "knife", "plate", "mug", "bowl", "cube", "sponge"], 6, replace=False)
@@ -189,7 +189,7 @@ def turned(i: int) -> dict[str, Pose]:
 
 
 def drawn(world: RenderWorld, count: int) -> list[str]:
-    """Digests of a few images, by a renderer of the calling thread's own."""
+    """Digests of a few images, drawn by a renderer of the calling thread."""
     renderer = RasterRenderer()
     renderer.load(world)
     digests = [digest(renderer.render(turned(i), [(CAMERA, EYE)])) for i in range(count)]
@@ -197,7 +197,7 @@ def drawn(world: RenderWorld, count: int) -> list[str]:
     return digests
 
 
-def test_renderers_side_by_side_never_give_each_others_or_stale_images(raster: RasterRenderer) -> None:
+def test_concurrent_renderers_never_return_foreign_or_stale_images(raster: RasterRenderer) -> None:
     worlds = [box_world((0.8, 0.1, 0.1)), box_world((0.1, 0.1, 0.8))]
     expected = [drawn(world, 6) for world in worlds]
     assert len({*expected[0], *expected[1]}) == 12
@@ -264,7 +264,7 @@ def _body(key: str, solid: trimesh.Trimesh) -> RenderBody:
     return RenderBody(key=key, entity=key, parts=(VisualPart(mesh=mesh, material=MaterialSpec()),))
 
 
-def test_what_stands_on_the_table_darkens_it_all_round_and_what_hangs_high_does_not(raster: RasterRenderer) -> None:
+def test_standing_objects_darken_the_table_and_high_objects_do_not(raster: RasterRenderer) -> None:
     bodies = (
         _body("ball", trimesh.creation.icosphere(subdivisions=2, radius=0.04)),
         _body("table", trimesh.creation.box((1.5, 1.5, 0.02))),
@@ -302,7 +302,7 @@ def test_a_larger_light_makes_softer_edges(raster: RasterRenderer, kind: str, ed
     assert widths[1] > 1.5 * widths[0]
 
 
-def test_a_gpu_is_preferred_and_software_serves_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_is_preferred_over_software(monkeypatch: pytest.MonkeyPatch) -> None:
     released: list[str] = []
 
     class Context:

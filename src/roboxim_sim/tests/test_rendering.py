@@ -1,4 +1,4 @@
-"""The renderers' contract, held by every registered renderer, and what `raster` promises beyond it."""
+"""The contract of every registered renderer, and the further guarantees of `raster`."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_segmentation_names_entities_and_leaves_the_background_zero(renderer: Re
     assert red[0] > 2 * red[1]
 
 
-def test_a_camera_gives_what_it_is_asked_for_and_owns_it(renderer: Renderer) -> None:
+def test_a_camera_returns_the_requested_images_and_owns_them(renderer: Renderer) -> None:
     world, poses = example()
     renderer.load(world)
     cameras = [(camera("a", depth=False, width=64), EYE), (camera("b", segmentation=False, width=40, height=200), EYE)]
@@ -213,7 +213,7 @@ def test_same_input_gives_the_same_bits_whatever_came_before(renderer: Renderer)
 
 
 def in_a_process(call: str, name: str) -> str:
-    """Return what a function of this file returns in a process of its own, given a renderer of the name."""
+    """Return the result of a function of this file in a separate process, given a renderer of the name."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import test_rendering as t\n"
         f"print('returned', t.{call}(t.make_renderer(sys.argv[2])))"
@@ -369,7 +369,7 @@ def growth_while_reopening(renderer: Renderer) -> float:
     return rss_mib() - before
 
 
-# In processes of their own: what other tests' threads leave or free would be counted here.
+# In separate processes: memory that other tests' threads keep or free would be counted here.
 
 
 def test_memory_stays_flat(renderer: Renderer) -> None:
@@ -392,7 +392,7 @@ def test_without_gl_raster_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     assert found["tiny"].available
 
 
-def test_configurations_may_name_every_texture_of_the_room() -> None:
+def test_configurations_can_use_every_texture_of_the_room() -> None:
     names = textures.TEXTURES
     assert {name for name in names if names[name].__module__ == textures.__name__} == set(ROOM_TEXTURES)
 

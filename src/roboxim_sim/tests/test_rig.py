@@ -1,4 +1,4 @@
-"""What a scene's cameras deliver, on a real renderer: intrinsics, distortion, noise, rate, and `CameraInfo`."""
+"""The cameras of a scene on a real renderer: intrinsics, distortion, noise, rate, and `CameraInfo`."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_known_points_are_where_camera_info_says(renderer: Renderer, camera: Cam
     assert seen >= 6
 
 
-def test_depth_stays_metric_through_a_bending_lens(renderer: Renderer) -> None:
+def test_depth_stays_metric_with_distortion(renderer: Renderer) -> None:
     poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
     down = look_at((0.0, 0.0, 1.2), (0.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
     images = draw_frames(floor(renderer), 0, poses, [(BARREL, down)])["eye"]
@@ -108,7 +108,7 @@ def test_depth_stays_metric_through_a_bending_lens(renderer: Renderer) -> None:
     assert images.depth.shape == (270, 360)
 
 
-def test_opencv_undistorts_the_image_to_the_pinholes(renderer: Renderer) -> None:
+def test_opencv_undistorts_the_image_to_that_of_a_pinhole(renderer: Renderer) -> None:
     """`cv2.undistort` with the message's K and D, as a user would rectify, gives what a perfect lens sees."""
     renderer.load(world(30))
     points = np.random.default_rng(2).uniform(-0.24, 0.24, (30, 3))
@@ -126,7 +126,7 @@ def test_opencv_undistorts_the_image_to_the_pinholes(renderer: Renderer) -> None
     assert error(bent) > 4 * error(rectified)
 
 
-def test_noise_is_of_the_seed_the_camera_and_the_tick(renderer: Renderer) -> None:
+def test_noise_depends_on_seed_camera_and_tick_only(renderer: Renderer) -> None:
     poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
 
     def take(camera: CameraSpec, seq: int):
@@ -147,7 +147,7 @@ def test_noise_is_of_the_seed_the_camera_and_the_tick(renderer: Renderer) -> Non
     assert np.std((depth[near] - ideal_depth[near]) / ideal_depth[near] ** 2) == pytest.approx(0.01, rel=0.1)
 
 
-def test_exposure_and_blur_do_what_they_say(renderer: Renderer) -> None:
+def test_exposure_and_blur_take_effect(renderer: Renderer) -> None:
     poses = {"ground": Pose(position=(0.0, 0.0, -0.01))}
 
     def take(**noise: float) -> np.ndarray:
@@ -183,7 +183,7 @@ def test_an_impossible_lens_is_refused_when_the_scene_is_loaded(renderer: Render
         CameraRig(renderer).load(world(), SceneSpec(cameras=(folded,)))
 
 
-def test_the_projection_is_the_cores(renderer: Renderer) -> None:
+def test_the_projection_agrees_with_the_core(renderer: Renderer) -> None:
     """`project` and the message agree, so that a user may take either."""
     point = np.array([[0.1, -0.05, 0.9]])
     info = camera_info_msg(0, BARREL)

@@ -1,4 +1,4 @@
-"""Every robot of the library can be held by the world."""
+"""Every robot of the library works in the world."""
 
 from __future__ import annotations
 

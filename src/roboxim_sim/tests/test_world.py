@@ -55,7 +55,7 @@ def random_actions(seed: int, count: int) -> np.ndarray:
 
 
 def move_to(world: World, target: Pose, gripper: float) -> StateRecord:
-    """Straight to a pose by deltas of at most 2 cm and 0.1 rad."""
+    """Move straight to a pose by deltas of at most 2 cm and 0.1 rad."""
     record = world.record
     for _ in range(200):
         now = record.robot.pose_tcp_commanded
@@ -228,7 +228,7 @@ def _code(call: object) -> ErrorCode:
     return caught.value.code
 
 
-def test_the_door_refuses_and_the_world_stays(world: World) -> None:
+def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     with World(LIBRARY) as empty:
         assert _code(lambda: empty.tick(1, hold_action(1.0))) == ErrorCode.NO_SCENE
     record = world.load(cubes(8), "e")
@@ -259,7 +259,7 @@ def test_the_door_refuses_and_the_world_stays(world: World) -> None:
     assert world.tick(1, hold_action(1.0)).seq == 1
 
 
-def test_leaving_the_workspace_is_said_in_the_record(world: World) -> None:
+def test_the_record_reports_leaving_the_workspace(world: World) -> None:
     scene = SceneSpec(workspace=WorkspaceSpec(lower=(0.2, -0.5, 0.3), upper=(0.8, 0.5, 0.7)))
     record = world.load(scene, "e")
     for _ in range(3):
@@ -352,7 +352,7 @@ def test_simple_waypoints_pick_a_cube_anywhere(world: World, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("offset_m", "yaw_error_rad"), [(0.01, 0.0), (0.0, 0.25)])
-def test_a_grasp_bears_misalignment(world: World, offset_m: float, yaw_error_rad: float) -> None:
+def test_a_grasp_tolerates_misalignment(world: World, offset_m: float, yaw_error_rad: float) -> None:
     world.load(cubes(3, 1), "e")
     assert pick(world, "cube_0", offset_m, yaw_error_rad).entity("cube_0").pose.position[2] > 0.12
 
@@ -369,7 +369,7 @@ def test_a_held_cube_does_not_slip(world: World) -> None:
     assert slip[1] < 0.03
 
 
-def test_the_record_tells_how_fast_a_thing_fell_and_which_way_contacts_push(world: World) -> None:
+def test_the_record_has_fall_speed_and_contact_directions(world: World) -> None:
     scene = cubes(5)
     world.load(scene)
     high = Pose(position=(0.5, 0.0, 0.0225 + 0.2))
@@ -388,7 +388,7 @@ def test_the_record_tells_how_fast_a_thing_fell_and_which_way_contacts_push(worl
 
 
 def test_contact_points_turn_with_the_hand(world: World) -> None:
-    """Friction anchors keep contact points; with the normals of before a turn these hold the fingers closed."""
+    """Friction anchors keep contact points; after a turn their old normals would hold the fingers closed."""
     knife = LIBRARY.object("knife")
     lying = Pose(position=(0.45, 0.0, knife.rest_height))
     world.load(SceneSpec(entities=(EntitySpec(name="knife", model="knife", pose=lying),)), "e")
