@@ -1,6 +1,6 @@
-"""What a task's configuration is checked for when it is loaded: a typo must not surface at the hundredth episode.
+"""Checks of a task's configuration when it is loaded: a typo must not surface at the hundredth episode.
 
-Every complaint names the file, the key, its line where there is one, and what is allowed.
+Every error names the file, the key, its line if known, and the allowed values.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
 
 MAX_COMBINATIONS = 1000
-"""Combinations of arguments of which each is tried."""
+"""Largest number of combinations of arguments that are all checked."""
 
 Path = tuple[str | int, ...]
 
@@ -38,16 +38,16 @@ class Document:
     """Plain data with its source, for messages."""
 
     source: str
-    """What the data is, e.g. a file."""
+    """Name of the data's source, e.g. a file."""
     data: Any
-    """The whole of it, as `roboxim_core.config.parse_yaml` gives it."""
+    """All data, as returned by `roboxim_core.config.parse_yaml`."""
 
     def error(self, path: Path, problem: object) -> ConfigError:
         """Return the error of a key: ``task.yaml is not valid: objects.target (line 3): ...``.
 
         Args:
-            path: The key, or the section that a class complains of.
-            problem: What is wrong; where it is a key of the section, the message begins with that.
+            path: The key, or the section that a class refused.
+            problem: The problem; if it concerns a key of the section, the text begins with that key.
         """
         section, line = section_of(self.data, path)
         at, line = complaint_at(str(problem), section, ".".join(map(str, path)), line)
@@ -55,10 +55,10 @@ class Document:
 
     @contextmanager
     def section(self, path: Path) -> Iterator[None]:
-        """Give what a check says of a section the place of the section, or of the key that the message begins with.
+        """Add the location of the section, or of the key that the message begins with, to errors of a check.
 
         Raises:
-            ConfigError: In place of the check's.
+            ConfigError: When the check fails; replaces the check's error.
         """
         try:
             yield
@@ -69,27 +69,27 @@ class Document:
         """Refuse an unknown name.
 
         Raises:
-            ConfigError: Listing the known ones.
+            ConfigError: When the name is unknown; lists the known names.
         """
         names = tuple(known)
         if name not in names:
             raise self.error(path, f"unknown name '{name}'; {one_of(names, name)}")
 
     def build(self, data: Any, cls: Any, path: Path) -> Any:
-        """Build a value of a dataclass from a part of the data, or from what a part was completed to.
+        """Build a value of a dataclass from a part of the data, or from the completed part.
 
         Raises:
-            ConfigError: Listing every wrong key.
+            ConfigError: When keys are wrong; lists all of them.
         """
         line = section_of(self.data, path)[1]
         return from_plain(data, cls, source=self.source, path=".".join(map(str, path)), line=line)
 
 
 def check_scene(document: Document, config: TaskConfig) -> None:
-    """Check the scene that objects are added to.
+    """Check the base scene of a task.
 
     Raises:
-        ConfigError: When there is none of that name, its file is wrong, or the control rate does not suit it.
+        ConfigError: When the scene is unknown, its file is invalid, or the control rate does not suit it.
     """
     with document.section(("scene",)):
         scene = named("scenes", config.scene, SceneSpec)
@@ -100,11 +100,11 @@ def check_scene(document: Document, config: TaskConfig) -> None:
 def check_objects(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
     """Check every model and modifier that may be drawn.
 
-    A modifier must be one that some of the models take, and a value one that some of them allow; a model is drawn
-    without what it does not take.
+    At least one of the models must take each modifier and allow each value. A model is drawn without the modifiers that
+    it does not take.
 
     Raises:
-        ConfigError: On the first that is wrong.
+        ConfigError: On the first invalid model or modifier.
     """
     roles = SKILLS[config.skill].roles
     places: list[tuple[Path, ObjectConfig | DistractorConfig, Role]] = [
@@ -128,15 +128,15 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
 
 
 def check_arguments(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
-    """Check that what varies are parameters of the skill, and each value is one that it takes, also with the others.
+    """Check that arguments are parameters of the skill, and that all values are valid, alone and together.
 
     Args:
         document: The task's data.
         config: The task, complete.
-        library: Where models are looked up.
+        library: Library of the models.
 
     Raises:
-        ConfigError: On the first that is wrong.
+        ConfigError: On the first invalid argument.
     """
     skill = SKILLS[config.skill]
     models = {
@@ -162,7 +162,7 @@ def check_arguments(document: Document, config: TaskConfig, library: ModelLibrar
 
 
 def _check_together(skill: Skill, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
-    """Refuse roles of which no combination of models makes sense."""
+    """Refuse roles without any valid combination of models."""
     reasons = [
         skill.mismatch(parameters, dict(zip(models, combination, strict=True)))
         for combination in itertools.product(*models.values())
@@ -172,7 +172,7 @@ def _check_together(skill: Skill, parameters: Any, models: Mapping[str, Sequence
 
 
 def _combinations(arguments: Mapping[str, Choice]) -> Iterator[dict[str, Scalar]]:
-    """Yield what may be drawn, the ends of ranges: all arguments together, or, if these are too many, one by one."""
+    """Yield values of arguments, for ranges their ends: all combinations or, if they are too many, one by one."""
     if math.prod(len(choice.ends) for choice in arguments.values()) <= MAX_COMBINATIONS:
         for values in itertools.product(*(choice.ends for choice in arguments.values())):
             yield dict(zip(arguments, values, strict=True))
@@ -185,7 +185,7 @@ def check_reset(document: Document, config: TaskConfig) -> None:
     """Check that the reset components of a complete task suit its skill.
 
     Raises:
-        ConfigError: On the first that does not.
+        ConfigError: On the first component that does not.
     """
     for name, section in config.reset.items():
         with document.section(("reset", name)):
@@ -193,10 +193,10 @@ def check_reset(document: Document, config: TaskConfig) -> None:
 
 
 def check_templates(document: Document, config: TaskConfig) -> None:
-    """Check that instructions speak of the skill's roles and words only.
+    """Check that instructions name only the skill's roles and words.
 
     Raises:
-        ConfigError: On the first that does not.
+        ConfigError: On the first template that names others.
     """
     if config.templates is None:
         return
@@ -213,15 +213,15 @@ def check_templates(document: Document, config: TaskConfig) -> None:
 
 
 def check_exclusions(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
-    """Check that excluded combinations are of what the roles can be at all, and leave something to draw.
+    """Check that excluded combinations are possible at all, and leave something to draw.
 
     Args:
         document: The task's data.
         config: The task, complete: with an entry for each role.
-        library: Where models and modifiers are looked up.
+        library: Library of models and modifiers.
 
     Raises:
-        ConfigError: On the first that is wrong.
+        ConfigError: On the first invalid combination.
     """
     roles = SKILLS[config.skill].roles
     for number, combination in enumerate(config.exclude):
@@ -261,7 +261,7 @@ def _check_role(document: Document, path: Path, model: str, role_name: str, role
 
 
 def _takers(kind: str, models: Iterable[str], library: ModelLibrary) -> list[ModifierModel]:
-    """Return the modifiers of a kind that some models have."""
+    """Return the modifiers of a kind that any of the models have."""
     if kind in PHYSICAL:
         return [PHYSICAL[kind]]
     return [taken[kind] for taken in map(library.object_modifiers, models) if kind in taken]

@@ -1,8 +1,7 @@
-"""Task configuration: which tasks are drawn and how their scenes are reset.
+"""Task configuration: the tasks to draw and the reset of their scenes.
 
-Skills and reset components bring configurations of their own (``parameters``, ``reset``); they are checked here,
-against the class that the named skill or component declares, so that a wrong key is refused with its line before
-anything runs.
+Skills and reset components declare the classes of their own sections (``parameters``, ``reset``). This module checks
+the sections against those classes, so that a wrong key is refused with its line before anything runs.
 """
 
 from __future__ import annotations
@@ -36,19 +35,19 @@ from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 
 DEFAULT_TASK = "pick_cube"
 TASK = "task"
-"""Key of a mix's exclusions beside the roles."""
+"""Key of a mix's exclusions besides the roles."""
 
 
 def task_config(data: Any, *, source: str = "task configuration", library: ModelLibrary | None = None) -> TaskConfig:
     """Build a task configuration from plain data, complete with the defaults of its skill and components.
 
     Args:
-        data: As `roboxim_core.config.parse_yaml` or `to_plain` gives; none: all defaults.
-        source: What the data is, for messages.
-        library: Where objects and their modifiers are looked up; none: RoboXim's own.
+        data: As returned by `roboxim_core.config.parse_yaml` or `to_plain`; none: all defaults.
+        source: Name of the data's source, for messages.
+        library: Library of the objects and their modifiers; none: RoboXim's library.
 
     Raises:
-        ConfigError: Listing every wrong key with its path, line and what is allowed.
+        ConfigError: When keys are wrong; lists each with its path, line and the allowed values.
     """
     if data is None:
         data = {}
@@ -92,7 +91,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
 
 
 def _completed(section: Any, defaults: Mapping[str, Any]) -> Any:
-    """Return a section with a skill's defaults for what it leaves out; it keeps its line numbers."""
+    """Return a section completed with a skill's defaults; the given keys keep their line numbers."""
     if not isinstance(section, MutableMapping):
         return section
     completed = copy(section)
@@ -108,24 +107,24 @@ def _section(data: Mapping[str, Any], key: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class CellConfig:
-    """Part of a mix: every combination of its tasks and models is a cell with a number of episodes of its own."""
+    """Part of a mix: every combination of its tasks and models is a cell with a fixed number of episodes."""
 
     tasks: tuple[str, ...]
-    """Names in ``config/tasks``, or files, each of one skill."""
+    """Names in ``config/tasks``, or files; each describes one skill."""
     models: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Role to object models, each of which makes a cell of its own; roles left out vary as the task says."""
+    """Role to object models, with one cell per model; omitted roles vary as the task says."""
     exclude: tuple[dict[str, str], ...] = ()
-    """Cells that are left out: ``task`` and roles, all of which agree, e.g. ``{task: pick_up, target: apple}``."""
+    """Cells to leave out: those where ``task`` and all given roles match, e.g. ``{task: pick_up, target: apple}``."""
     episodes: int = 1
     """Episodes of each cell."""
     set: dict[str, Any] = field(default_factory=dict)
-    """Keys of the task that are replaced, e.g. ``{reset: {cameras: {names: [right]}}}``."""
+    """Keys of the task to replace, e.g. ``{reset: {cameras: {names: [right]}}}``."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
 
         Raises:
-            ConfigError: When there is no episode or no task.
+            ConfigError: When there is no task, or the number of episodes is out of range.
         """
         if not self.tasks:
             raise ConfigError("tasks must be names of at least one task, got none")
@@ -135,15 +134,15 @@ class CellConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MixConfig:
-    """A YAML file of ``config/tasks`` with several tasks: a dataset with exact counts."""
+    """A YAML file of ``config/tasks`` with several tasks: a dataset with exact episode counts."""
 
     cells: tuple[CellConfig, ...]
     """The parts."""
     set: dict[str, Any] = field(default_factory=dict)
-    """Keys that are replaced in every task."""
+    """Keys to replace in every task."""
 
     def __post_init__(self) -> None:
-        """Check that there is something.
+        """Check that there is a cell.
 
         Raises:
             ConfigError: When there is no cell.
@@ -156,8 +155,8 @@ class MixConfig:
 class TaskMix:
     """Several task configurations, each with an exact number of episodes.
 
-    Cells take turns in proportion to their counts, so that any beginning of the dataset is balanced as well. The order
-    is a function of the index; after all episodes it starts again.
+    Cells alternate in proportion to their counts, so that any first part of the dataset is balanced too. The order is a
+    function of the index; it repeats after all episodes.
     """
 
     cells: tuple[TaskConfig, ...]
@@ -176,7 +175,7 @@ class TaskMix:
 
     @property
     def order(self) -> Iterator[tuple[int, int]]:
-        """Cell, and number within it, of each episode."""
+        """Cell of each episode, and the episode's number within the cell."""
         return (_turn(self.counts, place) for place in range(sum(self.counts)))
 
     def at(self, index: int) -> tuple[TaskConfig, int]:
@@ -187,16 +186,16 @@ class TaskMix:
 
 
 _SCALE = 2**128
-"""Makes whole numbers of two fractions with denominators up to 10^12 that differ exactly where the fractions do."""
+"""Factor that maps fractions with denominators up to 10^12 to integers and keeps different fractions different."""
 
 
 @lru_cache(maxsize=4096)
 def _turn(counts: tuple[int, ...], place: int) -> tuple[int, int]:
-    """Return the cell of a place in the order, and the number within the cell, without making the order.
+    """Return the cell at a place in the order, and the number within the cell, without computing the whole order.
 
-    Episode k of a cell of n stands at (k + 1/2) / n; the order is that of these numbers, then of the cells. A cell is
-    at most half an episode ahead of its share or behind it. So only those episodes are sorted that stand within as many
-    places as there are cells.
+    Episode k of a cell with n episodes has the key (k + 1/2) / n. Episodes are sorted by key, then by cell. A cell is
+    at most half an episode ahead of its share or behind it, so it suffices to sort the episodes within as many places
+    as there are cells.
     """
     total, slack = sum(counts), len(counts)
     near, skipped = [], 0
@@ -213,8 +212,8 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
     """Build a mix from plain data.
 
     Raises:
-        ConfigError: Listing every wrong key with its path, line and what is allowed. A line is one of the mix, unless
-            the message names the file of the task that the key is from.
+        ConfigError: When keys are wrong; lists each with its path, line and the allowed values. Lines are those of the
+            mix, unless the message names a task's file.
     """
     document = Document(source, data)
     mix: MixConfig = document.build(data, MixConfig, ())
@@ -248,7 +247,7 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
 
 
 def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
-    """Check that a cell's exclusions are of what the cell has; a typo would leave nothing out."""
+    """Check that a cell's exclusions name tasks and models of the cell; a typo would exclude nothing."""
     path: Path = ("cells", number)
     for role, models in cell.models.items():
         if not models:
@@ -261,7 +260,7 @@ def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
 
 
 def _models(cell: Any, names: Mapping[str, str]) -> Any:
-    """Return the change of a task that gives each role of a cell one model, with the lines of the cell's ``models``."""
+    """Return the changes to a task that give each role of a cell one model, with the lines of the cell's ``models``."""
     given = cell.get("models")
     lines = {role: line_of(given, role) for role in names}
     return (
@@ -283,9 +282,9 @@ def _models(cell: Any, names: Mapping[str, str]) -> Any:
 
 
 def merged(base: Any, change: Any) -> Any:
-    """Return plain data with keys replaced, mapping by mapping; a list or a choice is replaced as a whole.
+    """Return plain data with keys replaced recursively in mappings; lists and choices are replaced as a whole.
 
-    Every key keeps the line where it was written, as `roboxim_core.config.line_of` says it.
+    Every key keeps its line number, see `roboxim_core.config.line_of`.
     """
     if not isinstance(base, Mapping) or not isinstance(change, Mapping) or "values" in change or "lower" in change:
         return change
@@ -295,7 +294,7 @@ def merged(base: Any, change: Any) -> Any:
 
 
 def any_task_config(data: Any, *, source: str) -> TaskConfig | TaskMix:
-    """Build a task configuration, or a mix when there are ``cells``; see `task_config` and `task_mix`."""
+    """Build a task configuration, or a mix if the data has ``cells``; see `task_config` and `task_mix`."""
     return (
         task_mix(data, source=source)
         if isinstance(data, Mapping) and "cells" in data
@@ -307,16 +306,16 @@ def load_task_config(name: str = DEFAULT_TASK) -> TaskConfig | TaskMix:
     """Load ``config/tasks/<name>.yaml``, or a path to a YAML file.
 
     Raises:
-        ConfigError: When there is no such file or it is wrong.
+        ConfigError: When the file is missing or invalid.
     """
     path = named_config("tasks", name)
     return any_task_config(load_yaml(path), source=str(path))
 
 
 def parse_task_config(text: str) -> TaskConfig | TaskMix:
-    """Parse a task configuration given as YAML text (what a service request carries).
+    """Parse a task configuration given as YAML text, as service requests carry it.
 
     Raises:
-        ConfigError: When it is wrong.
+        ConfigError: When the configuration is invalid.
     """
     return any_task_config(parse_yaml(text, source="task configuration"), source="task configuration")

@@ -1,4 +1,4 @@
-"""Messages to the tasks' values and back."""
+"""Conversions between messages and the values of this package."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from roboxim_tasks.planning import Surroundings
 
 
 def motion_request(robot: str, joints: Array, around: Surroundings, seed: int) -> MotionRequest:
-    """Return what a planning request has in common."""
+    """Return the part that all planning requests share."""
     msg = MotionRequest(robot=robot, seed=seed, start_state=JointState(position=joints.tolist()))
     msg.scene = planning_scene(around)
     return msg
 
 
 def planning_scene(around: Surroundings) -> PlanningScene:
-    """Return a scene by the name of its revision, or body by body when its state is none of the simulator's.
+    """Return a scene by the name of its revision, or body by body if the simulator has no such state.
 
-    What the gripper holds, and what is elsewhere by then, is taken out of it and attached or put there.
+    The held object is attached to the gripper, and moved objects are placed at their new poses.
     """
     there = {entity.name: entity for entity in around.state_then.entities}
     given = {entity.name for entity in around.moved}
@@ -60,7 +60,7 @@ def planning_scene(around: Surroundings) -> PlanningScene:
 
 
 def _collision_object(entity: EntitySpec, state: EntityState, pose: Pose) -> CollisionObject:
-    """Return an entity as the model that it is, at its joint positions."""
+    """Return an entity as a collision object: its model at its joint positions."""
     msg = CollisionObject(name=entity.name, model=entity.model)
     fill_pose(msg.pose, pose)
     msg.modifiers = [KeyValue(key=key, value=json.dumps(value)) for key, value in entity.modifiers.items()]

@@ -25,18 +25,17 @@ from roboxim_tasks.visible import Visibility
 
 
 class EpisodeGenerator:
-    """Draws tasks and scenes; same seed path and configuration, same episode. Not thread-safe (kinematics)."""
+    """Generator of tasks and scenes; deterministic in seed path and configuration. Not thread-safe (kinematics)."""
 
     def __init__(
         self, library: ModelLibrary, solvability: Solvability | None = None, visibility: Visibility | None = None
     ) -> None:
-        """Make a generator. Without one of the checks other scenes are drawn for the same seed.
+        """Make a generator. Omitting a check changes the scenes of a seed.
 
         Args:
             library: Robots and objects.
-            solvability: Refuses scenes that cannot be solved; none: whether a scene can be solved is not asked.
-            visibility: Refuses scenes whose fixed cameras do not see what the instruction names; none: what they see
-                is not asked.
+            solvability: Check that scenes have a solution; none: no check.
+            visibility: Check that the fixed cameras see the objects that the instruction names; none: no check.
         """
         self._library = library
         self._solvability = solvability
@@ -46,7 +45,7 @@ class EpisodeGenerator:
         """The newest reset: how often it drew, and what refused its draws."""
 
     def draw(self, seed: SeedPath, config: TaskConfig | TaskMix) -> Draw:
-        """Draw the episode of a seed path; of a mix, that of the cell whose turn it is.
+        """Draw the episode of a seed path; for a mix, from the cell of the episode's index.
 
         Raises:
             TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
@@ -62,7 +61,7 @@ class EpisodeGenerator:
         """Draw the task of a seed path, without its scene.
 
         Raises:
-            TaskError: With code ``RESET_INFEASIBLE`` when no objects or distractors suit.
+            TaskError: With code ``RESET_INFEASIBLE`` when there are no suitable objects or distractors.
             ConfigError: When the configuration names what does not exist.
         """
         cell, ordinal = config.at(seed.index)
@@ -75,8 +74,8 @@ class EpisodeGenerator:
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
         """Draw the scene of a task.
 
-        Components that place objects are drawn again until every constraint of the skill holds; the others once, so
-        that what they draw does not depend on how often a placement was refused.
+        Components that place objects are drawn again until every constraint of the skill holds. All others are drawn
+        once, so that their values do not depend on the number of refused placements.
 
         Raises:
             TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
@@ -117,7 +116,7 @@ class EpisodeGenerator:
         raise _infeasible(context, worst, context.draws)
 
     def _check(self, scene: SceneSpec, context: ResetContext) -> None:
-        """Refuse a scene by the first constraint that it breaks; the costly ones come last."""
+        """Refuse a scene by the first constraint that it violates; the costly ones come last."""
         for constraint in context.constraints:
             if not constraint.holds(scene):
                 raise RejectedError(constraint.name)
@@ -134,7 +133,7 @@ class EpisodeGenerator:
 
 
 def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, wording: Wording) -> None:
-    """Refuse a scene that already has an object which an instruction could mean."""
+    """Refuse a scene that already contains an object that the instruction could mean."""
     for thing in wording.mistakable(base, task):
         raise ConfigError(
             f"scene '{config.scene}' already has a {description(thing)} ('{thing.entity}'), so '{task.instruction}' "

@@ -1,13 +1,15 @@
 """The expert: a skill's executor behind the policy interface.
 
-A scene is planned once: the expert takes the solution of the drawn scene, which the reset has found, and verifies it
-in the settled scene at its first request. It plans anew only if that fails. It then answers each request with the delta
-from the *commanded* pose to the reference's next pose, so injected noise is corrected and never accumulates.
+A scene is planned once. At its first request the expert verifies the reset's solution of the drawn scene in the settled
+scene, and replans only if that fails. It then answers each request with the delta from the *commanded* pose to the
+reference's next pose, so that injected noise is corrected and never accumulates.
 
-It looks at what it holds: when the grasp turned out a little different from the plan, or what was lifted sags, it
-plans the rest again from the object's true pose in the hand, which costs no tick; when it holds nothing it lets go,
-withdraws and tries again, and marks those actions as ``recovery``, so that the episode counts as recovered and not as a
-first-try success.
+The expert monitors its grasp:
+
+- If the grasp differs a little from the plan, or the lifted object sags, the expert replans the rest from the object's
+  true pose in the hand. This costs no tick.
+- If the hand is empty, the expert opens it, withdraws and tries again. It marks those actions as ``recovery``, so that
+  the episode counts as recovered and not as a first-try success.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ MAX_RECOVERIES = 2
 HELD_TOLERANCE_M = 0.003
 HELD_TOLERANCE_RAD = 0.035
 SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
-"""How far what was lifted may have shifted or turned in the hand before the rest is planned again."""
+"""Largest shift [m] and rotation [rad] of a lifted object in the hand that need no replanning."""
 
 
 class Expert:
@@ -56,10 +58,10 @@ class Expert:
             library: Robots and objects.
             planner: Verifies and finds motions.
             config: Speeds; none: the default.
-            direct: Whether it goes straight from stage to stage and asks the planner nothing: what a scene whose way
-                is blocked is compared with.
-            solvability: Solves drawn scenes, with the same speeds; that of the resets spares planning a scene twice,
-                and does not change what the expert does. None: one of its own.
+            direct: Whether to go straight from stage to stage without the planner; the baseline for scenes with a
+                blocked path.
+            solvability: Solver of drawn scenes, with the same speeds. Sharing the resets' solver avoids planning a
+                scene twice and does not change the expert's actions. None: a new one.
         """
         self._library = library
         self._solver = Solver(library, planner, config, direct=direct)
@@ -71,7 +73,7 @@ class Expert:
         self._recoveries = 0
 
     def describe(self) -> PolicyDescription:
-        """Say what the expert is."""
+        """Return the expert's description."""
         return PolicyDescription(
             name="direct_expert" if self._direct else "expert",
             semantics=ActionSemantics(rate_hz=ANY_RATE),
@@ -80,10 +82,10 @@ class Expert:
         )
 
     def reset(self, start: EpisodeStart) -> None:
-        """Take up an episode.
+        """Start an episode.
 
         Raises:
-            TaskError: With code ``NO_EXPERT`` when no task or scene comes with it, or the skill is unknown.
+            TaskError: With code ``NO_EXPERT`` when the request lacks task or scene, or the skill is unknown.
         """
         if start.task is None or start.scene is None:
             raise TaskError(
@@ -100,7 +102,7 @@ class Expert:
 
         Raises:
             TaskError: When no episode was started, or the observation has no state.
-            PolicyError: When no candidate motion holds.
+            PolicyError: When no candidate motion passes verification.
         """
         state = window.newest.state
         if self._start is None or self._start.episode_id != window.episode_id:
@@ -115,7 +117,7 @@ class Expert:
         if self._solution is None:
             self._solution, self._first_seq = self._plan_first(view), state.seq
         elif self._recoveries < MAX_RECOVERIES:
-            self._look(view, self._solution)
+            self._correct_grasp(view, self._solution)
         reference = self._solution.reference
         step = self._step(state)
         point = reference[step]
@@ -130,7 +132,7 @@ class Expert:
         return min(max(state.seq - self._first_seq, 0), len(self._solution.reference) - 1)
 
     def _plan_first(self, view: ExpertScene) -> Solution:
-        """Return the drawn scene's solution if it holds in the settled scene, else one of the settled scene."""
+        """Return the drawn scene's solution if it is valid in the settled scene, else plan anew."""
         assert self._start is not None
         if self._direct:
             return self._plan(view)
@@ -144,8 +146,8 @@ class Expert:
         assert self._start is not None
         return self._solver.solve(view, SKILLS[view.task.skill].stages(view), self._start.seed)
 
-    def _look(self, view: ExpertScene, solution: Solution) -> None:
-        """Plan again when what the gripper holds is not what the plan says."""
+    def _correct_grasp(self, view: ExpertScene, solution: Solution) -> None:
+        """Replan if the gripper's contents differ from the plan."""
         step = self._step(view.state)
         now, before = (solution.stages[solution.reference[i].stage] for i in (step, max(step - 1, 0)))
         if not now.held:

@@ -1,4 +1,4 @@
-"""Named YAML files that every reset reads: parsed once, and again when they change."""
+"""Cache of the named YAML files that every reset reads; a changed file is parsed again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def named(kind: str, name: str, cls: type[T]) -> T:
     """Return ``config/<kind>/<name>.yaml`` as a frozen dataclass.
 
     Raises:
-        ConfigError: When there is no such file or it is wrong.
+        ConfigError: When the file is missing or invalid.
     """
     path = named_config(kind, name)
     return cast("T", _load(path, path.stat().st_mtime_ns, cls))  # type: ignore[arg-type]

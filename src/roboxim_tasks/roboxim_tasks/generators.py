@@ -1,6 +1,6 @@
 """Task generators: one per property, composed by a skill into a task.
 
-Every property draws from a stream of its own, so two datasets that differ in one property stay paired in the rest.
+Every property has its own random stream, so that two datasets that differ in one property stay paired in all others.
 """
 
 from __future__ import annotations
@@ -26,49 +26,49 @@ MAX_TRIES = 1000
 ROUNDS = 50
 TRIES_A_ROUND = 20
 TRIES_A_STEP = 100
-"""Draws of a distractor after which an ordered list steps on."""
+"""Refused draws of a distractor after which an ordered list advances."""
 ENOUGH_DRAWS = 20_000
-"""Refused draws of an episode after which ordered lists do not step on any more."""
+"""Refused draws of an episode after which ordered lists no longer advance."""
 
 K = TypeVar("K")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GenerationContext:
-    """What generators draw from."""
+    """Inputs of the generators."""
 
     seed: SeedPath
-    """Address of the episode's randomness."""
+    """Seed path of the episode."""
     config: TaskConfig
     """Task configuration."""
     library: ModelLibrary
-    """Where the objects' nouns come from."""
+    """Library of the objects, the source of their nouns."""
     roles: Mapping[str, Role]
-    """Roles of the skill, and what may fill them."""
+    """Roles of the skill, and the objects that may fill them."""
     mismatch: Callable[[Any, Mapping[str, ObjectModel]], str] = lambda parameters, models: ""
-    """Tells why models by role make no sense together with the skill's parameters; empty if they do."""
+    """Return why models by role do not go together with the skill's parameters; empty if they do."""
     ordinal: int | None = None
-    """Number of the episode in its cell of a mix, which ordered lists go by; none: the seed's index."""
+    """Number of the episode in its cell of a mix, the index into ordered lists; none: the seed's index."""
 
     @property
     def index(self) -> int:
-        """Number that ordered lists go by."""
+        """Index into ordered lists."""
         return self.seed.index if self.ordinal is None else self.ordinal
 
     @cached_property
     def template(self) -> str:
-        """The instruction's template, drawn."""
+        """The drawn template of the instruction."""
         assert self.config.templates is not None
         return str(self.config.templates.draw(self.seed.rng("instruction"), self.index))
 
     @cached_property
     def wording(self) -> Wording:
-        """What the instruction names."""
+        """The objects that the instruction names."""
         return Wording.of_template(self.template, self.roles, self.library)
 
     @property
     def parameters(self) -> Any:
-        """The skill's parameters, with those drawn that vary; lenient ones where a policy is evaluated."""
+        """The skill's parameters, with drawn values where they vary and lenient ones where a policy is evaluated."""
         base = self.config.lenient if self.seed.purpose == "eval" else self.config.parameters
         drawn = {
             name: choice.draw(self.seed.rng(f"argument/{name}"), self.index)
@@ -85,15 +85,15 @@ def generate_object(
     attempt: int = 0,
     steps: Mapping[str, int] | None = None,
 ) -> PhysicalObject:
-    """Draw an object: its model, then each modifier that the model takes, of the values that it allows.
+    """Draw an object: its model, then a value for each modifier that the model takes, from those that it allows.
 
     Args:
-        context: What to draw from.
-        entity: Name of the entity, which also names the streams.
+        context: Inputs of the draw.
+        entity: Name of the entity, which also names the random streams.
         models: Ids of object models.
         modifiers: Modifier name to its values.
-        attempt: How often this object was drawn before, for a fresh draw.
-        steps: ``model`` or modifier to how far its ordered list steps on from the episode's place in it.
+        attempt: Number of previous draws of this object, for a fresh draw.
+        steps: ``model`` or modifier to the steps by which its ordered list advances from the episode's place in it.
 
     Raises:
         ConfigError: When a model, a modifier or its value is unknown.
@@ -111,19 +111,19 @@ def generate_object(
 
 
 def generate_objects(context: GenerationContext) -> dict[str, PhysicalObject]:
-    """Draw the objects that the instruction speaks of: each can be told from the others, and together they suit.
+    """Draw the objects in the instruction: all can be distinguished, and they go together.
 
-    Lists in order step on, the last one first, where what is at random cannot help: with one list of colours for both
-    roles of a tower its cubes are red and green, then green and blue.
+    Ordered lists advance, the last one first, where random draws cannot help. With one list of colours for both roles
+    of a tower, its cubes are red and green, then green and blue.
 
     Args:
-        context: What to draw from.
+        context: Inputs of the draw.
 
     Returns:
         Role to object.
 
     Raises:
-        TaskError: With code ``RESET_INFEASIBLE`` when none of many draws does.
+        TaskError: With code ``RESET_INFEASIBLE`` when all of many draws are refused.
     """
     refused: Counter[str] = Counter()
     configs = context.config.objects
@@ -149,15 +149,15 @@ def _together(
     steps: Mapping[str, Mapping[str, int]],
     refused: Counter[str],
 ) -> tuple[dict[str, PhysicalObject], PhysicalObject]:
-    """Draw an object for each role, with ordered lists where they are.
+    """Draw an object for each role, with ordered lists at fixed places.
 
     Args:
-        context: What to draw from.
-        steps: Role to how far each of its ordered lists steps on.
-        refused: Counts why draws were refused.
+        context: Inputs of the draw.
+        steps: Role to the steps by which each of its ordered lists advances.
+        refused: Counter of the reasons for refused draws; updated.
 
     Returns:
-        Role to object, empty if no draw will do; and the object that was drawn last.
+        Role to object, empty if every draw was refused; and the object that was drawn last.
     """
     configs = context.config.objects
     rounds = ROUNDS if any(map(_varies, configs.values())) else 1
@@ -180,18 +180,18 @@ def _together(
 
 
 def _ordered(config: ObjectConfig | DistractorConfig) -> dict[str, int]:
-    """Return the lists that come in order, ``model`` or a modifier, and how many values each has."""
+    """Return the ordered lists, by ``model`` or modifier, and the number of values of each."""
     choices = {MODEL: config.models, **config.modifiers}
     return {name: choice.ordered for name, choice in choices.items() if choice.ordered}
 
 
 def _varies(config: ObjectConfig | DistractorConfig) -> bool:
-    """Tell whether another draw, with ordered lists where they are, may give another object."""
+    """Return whether another draw, with ordered lists at fixed places, may give another object."""
     return any(choice.varies for choice in (config.models, *config.modifiers.values()))
 
 
 def _steps(counts: Mapping[K, int]) -> Iterator[dict[K, int]]:
-    """Yield how far each of some ordered lists steps on: first none, then the last one, all combinations in the end."""
+    """Yield the steps of some ordered lists: first none advances, then the last one, finally all combinations."""
     for steps in itertools.product(*map(range, counts.values())):
         yield dict(zip(counts, steps, strict=True))
 
@@ -201,7 +201,7 @@ def _refusal(
     objects: Mapping[str, PhysicalObject],
     another: Mapping[str, PhysicalObject],
 ) -> str:
-    """Return why an object cannot join those drawn before it, or nothing."""
+    """Return why an object cannot join those drawn before it, or an empty text."""
     library = context.library
     drawn = {**objects, **another}
     wording = context.wording
@@ -222,17 +222,17 @@ def _refusal(
 def generate_distractors(
     context: GenerationContext, objects: Mapping[str, PhysicalObject]
 ) -> dict[str, PhysicalObject]:
-    """Draw the distractors: none fits the description of an object of the task.
+    """Draw distractors that do not fit the description of any object of the task.
 
     Args:
-        context: What to draw from.
+        context: Inputs of the draw.
         objects: The task's objects by role.
 
     Returns:
         Role to object.
 
     Raises:
-        TaskError: With code ``RESET_INFEASIBLE`` when everything that may be drawn fits.
+        TaskError: With code ``RESET_INFEASIBLE`` when every possible distractor fits one.
     """
     config = context.config.distractors
     count = int(context.seed.rng("distractors/count").integers(config.minimum, config.maximum + 1))
@@ -251,16 +251,16 @@ def _distractor(
     """Draw a distractor.
 
     Args:
-        context: What to draw from.
-        role: Its role.
-        begin: How far ordered lists have stepped on already.
+        context: Inputs of the draw.
+        role: The distractor's role.
+        begin: Steps by which ordered lists have already advanced.
         objects: The task's objects by role.
 
     Returns:
-        The distractor, and how far ordered lists are then.
+        The distractor, and the steps by which ordered lists have advanced then.
 
     Raises:
-        TaskError: With code ``RESET_INFEASIBLE`` when everything that may be drawn fits.
+        TaskError: With code ``RESET_INFEASIBLE`` when every possible distractor fits one.
     """
     config = context.config.distractors
     ordered = _ordered(config)
@@ -291,9 +291,9 @@ def generate_instruction(
     """Draw a template and fill in the objects' descriptions.
 
     Args:
-        context: What to draw from.
+        context: Inputs of the draw.
         objects: The task's objects by role.
-        words: What else a template may name, e.g. an angle.
+        words: Texts for the other names in a template, e.g. an angle.
     """
     return context.template.format_map({role: description(thing) for role, thing in objects.items()} | dict(words))
 
@@ -307,12 +307,12 @@ def generate_task(
     """Compose a task: an object per role, distractors, the instruction, and the skill's parameters as arguments.
 
     Args:
-        context: What to draw from.
-        arguments: Frozen dataclass of scalars: what the skill's evaluator needs to know; none: the parameters.
-        words: What else than roles a template may name.
+        context: Inputs of the draw.
+        arguments: Frozen dataclass of scalars for the skill's evaluator; none: the parameters.
+        words: Texts for names in a template that are not roles.
 
     Raises:
-        TaskError: With code ``RESET_INFEASIBLE`` when no objects suit or no distinct distractor can be drawn.
+        TaskError: With code ``RESET_INFEASIBLE`` when no suitable objects or no distinct distractor can be drawn.
         ConfigError: When the configuration names what does not exist.
     """
     objects = generate_objects(context)

@@ -1,6 +1,6 @@
-"""How an object was handled: dropped or set down, carried or pushed, let go or still in the hand.
+"""How the robot handled an object: dropped or set down, carried or pushed, let go or still held.
 
-The measures are folds over state records like those of `roboxim_tasks.predicates`, so they judge live and over a bag.
+The measures are folds over state records like those of `roboxim_tasks.predicates`, so they judge live and from a bag.
 """
 
 from __future__ import annotations
@@ -17,31 +17,32 @@ from roboxim_tasks.predicates import Condition, Measure, released
 
 GRAVITY_M_S2 = 9.81
 DROP_M = 0.05
-"""Largest free fall with which something is set down and not dropped [m].
+"""Largest free fall with which an object counts as set down and not as dropped [m].
 
-What falls by 5 cm arrives at 1 m/s. That is twice the largest speed of the hand under the default action limits
-(0.05 m per tick at 10 Hz), so nothing that is lowered in the hand gets there. 5 cm is also the size of the smaller
-objects: a person who lets go of a cube a whole cube above the table drops it.
+An object that falls by 5 cm arrives at 1 m/s. That is twice the largest speed of the hand under the default action
+limits (0.05 m per tick at 10 Hz), so an object that is lowered in the hand never reaches it. 5 cm is also the size of
+the smaller objects: releasing a cube a whole cube above the table is dropping it.
 """
 HAND_AWAY_M = 0.05
-"""Way of the hand from where it last touched an object after which it does not cage the object any more [m].
+"""Distance of the hand from its last contact with an object beyond which it no longer cages the object [m].
 
 The widest object that the gripper takes is 8 cm wide, so the fingers reach at most 4 cm past its edge; they end 1 cm
 beyond the tool centre point.
 """
 SQUEEZE_N = 2.0
-"""Force with which two links press an object from opposite sides from which on it is gripped [N]: a tenth of the
-gripper's force. Fingers that push side by side press in one direction."""
+"""Force from which an object counts as gripped, where two links press it from opposite sides [N].
+
+It is a tenth of the gripper's force. Fingers that push side by side press in one direction, so they do not grip."""
 OPPOSITE = -0.5
 """Largest cosine between two forces that oppose each other: they are more than 120 degrees apart."""
 CARRIED_M = 0.01
-"""Way that a pushed object may go while it is gripped or off its support [m]: contacts chatter."""
+"""Largest way of a pushed object while it is gripped or off its support [m]; not 0, because contacts chatter."""
 FAR_M = 1.0
-"""Reported for the way of a hand that has never touched the object [m]."""
+"""Reported distance of a hand that has never touched the object [m]."""
 
 
 def set_down(entity: str, most_m: float = DROP_M) -> Condition:
-    """Return the condition that an object was set down where it is, and not dropped there.
+    """Return the condition that an object was set down at its present place, and not dropped there.
 
     Args:
         entity: The object.
@@ -57,16 +58,16 @@ def let_go(entity: str) -> tuple[Condition, ...]:
 
 
 def not_carried(entity: str, initial: StateRecord) -> Condition:
-    """Return the fatal condition that an object was never gripped or off its support while it moved."""
+    """Return the fatal condition that an object never moved while it was gripped or off its support."""
     return Condition(
         name="not_carried", measure=carried_way(entity, initial), most=CARRIED_M, reason="carried", fatal=True
     )
 
 
 def drop(entity: str) -> Measure:
-    """Height of the free fall that gives the largest speed at which an object has fallen since it was last held [m].
+    """Measure the free fall that gives the largest downward speed of an object since it was last held [m].
 
-    Held is what the robot touches and nothing else does. So what was dropped and is picked up again counts anew.
+    An object is held while the robot touches it and nothing else does. Picking up a dropped object resets the measure.
     """
     fastest = [0.0]
 
@@ -81,9 +82,9 @@ def drop(entity: str) -> Measure:
 
 
 def hand_away(entity: str) -> Measure:
-    """Way of the tool centre point, as seen from an object, from where it was when the robot last touched it [m].
+    """Measure the distance of the tool centre point from its position at the robot's last contact with an object [m].
 
-    An open gripper round an object that it has let go of, but has not left, is 0 away.
+    Positions are in the object's frame. An open gripper that has released the object but not moved is 0 away.
     """
     last: list[Array | None] = [None]
 
@@ -97,7 +98,7 @@ def hand_away(entity: str) -> Measure:
 
 
 def carried_way(entity: str, initial: StateRecord) -> Measure:
-    """Horizontal way of an object in the ticks in which it was gripped, or touched nothing but the robot [m]."""
+    """Measure the horizontal way of an object over the ticks in which it was gripped or touched only the robot [m]."""
     before = [np.array(initial.entity(entity).pose.position[:2])]
     total = [0.0]
 
@@ -125,7 +126,7 @@ def squeeze_n(state: StateRecord, entity: str) -> float:
 
 
 def held_in_the_air(state: StateRecord, entity: str) -> bool:
-    """Tell whether the robot touches an object at the end of a tick and nothing else does."""
+    """Return whether the robot touches an object at the end of a tick and nothing else does."""
     by_robot = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
     return by_robot and not any(contact.force_last > 0.0 for contact, _ in _others(state, entity))
 

@@ -1,4 +1,4 @@
-"""The judge: a pure fold of state records into verdicts, the same code tick by tick and over a bag."""
+"""The judge: a pure fold of state records into verdicts; the same code judges live and from a bag."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from roboxim_tasks.skills import SKILLS
 
 
 class Judge:
-    """Judges one episode.
+    """Judge of one episode.
 
     Non-obvious: ``success`` at a tick means that the task has been solved without a break for the evaluator's
-    ``hold_s``; it is lost again when the object slips. A failure (the target fell off the table) is final.
+    ``hold_s``. It is lost again, for example when the object slips. A failure (the target fell off the table) is final.
     """
 
     def __init__(self, task: TaskSpec) -> None:
@@ -38,7 +38,7 @@ class Judge:
         """Judge tick 0.
 
         Raises:
-            TaskError: When it is another tick, or the scene lacks an object of the task.
+            TaskError: When the state is of another tick, or the scene lacks an object of the task.
         """
         if state.seq != 0:
             raise TaskError(f"episode {state.episode_id}: judging starts with tick 0, got tick {state.seq}")
@@ -57,7 +57,7 @@ class Judge:
         """Judge the next tick.
 
         Raises:
-            TaskError: When it is not the next tick of the episode that was started.
+            TaskError: When the state is not of the next tick of the started episode.
         """
         last = self._state
         if last is None or state.seq != last.seq + 1 or state.episode_id != last.episode_id:
@@ -92,7 +92,7 @@ class Judge:
 
 
 def undisturbed(task: TaskSpec, initial: StateRecord) -> Conditions | None:
-    """Return what judges that a task's distractors stay where they are; none: they may be moved."""
+    """Return the evaluator that requires a task's distractors to stay in place; none: they may be moved."""
     if STAY not in task.arguments:
         return None
     shift = largest_shift((thing.entity for thing in task_distractors(task)), initial, "distractors_shift_m")

@@ -1,4 +1,4 @@
-"""How a skill tells the expert what to do: stages of motion in the scene at hand, and grasps to choose from."""
+"""Motions that skills request from the expert: stages, and the grasps to choose from."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ class Stage:
     """One leg of a motion: go somewhere, or stay while the gripper moves. Poses are in the robot's base frame."""
 
     name: str
-    """Word for messages, e.g. ``descend``."""
+    """Name for messages, e.g. ``descend``."""
     pose: Pose | None = None
-    """Where the tool centre point goes, in a straight line; none: it stays."""
+    """Goal of the tool centre point, reached in a straight line; none: it stays."""
     opening: float = 1.0
     """Commanded opening, 1 = open, 0 = closed."""
     free: bool = False
-    """Whether the way does not matter: then it goes around obstacles, and noise may be injected."""
+    """Whether any path will do: the expert may then avoid obstacles, and noise may be injected."""
     speed: float = 1.0
     """Fraction of the largest speed of the tool centre point."""
     duration_s: float = 0.0
-    """How long to stay, when there is no pose [s]."""
+    """Duration of a stage without a pose [s]."""
     lifts: bool = False
-    """Whether it takes what is held off what it lay on: then it may sag in the hand, and the expert looks again."""
+    """Whether the stage lifts the held object off its support: it may then sag, and the expert checks the grasp."""
     touching: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that may touch: entities, ``table``, ``gripper``."""
     held: str = ""
@@ -45,29 +45,29 @@ class Stage:
     held_in_tcp: Pose = Pose()
     """Pose of the held entity in the tool centre point's frame."""
     moved: tuple[EntityState, ...] = ()
-    """Entities that by then are elsewhere than in the scene: placed, or with a drawer open; poses in the world."""
+    """Entities whose pose or joints differ from the scene by then: placed, or with an open drawer; in the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExpertScene:
-    """What an executor knows: it is privileged."""
+    """Privileged knowledge of an executor."""
 
     task: TaskSpec
     """The task."""
     scene: SceneSpec
     """The scene."""
     state: StateRecord
-    """Where everything is now."""
+    """Present state."""
     library: ModelLibrary
     """Robots and objects."""
     held: str = ""
-    """Entity that the gripper holds already; empty: none."""
+    """Entity that the gripper already holds; empty: none."""
     lifted: bool = False
-    """Whether what the gripper holds is off what it lay on."""
+    """Whether the held entity has been lifted off its support."""
     recovering: bool = False
-    """Whether a try went wrong before, so that the gripper may be anywhere, closed."""
+    """Whether an earlier try failed, so that the gripper may be closed and anywhere."""
     direct: bool = False
-    """Whether motions are to go straight from stage to stage, whatever is on the way."""
+    """Whether motions go straight from stage to stage and ignore obstacles."""
 
     @property
     def robot(self) -> RobotModel:
@@ -80,7 +80,7 @@ class ExpertScene:
         return self.in_base(self.state.robot.pose_tcp_commanded)
 
     def in_base(self, pose_in_world: Pose) -> Pose:
-        """Return a pose of the world in the robot's base."""
+        """Return a pose in the world as a pose in the robot's base."""
         return self.scene.robot.pose.inverse() @ pose_in_world
 
     def pose_of(self, entity: str) -> Pose:
@@ -101,13 +101,13 @@ class Grasp:
     opening: float = 1.0
     """Opening of the gripper on the way there, 1 = open."""
     release_opening: float = 1.0
-    """Opening that lets the object go without sweeping its surroundings."""
+    """Opening that releases the object without sweeping its surroundings."""
     name: str = ""
     """Name of the annotation."""
 
 
 def fingers_touch(scene: ExpertScene, entity: str) -> tuple[tuple[str, str], ...]:
-    """Return the pairs that may touch when fingers push or hold an entity whose shape the palm must stay clear of."""
+    """Return the pairs that may touch when fingers push or hold an entity and the palm must stay clear of it."""
     return tuple((finger, entity) for finger in scene.robot.gripper.links[1:])
 
 
@@ -115,10 +115,10 @@ RELEASE_CLEARANCE_M = 0.03
 
 
 def grasps_of(scene: ExpertScene, entity: str, name: str = "") -> list[Grasp]:
-    """Return the grasps of an entity in the order of its model's annotations, within one the least rotation first.
+    """Return the grasps of an entity in the order of its model's annotations; within each, least rotation first.
 
     Args:
-        scene: Where the entity and the tool centre point are.
+        scene: Scene with the entity and the tool centre point.
         entity: The entity.
         name: Name of the annotation to use; empty: all.
     """
@@ -144,12 +144,12 @@ def grasps_of(scene: ExpertScene, entity: str, name: str = "") -> list[Grasp]:
 def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[Pose]:
     """Return all poses of the tool centre point that grasp an object, nearest first.
 
-    A grasp repeats with its own symmetry about the object's vertical axis, and when the gripper turns by 180 degrees.
+    A grasp repeats with its own symmetry about the object's vertical axis, and with the gripper turned by 180 degrees.
 
     Args:
         model: The object.
         pose_object: Its pose.
-        pose_tcp: The tool centre point now, in the same frame; grasps are ordered by the rotation from it.
+        pose_tcp: Present pose of the tool centre point in the same frame; grasps are ordered by the rotation from it.
     """
     found = [pose_object @ pose for pose in _symmetric_grasps(model)]
     return sorted(found, key=lambda pose: (round(distance(pose_tcp, pose)[1], 3), pose.position))
@@ -172,11 +172,11 @@ def _symmetric_grasps(model: ObjectModel) -> tuple[Pose, ...]:
 
 
 def shifted(pose: Pose, z_m: float) -> Pose:
-    """Return a pose moved up in its parent frame."""
+    """Return a pose moved up in its parent frame [m]."""
     x, y, z = pose.position
     return Pose(position=(x, y, z + z_m), quat_xyzw=pose.quat_xyzw)
 
 
 def retreated(pose: Pose, distance_m: float) -> Pose:
-    """Return a tool pose moved back along the tool's own axis, away from what it points at."""
+    """Return a tool pose moved back along the tool's axis, away from its target [m]."""
     return pose @ Pose(position=(0.0, 0.0, -distance_m))

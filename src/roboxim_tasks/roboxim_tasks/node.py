@@ -1,4 +1,4 @@
-"""The task node: draws episodes, judges them, and serves the expert as a policy."""
+"""The task node: draw episodes, judge them, and serve the expert as a policy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from roboxim_tasks.task_config import TaskConfig
 from roboxim_tasks.visible import Visibility
 
 MAX_JUDGES = 16
-"""Episodes judged at a time; the one that was asked for longest ago is forgotten first."""
+"""Number of episodes judged at a time; the least recently used one is dropped first."""
 
 
 def _parameter(default: Any, description: str, *bounds: float) -> Any:
@@ -44,7 +44,9 @@ def _parameter(default: Any, description: str, *bounds: float) -> Any:
 class TaskNodeConfig:
     """Parameters of the task node."""
 
-    task: str = _parameter(DEFAULT_TASK, "task of requests without a configuration: a name in config/tasks, or a file")
+    task: str = _parameter(
+        DEFAULT_TASK, "default task of requests without a configuration: a name in config/tasks, or a file"
+    )
     """Default task."""
     max_tcp_speed_m_s: float = _parameter(SpeedConfig.max_tcp_speed_m_s, "largest tcp speed [m/s]", 0.01, 2.0)
     """Speed of the expert."""
@@ -52,34 +54,38 @@ class TaskNodeConfig:
         SpeedConfig.max_tcp_rot_speed_rad_s, "largest angular speed of the tool [rad/s]", 0.05, 6.0
     )
     """Angular speed of the expert."""
-    smoothing_s: float = _parameter(SpeedConfig.smoothing_s, "time in which the expert reaches its speed [s]", 0.0, 2.0)
+    smoothing_s: float = _parameter(
+        SpeedConfig.smoothing_s, "time that the expert takes to reach its speed [s]", 0.0, 2.0
+    )
     """Smoothing of the expert."""
-    solvable: bool = _parameter(True, "whether scenes are refused that the planner cannot solve; needs the planner")
-    """Whether every scene is planned before it is given out."""
+    solvable: bool = _parameter(True, "whether to refuse scenes that the planner cannot solve; needs the planner")
+    """Whether every scene is planned before it is returned."""
     visible: bool = _parameter(
-        True, "whether scenes are refused whose fixed cameras do not see what the instruction names; needs the sim"
+        True, "whether to refuse scenes whose fixed cameras do not see the named objects; needs the sim"
     )
-    """Whether every scene with cameras is looked at before it is given out."""
-    visible_renderer: str = _parameter("raster", "renderer that looks; another one may refuse other scenes")
+    """Whether the visibility in every scene with cameras is checked before it is returned."""
+    visible_renderer: str = _parameter(
+        "raster", "renderer of the visibility check; another one may refuse other scenes"
+    )
     """Renderer that looks."""
-    render_timeout_s: float = _parameter(120.0, "longest wait for a picture [s]", 0.1, 600.0)
-    """Wait for the simulator."""
+    render_timeout_s: float = _parameter(120.0, "longest wait for an image [s]", 0.1, 600.0)
+    """Longest wait for the simulator's answer."""
     direct: bool = _parameter(
-        False, "whether the expert goes straight from stage to stage, whatever is in its way; only to compare with"
+        False, "whether the expert goes straight from stage to stage and ignores obstacles; a baseline for comparisons"
     )
-    """Whether the expert takes no detours and verifies nothing."""
+    """Whether the expert goes without detours and verification."""
     planner_timeout_s: float = _parameter(120.0, "longest wait for the planner [s]", 0.1, 600.0)
-    """Wait for the planner."""
+    """Longest wait for the planner's answer."""
 
 
 class TaskNode(RoboximNode):
-    """Serves ``tasks/*`` and the expert as a policy under ``expert/*``."""
+    """Node that serves ``tasks/*``, and the expert as a policy under ``expert/*``."""
 
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`.
 
         Raises:
-            ConfigError: When a parameter or the default task is wrong.
+            ConfigError: When a parameter or the default task is invalid.
         """
         super().__init__("tasks", context=context, namespace=namespace, parameters=parameters)
         self.config = self.declare_config(TaskNodeConfig)

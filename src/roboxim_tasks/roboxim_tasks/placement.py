@@ -1,4 +1,4 @@
-"""Placing objects on the table: footprints, gaps, bounds."""
+"""Placement of objects on the table: footprints, gaps, bounds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 TRIES_PER_OBJECT = 50
 TRIES_PER_POSITION = 10
-"""Draws after which a list of positions in order steps on: one is taken by another object, at any yaw."""
+"""Draws after which an ordered list of positions advances, because another object occupies the position at any yaw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class PlacementConfig:
         """Check the numbers.
 
         Raises:
-            ConfigError: On an area that is not of x and y, a yaw that is no number, or a negative gap.
+            ConfigError: When the area is not given by x and y, the yaw is no number, or the gap is negative.
         """
         self.area.require_size(2, "area")
         self.yaw_rad.require_numbers("yaw_rad")
@@ -54,18 +54,18 @@ class PlacementConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Demand:
-    """Where an object is to lie besides being apart from the others."""
+    """Requirements of an object's place in addition to the distance from other objects."""
 
     name: str = ""
     """Name for messages, e.g. ``beside_target``."""
     holds: Callable[[EntitySpec], bool] = lambda entity: True
-    """Whether an object at a pose meets it."""
+    """Return whether an object at its pose meets the demand."""
     position: Callable[[np.random.Generator], Array] | None = None
-    """Draws a position on the table in the robot's base frame, shape (2,) [m]; none: from the whole area."""
+    """Draw a position on the table in the robot's base frame, shape (2,) [m]; none: from the whole area."""
     leaves: Callable[[SceneSpec], str] = lambda scene: ""
-    """Returns the name of what a scene with the object has no room for, or nothing; asked last."""
+    """Return the first constraint for which a scene with the object leaves no room, or an empty text; called last."""
     gaps: Mapping[str, float] = field(default_factory=dict)
-    """Entity to the free space between it and the object, where that is another than usual [m]."""
+    """Entity to the free space between it and the object, where it differs from the usual one [m]."""
 
 
 def place(
@@ -79,7 +79,7 @@ def place(
     """Return the scene with one more object, apart from all others and wholly on the table.
 
     Raises:
-        RejectedError: When none of a number of draws has room; names what refused most of them.
+        RejectedError: When none of several draws has room; names the constraint that refused most of them.
     """
     rng, index = context.rng(component), context.index
     model = context.library.object(thing.model, thing.modifiers)
@@ -121,24 +121,24 @@ def with_entity(scene: SceneSpec, entity: EntitySpec) -> SceneSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """What an object must stay on and clear of."""
+    """Free space on the table of a scene."""
 
     library: ModelLibrary
-    """Where sizes come from."""
+    """Library of the objects' sizes."""
     table: tuple[Array, Array]
     """Middle and half extent of the table's top, each of shape (2,) [m]."""
     others: tuple[tuple[Array, float], ...]
-    """Footprint of each object that is there, with the gap that it wants [m]."""
+    """Footprint of each present object, with the gap that it requires [m]."""
 
     @staticmethod
     def of(scene: SceneSpec, library: ModelLibrary, gap_m: float, gaps: Mapping[str, float] | None = None) -> Room:
-        """Return the room that a scene leaves.
+        """Return the free space that a scene leaves.
 
         Args:
             scene: The scene.
-            library: Where sizes come from.
+            library: Library of the objects' sizes.
             gap_m: Free space around the new object [m].
-            gaps: Entity to the free space between it and the new object, where that is another [m].
+            gaps: Entity to the free space between it and the new object, where it differs from ``gap_m`` [m].
         """
         return Room(
             library=library,
@@ -147,7 +147,7 @@ class Room:
         )
 
     def refusal(self, entity: EntitySpec) -> str:
-        """Return why an entity cannot be where it is: ``off_table``, ``overlaps``, or nothing."""
+        """Return why an entity's pose is invalid: ``off_table``, ``overlaps``, or an empty text if it is valid."""
         corners = footprint(entity, self.library)
         middle, half = self.table
         if np.any(np.abs(corners - middle) > half):
@@ -158,7 +158,7 @@ class Room:
 
 
 def refusal(scene: SceneSpec, entity: EntitySpec, gap_m: float, library: ModelLibrary) -> str:
-    """Return why an entity cannot be where it is in a scene; for many places of one scene ask its `Room`."""
+    """Return why an entity's pose in a scene is invalid; use `Room` to check many poses in one scene."""
     return Room.of(scene, library, gap_m).refusal(entity)
 
 
@@ -175,7 +175,7 @@ def nearest_distance(entity: EntitySpec, point: Array, library: ModelLibrary) ->
 
 
 class _Surface:
-    """The collision shapes of an object, all asked at once. A hull counts as the box around it."""
+    """The collision shapes of an object, evaluated at once. A hull counts as the box around it."""
 
     def __init__(self, model: ObjectModel, joint_positions: dict[str, float]) -> None:
         links = object_link_poses(model, joint_positions)
@@ -213,8 +213,8 @@ def footprint(entity: EntitySpec, library: ModelLibrary) -> Array:
     """Return the corners of an object's bounding rectangle on the table in the world, in order, shape (4, 2) [m].
 
     Args:
-        entity: The object; it stands upright or lies toppled, at any yaw.
-        library: Where its size comes from.
+        entity: The object, upright or toppled, at any yaw.
+        library: Library of the objects' sizes.
     """
     model = library.entity_model(entity)
     width, depth, height = model.size
@@ -235,7 +235,7 @@ def grown(rectangle: Array, margin_m: float) -> Array:
 
 
 def overlap(first: Array, second: Array) -> bool:
-    """Tell whether two rectangles of shape (4, 2) overlap, by the separating axis theorem."""
+    """Return whether two rectangles of shape (4, 2) overlap, by the separating axis theorem."""
     for axis in (first[1] - first[0], first[2] - first[1], second[1] - second[0], second[2] - second[1]):
         a, b = first @ axis, second @ axis
         if a.max() <= b.min() or b.max() <= a.min():

@@ -1,8 +1,10 @@
-"""Predicates over state records, of which evaluators are composed.
+"""Predicates over state records, the parts of evaluators.
 
-A `Measure` says a number of a tick and knows its name and unit; a `Condition` bounds it and knows the reason that is
-given while it does not hold. `Conditions` is the evaluator made of them: it reports every measure and every condition
-at every tick. Nothing here sees anything but state records, so the same code judges live and over a bag.
+- A `Measure` computes a number per tick and has a name with a unit.
+- A `Condition` bounds a measure and has the reason to report while it does not hold.
+- `Conditions` is the evaluator of several conditions. It reports every measure and every condition at every tick.
+
+All of them read only state records, so the same code judges live and from a bag.
 """
 
 from __future__ import annotations
@@ -21,28 +23,28 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.motion import ROBOT, TABLE
 
 FALLEN_M = 0.1
-"""An object that is so much lower than at tick 0 fell off the table [m]."""
+"""Drop in height since tick 0 beyond which an object has fallen off the table [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """What an evaluator says of one tick; `roboxim_tasks.judging.Judge` makes a verdict of it."""
+    """Result of an evaluator at one tick; `roboxim_tasks.judging.Judge` turns it into a verdict."""
 
     solved: bool
-    """Whether everything that the skill demands holds at this tick."""
+    """Whether all conditions of the skill hold at this tick."""
     failed: bool = False
     """Whether the task can no longer be solved."""
     reason: str = ""
-    """What is missing or why it failed, in snake case; empty when solved."""
+    """Reason why the task is not solved or has failed, in snake case; empty when solved."""
     predicates: dict[str, float] = field(default_factory=dict)
-    """Predicate name to 0, 1, or a measure with its unit in the name."""
+    """Predicate name to 0 or 1, and measure name with its unit to the value."""
 
 
 class Evaluator(Protocol):
-    """A fold over an episode's ticks; it sees nothing but state records."""
+    """A fold over the state records of an episode's ticks."""
 
     hold_s: float
-    """How long the task must stay solved without a break before it counts [s]."""
+    """Time that the task must stay solved without a break to count as solved [s]."""
 
     def assess(self, state: StateRecord) -> Assessment:
         """Assess the next tick."""
@@ -51,12 +53,12 @@ class Evaluator(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """A number that a tick has."""
+    """A number per tick."""
 
     name: str
-    """Name with the unit, e.g. ``lift_m``; under it the value is reported."""
+    """Name with the unit, e.g. ``lift_m``, under which the value is reported."""
     of: Callable[[StateRecord], float]
-    """The value. Called exactly once for each tick, in order, so it may accumulate."""
+    """Return the value. Called exactly once per tick, in order, so it may accumulate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,35 +66,35 @@ class Condition:
     """A measure within bounds."""
 
     name: str
-    """What holds then, e.g. ``lifted``; reported as 0 or 1."""
+    """Name of the condition, e.g. ``lifted``; reported as 0 or 1."""
     measure: Measure
     """What is bounded."""
     least: float = -math.inf
-    """Smallest value with which it holds."""
+    """Smallest value at which the condition holds."""
     most: float = math.inf
-    """Largest value with which it holds."""
+    """Largest value at which the condition holds."""
     reason: str = ""
-    """Why the task is not solved while it does not hold; empty: ``not_<name>``."""
+    """Reason to report while the condition does not hold; empty: ``not_<name>``."""
     fatal: bool = False
-    """Whether the task can no longer be solved once it did not hold."""
+    """Whether the task can no longer be solved once the condition has not held."""
 
     def holds(self, value: float) -> bool:
-        """Tell whether a value of the measure is within the bounds."""
+        """Return whether a value of the measure is within the bounds."""
         return self.least <= value <= self.most
 
 
 class Conditions:
-    """An evaluator: solved while all conditions hold. The first that does not gives the reason.
+    """An evaluator: solved while all conditions hold. The first one that does not hold gives the reason.
 
-    Non-obvious: a measure that several conditions share is taken once a tick, so it may accumulate.
+    Non-obvious: a measure that several conditions share is computed once per tick, so it may accumulate.
     """
 
     def __init__(self, conditions: Sequence[Condition], *, hold_s: float) -> None:
-        """Compose.
+        """Compose conditions.
 
         Args:
-            conditions: In the order in which they give the reason; fatal ones first.
-            hold_s: How long all must hold without a break before it counts [s].
+            conditions: Conditions in the order of their precedence for the reason; fatal ones first.
+            hold_s: Time that all must hold without a break to count as solved [s].
         """
         self.hold_s = hold_s
         self._conditions = tuple(conditions)
@@ -119,7 +121,7 @@ class Conditions:
 
 
 def above(value: float) -> float:
-    """Return the next number above a value: the bound of a condition that demands more than it."""
+    """Return the next float above a value: the bound of a condition that demands more than the value."""
     return math.nextafter(value, math.inf)
 
 
@@ -127,7 +129,7 @@ def above(value: float) -> float:
 
 
 def fallen_off(height_gain: Measure, name: str = "not_fallen") -> Condition:
-    """Return the fatal condition that an object has not fallen off the table, over its `lift`."""
+    """Return the fatal condition that an object has not fallen off the table, given its `lift`."""
     return Condition(
         name=name, measure=height_gain, least=-FALLEN_M,
         reason="fell_off_table", fatal=True,
@@ -159,13 +161,13 @@ def stayed(entity: str, initial: StateRecord, most_m: float, name: str = "") -> 
 
 
 def lift(entity: str, initial: StateRecord, name: str = "lift_m") -> Measure:
-    """Height of an object above where it was at tick 0 [m]."""
+    """Measure the height of an object above its height at tick 0 [m]."""
     start = initial.entity(entity).pose.position[2]
     return Measure(name=name, of=lambda state: state.entity(entity).pose.position[2] - start)
 
 
 def highest_lift(entities: Iterable[str], initial: StateRecord, name: str = "other_lift_m") -> Measure:
-    """Largest height gain of some objects since tick 0; 0 if there are none [m]."""
+    """Measure the largest height gain of several objects since tick 0 [m]; 0 if there are none."""
     starts = {entity: initial.entity(entity).pose.position[2] for entity in entities}
     return Measure(
         name=name,
@@ -174,7 +176,7 @@ def highest_lift(entities: Iterable[str], initial: StateRecord, name: str = "oth
 
 
 def pressing_links(entity: str, force_n: float) -> Measure:
-    """Links of the robot that press an object with more than a force at the end of the tick."""
+    """Count the robot's links that press an object with more than a force [N] at the end of the tick."""
 
     def count(state: StateRecord) -> float:
         return float(sum(value > force_n for value in robot_forces(state, entity).values()))
@@ -192,19 +194,19 @@ def robot_forces(state: StateRecord, entity: str) -> dict[str, float]:
 
 
 def force(body_a: str, body_b: str, name: str) -> Measure:
-    """Normal force between two bodies at the end of the tick [N]."""
+    """Measure the normal force between two bodies at the end of the tick [N]."""
     return Measure(
         name=name, of=lambda state: max((c.force_last for c in state.contacts_between(body_a, body_b)), default=0.0)
     )
 
 
 def table_force(entity: str) -> Measure:
-    """Normal force of the table on an object at the end of the tick [N]."""
+    """Measure the normal force of the table on an object at the end of the tick [N]."""
     return force(TABLE, entity, "table_force_n")
 
 
 def speed(entity: str) -> Measure:
-    """Mean speed of an object over the last tick [m/s]; at the first, that of the moment."""
+    """Measure the mean speed of an object over the last tick [m/s]; at the first tick, its momentary speed."""
 
     def of(state: StateRecord, before: StateRecord | None) -> float:
         now = state.entity(entity)
@@ -216,9 +218,9 @@ def speed(entity: str) -> Measure:
 
 
 def spin(entity: str) -> Measure:
-    """Mean angular speed of an object over the last tick [rad/s]; at the first, that of the moment.
+    """Measure the mean angular speed of an object over the last tick [rad/s]; at the first tick, its momentary one.
 
-    The mean, because contacts of a light thing on a thin edge chatter within a tick without turning it.
+    The mean is used because contacts of a light object on a thin edge chatter within a tick without turning it.
     """
 
     def of(state: StateRecord, before: StateRecord | None) -> float:
@@ -231,7 +233,7 @@ def spin(entity: str) -> Measure:
 
 
 def with_last(of: Callable[[StateRecord, StateRecord | None], float]) -> Callable[[StateRecord], float]:
-    """Make a measure's function of one that also takes the state of the tick before; at the first, none."""
+    """Turn a function of a state and its predecessor into a measure's function; the first predecessor is none."""
     last: list[StateRecord | None] = [None]
 
     def measured(state: StateRecord) -> float:
@@ -247,7 +249,7 @@ def seconds_between(before: StateRecord, after: StateRecord) -> float:
 
 
 def shift(entity: str, initial: StateRecord, name: str = "shift_m") -> Measure:
-    """Distance of an object from where it was at tick 0 [m]."""
+    """Measure the distance of an object from its position at tick 0 [m]."""
     start = np.array(initial.entity(entity).pose.position)
     return Measure(
         name=name, of=lambda state: float(np.linalg.norm(np.subtract(state.entity(entity).pose.position, start)))
@@ -255,7 +257,7 @@ def shift(entity: str, initial: StateRecord, name: str = "shift_m") -> Measure:
 
 
 def largest_shift(entities: Iterable[str], initial: StateRecord, name: str = "largest_shift_m") -> Measure:
-    """Largest distance of some objects from where they were at tick 0; 0 if there are none [m]."""
+    """Measure the largest distance of several objects from their positions at tick 0 [m]; 0 if there are none."""
     shifts = [shift(entity, initial) for entity in entities]
     return Measure(name=name, of=lambda state: max((each.of(state) for each in shifts), default=0.0))
 
@@ -266,7 +268,7 @@ def offset(state: StateRecord, entity: str, reference: str) -> Array:
 
 
 def tilt(entity: str, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Measure:
-    """Angle between an axis of an object and the vertical [rad]."""
+    """Measure the angle between an axis of an object and the vertical [rad]."""
 
     def angle(state: StateRecord) -> float:
         up = state.entity(entity).pose.rotation.apply(axis)[2] / math.hypot(*axis)
@@ -276,7 +278,7 @@ def tilt(entity: str, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Mea
 
 
 def turned(entity: str, initial: StateRecord) -> Measure:
-    """Rotation of an object about the vertical since tick 0, accumulated over the ticks so that it has no jump [rad].
+    """Measure the rotation of an object about the vertical since tick 0, accumulated and therefore without jumps [rad].
 
     Positive is counter-clockwise from above. Each tick adds the rotation's component about the vertical.
     """
@@ -293,12 +295,12 @@ def turned(entity: str, initial: StateRecord) -> Measure:
 
 
 def joint_position(entity: str, joint: str, name: str = "joint_position") -> Measure:
-    """Position of a joint of an object [m or rad]."""
+    """Measure the position of an object's joint [m or rad]."""
     return Measure(name=name, of=lambda state: joint_value(state, entity, joint, "joint_positions"))
 
 
 def joint_highest_ever(entity: str, joint: str, name: str = "joint_highest") -> Measure:
-    """Highest position of a joint in any physics step so far [m or rad]."""
+    """Measure the highest position of a joint in any physics step so far [m or rad]."""
     best = [-math.inf]
 
     def value(state: StateRecord) -> float:
@@ -309,6 +311,6 @@ def joint_highest_ever(entity: str, joint: str, name: str = "joint_highest") -> 
 
 
 def joint_value(state: StateRecord, entity: str, joint: str, field: str) -> float:
-    """Return a value of a joint of an object: of ``joint_positions``, ``joint_lowest`` or ``joint_highest``."""
+    """Return an object's joint value from ``joint_positions``, ``joint_lowest`` or ``joint_highest`` [m or rad]."""
     found = state.entity(entity)
     return float(getattr(found, field)[found.joint_names.index(joint)])

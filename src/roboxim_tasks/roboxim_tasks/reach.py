@@ -1,4 +1,4 @@
-"""Constraints that many skills share: quick looks at a drawn scene, before anything is planned."""
+"""Constraints that many skills share: quick checks of a drawn scene, before planning."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ YAWS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)
 
 
 def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Constraint:
-    """Return the constraint that the arm reaches a grasp of a role's object, from approach to lifted."""
+    """Return the constraint that the arm can execute a grasp of a role's object, from approach to lift."""
     entity = context.task.objects[role].entity
 
     def holds(scene: SceneSpec) -> bool:
@@ -42,7 +42,7 @@ def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Const
 
 
 def start_clear(context: ResetContext) -> Constraint:
-    """Return the constraint that the gripper does not start at an object."""
+    """Return the constraint that the gripper does not start too close to an object."""
 
     def holds(scene: SceneSpec) -> bool:
         tcp = scene.robot.pose @ context.arm.fk(scene.robot.joint_positions)
@@ -52,12 +52,12 @@ def start_clear(context: ResetContext) -> Constraint:
 
 
 def reaches(context: ResetContext, *poses: Pose) -> bool:
-    """Tell whether the arm follows poses of the tool centre point in its base, within its limits by a margin."""
+    """Return whether the arm reaches poses of the tool centre point in its base, with a margin to its limits."""
     return follows(context.arm, *poses)
 
 
 def follows(arm: ArmKinematics, *poses: Pose) -> bool:
-    """Tell whether an arm follows poses of the tool centre point in its base, within its limits by a margin."""
+    """Return whether an arm reaches poses of the tool centre point in its base, with a margin to its limits."""
     joints = np.array(arm.model.home)
     for pose in poses:
         found = arm.ik_near(pose, joints)
@@ -68,7 +68,7 @@ def follows(arm: ArmKinematics, *poses: Pose) -> bool:
 
 
 def reaches_in_lines(context: ResetContext, *poses: Pose) -> bool:
-    """Tell whether the arm follows straight lines through poses from its home, as the delta controller will."""
+    """Return whether the arm follows straight lines from its home through poses, as the delta controller does."""
     here, way = context.arm.fk(context.arm.model.home), []
     for pose in poses:
         shift_m, angle_rad = distance(here, pose)
@@ -92,7 +92,7 @@ def _apart(context: ResetContext, tcp: Pose, entity: EntitySpec) -> bool:
 
 
 def _boxes(model: ObjectModel, entity: EntitySpec) -> list[tuple[Pose, Array]]:
-    """Return boxes around an object in the world with half their sizes: one if it is rigid, else one for each shape."""
+    """Return boxes around an object in the world with half their sizes: one if it is rigid, else one per shape."""
     if not model.joints:
         middle = Pose(position=(0.0, 0.0, model.size[2] / 2 - model.rest_height))
         return [(entity.pose @ middle, np.array(model.size) / 2)]
@@ -106,7 +106,7 @@ def _boxes(model: ObjectModel, entity: EntitySpec) -> list[tuple[Pose, Array]]:
 
 
 def downward_reachable(context: ResetContext, position: Sequence[float]) -> bool:
-    """Tell whether the tool, pointing down, gets to a position in the base from above at some yaw [m]."""
+    """Return whether the tool, pointing down, reaches a position in the base from above at some yaw [m]."""
     x, y, z = position
     for yaw in YAWS:
         rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", math.pi)

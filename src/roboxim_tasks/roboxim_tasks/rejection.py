@@ -1,10 +1,10 @@
-"""The error of a draw that is drawn again: here, as components and what places their objects both raise it."""
+"""The error of a rejected draw, shared by the components and the placement module."""
 
 
 class RejectedError(Exception):
-    """A drawn scene breaks a constraint; the resetter draws the placement again."""
+    """A drawn scene violates a constraint; the resetter draws the placement again."""
 
     def __init__(self, constraint: str) -> None:
-        """Remember the constraint's name."""
+        """Store the name of the violated constraint."""
         super().__init__(constraint)
         self.constraint = constraint

@@ -1,4 +1,4 @@
-"""Roles of a task's objects, and what words tell one object from another: nothing else may fit what is said."""
+"""Roles of a task's objects, and the words that distinguish objects: an instruction must fit only one solution."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 
 DISTRACTOR = "distractor"
 STAY = "distractors_stay_m"
-"""Argument that a task of any skill may have: how far its distractors may be moved [m]."""
+"""Argument that a task of any skill may have: the largest displacement of its distractors [m]."""
 SIZE_SLACK = 0.1
-"""An object whose ``scale`` is so near to what a size word stands for, as a share of it, may be called by the word."""
+"""Largest relative deviation of an object's ``scale`` from a size word's factor at which the word may name it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """An object that a skill's instruction speaks of."""
+    """Role of an object in a skill's instruction."""
 
     affordance: str = ""
-    """What its model must afford, e.g. ``graspable``; empty: anything."""
+    """Affordance that the model must have, e.g. ``graspable``; empty: any model."""
     models: tuple[str, ...] = ("cube",)
-    """Models that fill it when a task's configuration does not say."""
+    """Default models of the role."""
     max_width_m: float = 0.0
-    """Longest side of its base that makes sense [m]; 0: any."""
+    """Largest allowed length of the longest side of the object's base [m]; 0: any."""
 
     def suits(self, model: ObjectModel) -> bool:
-        """Tell whether a model can fill the role."""
+        """Return whether a model can fill the role."""
         fits = not self.max_width_m or max(model.size[:2]) <= self.max_width_m
         return fits and (not self.affordance or self.affordance in model.affordances)
 
@@ -40,7 +40,7 @@ def distractor_role(number: int) -> str:
 
 
 def task_objects(task: TaskSpec) -> tuple[PhysicalObject, ...]:
-    """Return the objects that the instruction speaks of, in the order of their roles."""
+    """Return the objects in the instruction, in the order of their roles."""
     return tuple(thing for role, thing in task.objects.items() if not role.startswith(f"{DISTRACTOR}_"))
 
 
@@ -50,7 +50,7 @@ def task_distractors(task: TaskSpec) -> tuple[PhysicalObject, ...]:
 
 
 SPOKEN = ("size", "color", "material")
-"""Modifiers that instructions name, in the order in which they are said."""
+"""Modifiers that instructions name, in the order of the words."""
 
 
 def description(thing: PhysicalObject) -> str:
@@ -59,10 +59,10 @@ def description(thing: PhysicalObject) -> str:
 
 
 def fits_description(thing: PhysicalObject, named: PhysicalObject, library: ModelLibrary) -> bool:
-    """Tell whether a thing could be what an instruction means that names another one.
+    """Return whether an object fits the description of another one.
 
-    Modifiers that the thing was drawn without have the values that its model has by default: an apple is red even if
-    nobody says so. A thing with a ``scale`` is as large as it is, whatever its size word.
+    A modifier that the object was drawn without has its model's default value: an apple is red even if its description
+    does not say so. For an object with a ``scale``, the scale counts and not its size word.
     """
     if thing.name != named.name:
         return False
@@ -79,7 +79,7 @@ def fits_description(thing: PhysicalObject, named: PhysicalObject, library: Mode
 
 
 def _as_large_as(thing: PhysicalObject, named: PhysicalObject, library: ModelLibrary) -> bool:
-    """Tell whether a thing with a scale may be called by another's size word: near to its factor, or beyond it."""
+    """Return whether another's size word fits an object with a scale: the scale is near its factor, or beyond it."""
     factors = library.object_modifiers(named.model)["size"].factors
     own = library.object_modifiers(thing.model).get("size")
     word = str(thing.modifiers.get("size", own.default if own else ""))
@@ -93,37 +93,37 @@ def _as_large_as(thing: PhysicalObject, named: PhysicalObject, library: ModelLib
 
 @dataclass(frozen=True, kw_only=True)
 class Wording:
-    """Which of a task's objects an instruction names, and what could be taken for them."""
+    """The objects that an instruction names, and the check which other objects could be meant."""
 
     library: ModelLibrary
-    """What objects are by default."""
+    """Library of the objects' default modifiers."""
     roles: Mapping[str, Role]
-    """Roles of the skill, and what may fill them."""
+    """Roles of the skill, and the objects that may fill them."""
     named: frozenset[str]
-    """Those that the instruction names."""
+    """Roles that the instruction names."""
 
     @staticmethod
     def of_template(template: str, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
-        """Return what an instruction template names, e.g. ``Pick up the {target}``."""
+        """Return the wording of an instruction template, e.g. ``Pick up the {target}``."""
         fields = {name for _, name, _, _ in Formatter().parse(template) if name}
         return Wording(library=library, roles=roles, named=frozenset(fields & roles.keys()))
 
     @staticmethod
     def of_task(task: TaskSpec, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
-        """Return what a task's instruction names, whoever wrote it."""
+        """Return the wording of a task's instruction, from a template or written by the skill."""
         said = task.instruction.lower()
         named = {r for r, thing in task.objects.items() if r in roles and description(thing).lower() in said}
         return Wording(library=library, roles=roles, named=frozenset(named))
 
     def could_be_meant(self, thing: PhysicalObject, own: str, role: str, meant: PhysicalObject) -> bool:
-        """Tell whether a thing could be taken for the object of a role.
+        """Return whether an object could be taken for the object of a role.
 
-        What is named is told from others by its description. A role that is not named ("Pick it up", "Open the top
-        drawer") may be anything that can fill it, but for what the instruction names itself.
+        A named object is distinguished by its description. A role that is not named ("Pick it up", "Open the top
+        drawer") may be any object that can fill it, except those that the instruction names.
 
         Args:
-            thing: Something in the scene.
-            own: Its role, or anything else.
+            thing: An object in the scene.
+            own: The object's role; any other text if it has none.
             role: The other role.
             meant: The object of that role.
         """
@@ -135,22 +135,22 @@ class Wording:
         )
 
     def distinct(self, first: tuple[str, PhysicalObject], second: tuple[str, PhysicalObject]) -> bool:
-        """Tell whether the objects of two roles cannot be taken for each other."""
+        """Return whether the objects of two roles cannot be taken for each other."""
         (role, thing), (other_role, other) = first, second
         return not (
             self.could_be_meant(thing, role, other_role, other) or self.could_be_meant(other, other_role, role, thing)
         )
 
     def could_be_any(self, thing: PhysicalObject, objects: Mapping[str, PhysicalObject]) -> bool:
-        """Tell whether a thing without a role could be taken for the object of one."""
+        """Return whether an object without a role could be taken for the object of a role."""
         return any(self.could_be_meant(thing, "", role, meant) for role, meant in objects.items())
 
     def true_to(self, role: str, thing: PhysicalObject, meant: PhysicalObject) -> bool:
-        """Tell whether the object of a role is what the instruction calls it: one may be small and scaled up."""
+        """Return whether the instruction's description of a role's object is true; a "small" one may be scaled up."""
         return role not in self.named or fits_description(thing, meant, self.library)
 
     def mistakable(self, scene: SceneSpec, task: TaskSpec) -> Iterator[PhysicalObject]:
-        """Yield the things of a scene that make an instruction ambiguous or untrue."""
+        """Yield the objects of a scene that make an instruction ambiguous or untrue."""
         own = {thing.entity: role for role, thing in task.objects.items()}
         objects = {role: thing for role, thing in task.objects.items() if thing in task_objects(task)}
         for entity in scene.entities:

@@ -1,4 +1,4 @@
-"""The executors' vocabulary: a script of stages that keeps track of what the gripper holds and where things are.
+"""The executors' vocabulary: a script of stages that tracks the held object and the objects' poses.
 
 A skill's executor yields scripts, best first::
 
@@ -8,11 +8,13 @@ A skill's executor yields scripts, best first::
         script.place(goal, onto="support")
         yield script.stages
 
-The expert rolls each out through the delta controller and takes the first whose joint path the planner finds free.
+The expert rolls each out through the delta controller and takes the first whose joint path is free of collisions.
 
-Non-obvious: a script starts from the scene as it is. When the gripper holds the object already (the expert plans again
-after a grasp that turned out a little different), `pick` only lifts; after a try that went wrong the script begins
-with letting go and withdrawing. So one executor serves the first try, the correction and the recovery.
+Non-obvious: a script starts from the present scene, so that one executor serves three cases:
+    - The first try.
+    - A correction, after a grasp that differs a little from the plan: the gripper already holds the object, and `pick`
+      only lifts.
+    - A recovery, after a failed try: the script begins by opening the gripper and withdrawing.
 """
 
 from __future__ import annotations
@@ -48,10 +50,10 @@ Touching = tuple[tuple[str, str], ...]
 
 
 class Script:
-    """Stages in the making. All poses are in the robot's base frame unless a name says otherwise."""
+    """Builder of stages. All poses are in the robot's base frame unless a name says otherwise."""
 
     def __init__(self, scene: ExpertScene) -> None:
-        """Start where the robot is."""
+        """Start at the robot's present pose."""
         self.scene = scene
         self.pose = scene.pose_tcp
         """Pose of the tool centre point at the end of the stages so far."""
@@ -78,13 +80,13 @@ class Script:
         return tuple(self._stages)
 
     def pose_of(self, entity: str) -> Pose:
-        """Return where an entity is after the stages so far."""
+        """Return an entity's pose after the stages so far."""
         if entity == self.held:
             return self.pose @ self.held_in_tcp
         return self.scene.in_base(self._where[entity].pose)
 
     def set_entity(self, entity: str, *, pose: Pose | None = None, joints: dict[str, float] | None = None) -> None:
-        """Note that an entity is elsewhere from here on, or its joints are at other positions [m or rad]."""
+        """Record an entity's pose, or its joint positions [m or rad], from here on."""
         state = self._where[entity]
         positions = dict(zip(state.joint_names, state.joint_positions, strict=True)) | (joints or {})
         self._where[entity] = replace(
@@ -107,18 +109,18 @@ class Script:
         """Go to a pose in a straight line.
 
         Args:
-            pose: Where.
-            name: Word for messages.
-            free: Whether another way is as good: then the expert plans around what blocks the line.
+            pose: Goal of the tool centre point.
+            name: Name of the stage for messages.
+            free: Whether any path will do: the expert then plans a detour if the line is blocked.
             speed: Fraction of the largest speed.
             touching: Pairs of bodies that may touch.
-            lifts: Whether what is held is taken off what it lay on.
+            lifts: Whether the stage lifts the held object off its support.
         """
         self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching, lifts=lifts))
         self.pose = pose
 
     def shift(self, vector: Vec3, *, name: str, speed: float = 1.0, touching: Touching = ()) -> None:
-        """Go along a vector, keeping the orientation [m]."""
+        """Move along a vector with fixed orientation [m]."""
         x, y, z = (a + b for a, b in zip(self.pose.position, vector, strict=True))
         self.move(Pose(position=(x, y, z), quat_xyzw=self.pose.quat_xyzw), name=name, speed=speed, touching=touching)
 
@@ -132,13 +134,13 @@ class Script:
         self._add(Stage(name=name, duration_s=duration_s))
 
     def pick(self, entity: str, grasp: Grasp | None, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
-        """Approach, descend, close, lift. What the gripper holds already is only lifted, unless it was.
+        """Approach, descend, close, lift. An object that the gripper already holds is only lifted, if still needed.
 
         Args:
-            entity: What to grasp.
-            grasp: How; none when it is held.
-            lift_m: How high; 0: stay.
-            on: What it lies on, which it may touch while it is lifted.
+            entity: Entity to grasp.
+            grasp: The grasp; none when the entity is already held.
+            lift_m: Height of the lift [m]; 0: no lift.
+            on: Entity that it lies on, which it may touch during the lift.
         """
         if grasp is not None and self.held != entity:
             self.opening, self.release_opening = grasp.opening, grasp.release_opening
@@ -152,12 +154,12 @@ class Script:
             self.move(lifted, name="lift", speed=SLOW, touching=((entity, on),), lifts=True)
 
     def place(self, pose_object: Pose, *, onto: str = TABLE, drop_m: float = 0.002) -> None:
-        """Carry what is held above a pose, lower it, let go, retreat.
+        """Carry the held entity above a pose, lower it, release it, retreat.
 
         Args:
-            pose_object: Where the held entity is to be.
-            onto: What it may touch when it gets there.
-            drop_m: How far above the pose it is let go [m].
+            pose_object: Goal of the held entity.
+            onto: Entity that it may touch at the goal.
+            drop_m: Height above the goal at which to release it [m].
         """
         goal = shifted(pose_object @ self.held_in_tcp.inverse(), drop_m)
         self.carry(goal)
@@ -165,9 +167,9 @@ class Script:
         self.release(pose_object)
 
     def carry(self, goal: Pose) -> None:
-        """Go above a pose of the tool, over whatever is on the way.
+        """Move above a tool pose, over all objects in between.
 
-        Non-obvious: it rises straight up first, and no higher than needed; the expert plans around what still blocks.
+        Non-obvious: the tool first rises straight up, no higher than needed. The expert plans around other obstacles.
         """
         over = 0.0 if self.scene.direct else self._height_over(goal)
         height = max(self.pose.position[2], goal.position[2] + APPROACH_M / 2, over)
@@ -177,14 +179,14 @@ class Script:
         self.move(Pose(position=(x, y, height), quat_xyzw=goal.quat_xyzw), name="carry", free=True)
 
     def release(self, pose_object: Pose, *, retreat_m: float = RETREAT_M) -> None:
-        """Let go of what is held, which is then at a pose, and retreat along the tool's axis."""
+        """Release the held entity at a pose, and retreat along the tool's axis."""
         entity, self.held, self.held_in_tcp = self.held, "", Pose()
         self.set_entity(entity, pose=pose_object)
         self.grip(self.release_opening, name="release")
         self.move(retreated(self.pose, retreat_m), name="retreat", touching=fingers_touch(self.scene, entity))
 
     def _height_over(self, goal: Pose) -> float:
-        """Return how high the tool must be so that what it holds passes over everything between here and a goal."""
+        """Return the height at which the held object passes over everything on the line to a goal [m]."""
         below, radius = 0.0, 0.05
         if self.held:
             model = self.scene.model_of(self.held)
@@ -211,7 +213,7 @@ class Script:
 
 
 def _sag(pose: Pose, model: ObjectModel) -> float:
-    """Return how much lower the lowest corner of a tilted object is than its bottom would be if it were upright [m]."""
+    """Return the distance of a tilted object's lowest corner below the bottom of the upright object [m]."""
     width, depth, _ = model.size
     corners = [(x * width / 2, y * depth / 2, -model.rest_height) for x in (-1, 1) for y in (-1, 1)]
     lowest = float(pose.rotation.apply(corners)[:, 2].min())

@@ -1,4 +1,4 @@
-"""Solutions of drawn scenes: whether there is one, shown by planning every stage before anything is simulated."""
+"""Solvability of drawn scenes: plan every stage before the simulation starts."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from roboxim_tasks.solver import Solution, Solver
 CONSTRAINT = "solvable"
 """Name of the constraint for messages and statistics."""
 KEPT_SOLUTIONS = 4
-"""Solutions kept between the reset and the expert's first action: a task node serves one episode at a time."""
+"""Number of solutions kept from the reset to the expert's first action; a task node serves one episode at a time."""
 
 
 class Solvability:
-    """Solves scenes as they were drawn, before they are simulated. Not thread-safe (kinematics).
+    """Solver of scenes as they were drawn, before they are simulated. Not thread-safe (kinematics).
 
-    Non-obvious: a solution is a function of task, scene, seed and speeds. The newest ones are kept, so that the expert
-    gets the solution that the reset found. An expert that did not see the reset makes the same one again.
+    Non-obvious: a solution is a function of task, scene, seed and speeds. The newest ones are cached, so that the
+    expert reuses the solution that the reset found. An expert without that cache computes the same solution again.
     """
 
     def __init__(self, library: ModelLibrary, planner: PlannerPort, speeds: SpeedConfig | None = None) -> None:
@@ -48,7 +48,7 @@ class Solvability:
 
         Args:
             task: The task.
-            scene: Its scene; its cameras do not matter.
+            scene: Its scene; the cameras are ignored.
             seed: Seed of the planner's detours.
 
         Raises:
@@ -65,11 +65,11 @@ class Solvability:
         return solution
 
     def holds(self, task: TaskSpec, scene: SceneSpec, seed: int) -> bool:
-        """Tell whether a scene has a solution.
+        """Return whether a scene has a solution.
 
         Args:
             task: The task.
-            scene: Its scene, with objects where they come to rest.
+            scene: Its scene, with the objects at rest.
             seed: Seed of the planner's detours.
 
         Raises:
@@ -82,7 +82,7 @@ class Solvability:
         return True
 
     def way_blocked(self, task: TaskSpec, scene: SceneSpec) -> bool:
-        """Tell whether distractors are all that keeps straight lines from stage to stage from solving a task.
+        """Return whether straight lines from stage to stage solve a task without the distractors but not with them.
 
         Args:
             task: The task.
@@ -108,9 +108,9 @@ class Solvability:
 
 
 def state_at_rest(scene: SceneSpec, arm: ArmKinematics) -> StateRecord:
-    """Return the state that a scene has once it is built, if nothing moves while it settles.
+    """Return the initial state of a scene, on the assumption that nothing moves while it settles.
 
-    Its episode id is empty: it is no revision of a simulated scene.
+    The episode id is empty, because the state is not a revision of a simulated scene.
     """
     pose_tcp = scene.robot.pose @ arm.fk(scene.robot.joint_positions)
     robot = RobotState(

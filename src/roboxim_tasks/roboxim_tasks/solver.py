@@ -1,7 +1,7 @@
-"""From a skill's candidates to a motion that is known to be free: what is verified is what is executed.
+"""Search of a skill's candidates for a collision-free motion; the verified joint path is the executed one.
 
-A candidate's stages become a reference of commanded poses; the delta controller rolls it out; the joint path that
-results is what the planner checks, stage by stage. A free stage that is blocked gets a planned way around.
+A candidate's stages become a reference of commanded poses. The delta controller rolls the reference out, and the
+planner checks the resulting joint path stage by stage. A blocked stage that is marked as free gets a planned detour.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ MAX_TRACKING_ERROR_M = 2e-3
 PLANNED_VIA_STEP_M = 0.02
 MAX_CANDIDATES = 48
 CLEARANCE_M = 0.004
-"""Distance that a motion keeps from distractors, and the arm from everything.
+"""Clearance of a motion from distractors, and of the arm from everything [m].
 
-Noise and the controller's lag take it off the verified path.
+It covers deviations from the verified path by noise and the controller's lag.
 """
 START_TOLERANCE_RAD = 1e-6
 SETTLED_TOLERANCE_M, SETTLED_TOLERANCE_RAD = 1e-3, 0.01
-"""How far a thing may have settled from where it was drawn for the solution of the drawn scene to hold."""
+"""Largest settling movement of an object with which the solution of the drawn scene stays valid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,14 +45,14 @@ class Solution:
     reference: list[ReferencePoint]
     """Commanded pose of each tick, from the one after the scene's."""
     path: Array
-    """Joint path that the delta controller makes of it, shape (ticks + 1, joints), the start included [rad]."""
+    """Joint path of the delta controller that follows it, shape (ticks + 1, joints), start included [rad]."""
     refused: tuple[str, ...]
-    """Why better candidates were refused."""
+    """Reasons for which better candidates were refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Blocked:
-    """Why a candidate does not hold."""
+    """Reason for which a candidate is refused."""
 
     stage: int
     reason: str
@@ -60,12 +60,12 @@ class _Blocked:
 
 @dataclass(frozen=True, kw_only=True)
 class _Rolled:
-    """A verified beginning of a candidate."""
+    """A verified first part of a candidate."""
 
     pose: Pose
     """Reference pose at its end."""
     state: ControllerState
-    """Controller at its end."""
+    """State of the controller at its end."""
     reference: tuple[ReferencePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
 
@@ -74,7 +74,7 @@ _Cache = dict[tuple[Stage, ...], _Rolled | _Blocked]
 
 
 class Solver:
-    """Finds the first candidate that holds. Not thread-safe (kinematics)."""
+    """Search for the first feasible candidate. Not thread-safe (kinematics)."""
 
     def __init__(
         self,
@@ -90,8 +90,8 @@ class Solver:
             library: Robots and objects.
             planner: Verifies and finds motions.
             config: Speeds; none: the default.
-            direct: Whether to go straight from stage to stage and to ask the planner nothing: the first candidate
-                that the arm can follow is taken.
+            direct: Whether to go straight from stage to stage without the planner: the solver then takes the first
+                candidate that the arm can follow.
         """
         self._library = library
         self._planner = planner
@@ -100,18 +100,18 @@ class Solver:
         self._arms: dict[str, ArmKinematics] = {}
 
     def solve(self, view: ExpertScene, candidates: Iterable[tuple[Stage, ...]], seed: int) -> Solution:
-        """Return the first candidate that holds.
+        """Return the first feasible candidate.
 
-        Non-obvious: beginnings that candidates share, up to where the arm stands still, are rolled out and verified
-        once; a candidate that begins with stages at which an earlier one was refused is passed over.
+        Non-obvious: stages that candidates share at their beginning, up to a standstill of the arm, are rolled out and
+        verified once. A candidate that begins with stages at which an earlier one was refused is skipped.
 
         Args:
-            view: The scene as it is.
+            view: The present scene.
             candidates: Stages, best first; taken lazily.
             seed: Seed of the planner's detours.
 
         Raises:
-            PolicyError: When none holds, with the reasons.
+            PolicyError: When no candidate is feasible; lists the reasons.
         """
         reasons: list[str] = []
         dead_ends: set[tuple[Stage, ...]] = set()
@@ -137,12 +137,12 @@ class Solver:
         )
 
     def obstruction(self, view: ExpertScene, solution: Solution, clearance_m: float = 0.0) -> str:
-        """Return what the planner finds wrong with a solution, e.g. one of a direct solver, or nothing.
+        """Return the planner's objection to a solution, e.g. of a direct solver, or an empty text.
 
         Args:
-            view: The scene as it is.
+            view: The present scene.
             solution: The solution.
-            clearance_m: Distance that the motion keeps from distractors, and the arm from everything [m].
+            clearance_m: Clearance of the motion from distractors, and of the arm from everything [m].
 
         Raises:
             RoboximError: When the planner cannot be asked.
@@ -152,11 +152,11 @@ class Solver:
         return f"{solution.stages[blocked.stage].name}: {blocked.reason}" if blocked else ""
 
     def mismatch(self, view: ExpertScene, solution: Solution) -> str:
-        """Return why the solution of a drawn scene does not hold in the settled one, or nothing.
+        """Return why the solution of a drawn scene is invalid in the settled one, or an empty text.
 
         Args:
-            view: The scene once it has settled.
-            solution: The solution of the same scene as it was drawn.
+            view: The settled scene.
+            solution: The solution of the same scene as drawn.
 
         Raises:
             RoboximError: When the planner cannot be asked.
@@ -174,7 +174,7 @@ class Solver:
         return self.obstruction(view, solution, CLEARANCE_M)
 
     def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int, cache: _Cache) -> _Rolled | _Blocked:
-        """Roll out and verify a candidate, one run between standstills after the other."""
+        """Roll out and verify a candidate, one run of stages between standstills after the other."""
         controller = DeltaController(
             self.arm(view.scene.robot.model),
             workspace=view.scene.workspace,
@@ -208,7 +208,7 @@ class Solver:
         first: int,
         seed: int,
     ) -> _Rolled | _Blocked:
-        """Add a run of stages, with a planned way around what blocks a free one."""
+        """Add a run of stages, with a planned detour where a free stage is blocked."""
         legs = [Leg(stage=stage) for stage in stages]
         while True:
             points = make_reference(before.pose, legs, self._config, view.scene.control_rate_hz)
@@ -241,7 +241,7 @@ class Solver:
         path: Sequence[tuple[float, ...]],
         clearance_m: float = 0.0,
     ) -> _Blocked | None:
-        """Check what was rolled out of each stage that moves, and the distance that it keeps."""
+        """Check the rolled-out path of each moving stage, and its clearance."""
         period_s = 1.0 / view.scene.control_rate_hz
         for index, stage in enumerate(stages):
             ticks = [i for i, point in enumerate(points) if point.stage == index]
@@ -277,7 +277,7 @@ class Solver:
 def _roll_out(
     controller: DeltaController, state: ControllerState, points: Sequence[ReferencePoint]
 ) -> tuple[ControllerState, list[tuple[float, ...]], _Blocked | None]:
-    """Return the controller's last state, the joint path that it makes of a reference, and where it cannot follow."""
+    """Return the controller's last state, its joint path along a reference, and where it cannot follow."""
     path = [state.joints]
     for point in points:
         step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
@@ -303,11 +303,10 @@ def _around(view: ExpertScene, stage: Stage) -> Surroundings:
 
 
 def _with_clearance(view: ExpertScene, around: Surroundings, clearance_m: float) -> Surroundings | None:
-    """Return surroundings in which everything is kept clear of distractors, and the arm clear of all.
+    """Return surroundings in which everything keeps clear of distractors, and the arm of all objects.
 
-    The hand and what it holds come close to what the task is about. None: there is nothing that an arm which deviates
-    a little from its path would disturb. After a failed try the gripper may be next to a distractor, so that nothing
-    is demanded.
+    The hand and the held object may come close to the objects of the task. Return none where there is nothing that a
+    small deviation of the arm would disturb, and after a failed try, when the gripper may be next to a distractor.
     """
     distractors = {thing.entity for thing in task_distractors(view.task)}
     if view.recovering or not (distractors or any(entity.fixed for entity in view.scene.entities)):

@@ -1,4 +1,4 @@
-"""What a task's YAML file holds, as values; `roboxim_tasks.config` reads and checks it."""
+"""Dataclasses of a task's YAML file; `roboxim_tasks.config` reads and checks the file."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ MAX_DISTRACTORS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class VisibleConfig:
-    """What the world's fixed cameras must see of every object that the instruction names."""
+    """Required visibility, in the cameras fixed in the world, of every object that the instruction names."""
 
     share: float = 0.5
-    """Least share of the object's whole silhouette, 0..1; what is hidden or out of the picture is missing."""
+    """Least visible share of the object's silhouette, 0..1; hidden parts and those out of the picture do not count."""
     pixels: int = 40
-    """Fewest pixels, in an image whose longer side has 128."""
+    """Least number of visible pixels, in an image whose longer side has 128 pixels."""
     cameras: tuple[str, ...] | None = None
-    """Cameras that must see them; none: every camera that is fixed in the world. Empty: no camera need see anything."""
+    """Cameras that must see the objects; none: every camera fixed in the world; empty: no check."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: On a number out of range.
+            ConfigError: When a number is out of range.
         """
         if not 0.0 <= self.share <= 1.0 or self.pixels < 0:
             raise ConfigError(f"visible needs 0 <= share <= 1 and pixels >= 0, got {self.share:g} and {self.pixels}")
@@ -36,17 +36,17 @@ class VisibleConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectConfig:
-    """Which objects may fill a role."""
+    """Objects that may fill a role."""
 
     models: Choice = Choice(values=("cube",))
     """Ids of object models."""
     modifiers: dict[str, Choice] = field(default_factory=dict)
-    """Modifier name to its values, e.g. ``color`` or ``scale``; those left out take the model's default."""
+    """Modifier name to its values, e.g. ``color`` or ``scale``; omitted modifiers have the model's default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistractorConfig:
-    """Objects that the task is not about; none of them fits the description of an object of the task."""
+    """Objects that the task is not about; none fits the description of an object of the task."""
 
     minimum: int = 0
     """Fewest distractors."""
@@ -57,13 +57,13 @@ class DistractorConfig:
     modifiers: dict[str, Choice] = field(default_factory=dict)
     """Modifier name to its values."""
     stay_m: float = 0.0
-    """An episode has failed once a distractor was moved further than this [m]; 0: they may be moved."""
+    """Largest displacement of a distractor, beyond which the episode has failed [m]; 0: no limit."""
 
     def __post_init__(self) -> None:
         """Check the range.
 
         Raises:
-            ConfigError: When it is empty or too large.
+            ConfigError: When the range of numbers is empty or too large, or ``stay_m`` is negative.
         """
         if self.stay_m < 0:
             raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
@@ -76,49 +76,49 @@ class DistractorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several."""
+    """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several skills."""
 
     skill: str = "pick_up"
     """Registered skill."""
     parameters: Any = None
-    """The skill's own parameters and thresholds, as demonstrations must meet them."""
+    """The skill's parameters and thresholds that demonstrations must meet."""
     lenient: Any = None
-    """Parameters that differ where a policy is evaluated (purpose ``eval``)."""
+    """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
     arguments: dict[str, Choice] = field(default_factory=dict)
     """Parameters that vary from episode to episode, e.g. ``{drawer: {values: [top, middle], order: in_order}}``."""
     templates: Choice | None = None
     """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
     paraphrases: bool = False
-    """Without templates: whether all of the skill's are used, or the first alone."""
+    """Whether to use all of the skill's templates, or only the first one, where ``templates`` are not given."""
     objects: dict[str, ObjectConfig] = field(default_factory=dict)
     """Role of the skill to the objects that may fill it."""
     exclude: tuple[dict[str, dict[str, Scalar]], ...] = ()
-    """Combinations of objects that are never drawn: role to ``model`` and modifiers, all of which agree."""
+    """Combinations of objects that are never drawn: role to ``model`` and modifiers, all of which must match."""
     distractors: DistractorConfig = DistractorConfig()
     """Further objects."""
     scene: str = "empty_table"
     """Name of a scene in ``config/scenes``."""
     reset: dict[str, Any] = field(default_factory=dict)
-    """Reset component to its configuration; the skill's own components need not be named."""
+    """Reset component to its configuration; the skill's own components may be omitted."""
     visible: VisibleConfig = VisibleConfig()
-    """What the cameras that are fixed in the world must see of the objects that the instruction names."""
+    """Required visibility of the objects that the instruction names, in the cameras fixed in the world."""
     rate_hz: float = DEFAULT_RATE_HZ
     """Control rate [Hz]."""
     max_steps: int = 0
-    """Actions after which an episode has failed; 0: the skill's, for the same time at any control rate."""
+    """Actions after which an episode has failed; 0: the skill's number, scaled to the same duration at any rate."""
     max_draws: int = 100
-    """Draws of a placement after which the reset is infeasible."""
+    """Number of draws of a placement after which the reset is infeasible."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            ConfigError: On a number out of range.
+            ConfigError: When a number is out of range.
         """
         for name, least in (("max_steps", 0), ("max_draws", 1)):
             if getattr(self, name) < least:
                 raise ConfigError(f"{name} must be >= {least}, got {getattr(self, name)}")
 
     def at(self, index: int) -> tuple[TaskConfig, int]:
-        """Return the configuration of an episode and the number that its ordered lists go by: as given."""
+        """Return the configuration of an episode and its index into ordered lists: this one and the given index."""
         return self, index

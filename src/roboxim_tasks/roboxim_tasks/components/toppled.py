@@ -59,7 +59,7 @@ class ToppledReset(ResetComponent):
         rng, index = context.rng(self.name), context.index
         sides = context.library.entity_model(target).toppled
         if not sides:
-            raise ConfigError(f"object '{target.model}' has no pose in which it lies toppled")
+            raise ConfigError(f"object '{target.model}' has no toppled pose; choose another model")
         side = sides[int(rng.integers(len(sides)))]
         yaw = self.config.yaw_rad.draw_number(rng, index)
         x, y, _ = target.pose.position

@@ -1,4 +1,4 @@
-"""Acts as a trial says, as a privileged policy."""
+"""Privileged policy that executes a trial."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from roboxim_tasks.trials.base import Trial
 
 
 class TrialActor:
-    """Plans a trial once, at its first request, and executes it, whatever happens.
+    """Policy that plans a trial once, at its first request, and executes it without any correction.
 
-    An honest way is verified by the planner, as the expert's are. A cheat goes straight from stage to stage: it may
-    touch what it likes.
+    The planner verifies an honest way like the expert's motions. A cheat goes straight from stage to stage and may
+    touch anything.
     """
 
     def __init__(self, trial: Trial, library: ModelLibrary, planner: PlannerPort) -> None:
         """Prepare to act.
 
         Args:
-            trial: What to do.
+            trial: The trial to execute.
             library: Robots and objects.
             planner: Verifies the motions of honest ways.
         """
@@ -36,18 +36,18 @@ class TrialActor:
         self._first_seq = 0
 
     def describe(self) -> PolicyDescription:
-        """Say what it is."""
+        """Return the policy's description."""
         return PolicyDescription(name=self._trial.name, semantics=ActionSemantics(), privileged=True)
 
     def reset(self, start: EpisodeStart) -> None:
-        """Take up an episode."""
+        """Start an episode."""
         self._start, self._solution = start, None
 
     def act(self, window: ObservationWindow) -> ActionChunk:
         """Return the delta to the next pose.
 
         Raises:
-            TaskError: When the episode's task, scene or state is not given, as to a privileged policy.
+            TaskError: When the request lacks the episode's task, scene or state, which a privileged policy receives.
             PolicyError: When the arm can follow none of the trial's candidates.
         """
         state = window.newest.state

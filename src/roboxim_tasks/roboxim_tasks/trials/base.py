@@ -28,31 +28,31 @@ from roboxim_tasks.motion import ExpertScene, Stage
 
 Stages = Callable[[ExpertScene], Iterable[tuple[Stage, ...]]]
 LEAST = 3
-"""How many cheats, and how many honest ways, every skill has at least."""
+"""Least number of cheats, and of honest ways, per skill."""
 ALONE: Mapping[str, Any] = {"distractors": {"minimum": 0, "maximum": 0}}
-"""What differs from a skill's own task in every trial, besides that there are no cameras."""
+"""Changes to a skill's own task in every trial, in addition to the removal of cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """A scripted way to act in a skill's scenes, and what the evaluator must say of it."""
+    """A scripted way to act in a skill's scenes, and the verdict that the evaluator must give."""
 
     skill: str
     """The skill."""
     name: str
     """Name, unique for the skill."""
     does: str
-    """What it does, in a sentence."""
+    """Description in a sentence."""
     stages: Stages
-    """Yields the candidate ways, best first."""
+    """Generator of the candidates, best first."""
     reason: str = ""
-    """Why a cheat fails; empty: it is honest and succeeds."""
+    """Reason of a cheat's failure; empty: the trial is honest and must succeed."""
     change: Mapping[str, Any] = field(default_factory=dict)
-    """What differs from the skill's own task."""
+    """Changes to the skill's own task."""
 
     @property
     def honest(self) -> bool:
-        """Whether it must succeed."""
+        """Whether the trial must succeed."""
         return not self.reason
 
     def config(self) -> str:
@@ -66,16 +66,16 @@ class Trial:
 
 
 TRIALS: Registry[Trial] = Registry("trial")
-"""``<skill>/<name>`` to the trial; a skill outside of RoboXim brings its own by the entry point ``roboxim.trial``."""
+"""``<skill>/<name>`` to the trial; skills outside of RoboXim add theirs by the entry point ``roboxim.trial``."""
 
 
 def cheat(*skills: str, reason: str, change: Mapping[str, Any] | None = None) -> Callable[[Stages], Stages]:
-    """Register a function as a cheat at some skills.
+    """Register a function as a cheat for some skills.
 
     Args:
         skills: The skills.
         reason: The verdict's reason for at least half of the episodes; all must fail.
-        change: What differs from the skill's own task.
+        change: Changes to the skill's own task.
     """
     return _register(skills, reason, change or {})
 
@@ -85,7 +85,7 @@ def honest(*skills: str, change: Mapping[str, Any] | None = None) -> Callable[[S
 
     Args:
         skills: The skills.
-        change: What differs from the skill's own task.
+        change: Changes to the skill's own task.
     """
     return _register(skills, "", change or {})
 
@@ -108,7 +108,7 @@ def trials_of(skill: str) -> list[Trial]:
 
 
 def missing_trials(skill: str) -> str:
-    """Return which trials a skill lacks, or nothing: it needs three cheats and three honest ways."""
+    """Return which of the three cheats and three honest ways a skill lacks, or an empty text."""
     trials = trials_of(skill)
     lacks = [
         f"{LEAST - count} more {kind}"

@@ -19,27 +19,27 @@ from roboxim_tasks.trials.moves import own_stages, slowed, without
 APPROACH_M = 0.08
 DRAWERS = ("top", "middle", "bottom")
 FRONT_M = 0.051
-"""From the handle's bar, as fingers touch it from outside, to the drawer's front [m]."""
+"""Distance from the handle's bar, where fingers touch it from outside, to the drawer's front [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawer:
-    """A drawer as an executor sees it."""
+    """Geometry of a drawer in the robot's base."""
 
     scene: ExpertScene
     """The scene."""
     axis: Array
-    """Unit vector along which it opens, in the base, shape (3,)."""
+    """Unit vector along which the drawer opens, in the base, shape (3,)."""
     open_m: float
-    """How far it is open [m]."""
+    """Opening of the drawer [m]."""
     joint: str
     """Its joint."""
     grasps: tuple[Pose, ...]
-    """Poses of the tool that grasp its handle, best first, in the base."""
+    """Tool poses that grasp the handle, best first, in the base."""
 
     @property
     def touching(self) -> tuple[tuple[str, str], ...]:
-        """What may touch while it is moved."""
+        """Pairs that may touch while the drawer is moved."""
         return fingers_touch(self.scene, "target")
 
     def grasped(self, grasp: Pose) -> Script:
@@ -52,19 +52,19 @@ class Drawer:
         return script
 
     def move(self, script: Script, way_m: float, speed: float = 0.6) -> None:
-        """Move the hand and the drawer along the drawer's way [m]; it then is where it was moved to."""
+        """Move the hand with the drawer along the drawer's axis [m], and record the drawer's new position."""
         way = script.pose, self.axis * way_m
         script.move(moved_by(*way), name="move", speed=speed, touching=self.touching)
         script.set_entity("target", joints={self.joint: max(0.0, self.open_m + way_m)})
 
     def leave(self, script: Script) -> None:
-        """Let go and retreat."""
+        """Release the handle and retreat."""
         script.grip(GRASP_OPENING, name="release")
         script.move(retreated(script.pose, APPROACH_M), name="retreat", touching=self.touching)
 
 
 def drawer_of(scene: ExpertScene, name: str = "") -> Drawer:
-    """Return a drawer; without a name the one that the task is about."""
+    """Return a drawer by name; without a name, the task's drawer."""
     model, base, state = scene.model_of("target"), scene.pose_of("target"), scene.state.entity("target")
     handle = handle_of(model, name or str(scene.task.arguments["drawer"]))
     joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
@@ -163,10 +163,10 @@ def pushes(
 
     Args:
         scene: The scene.
-        short_m: By how much the drawer stays open [m].
-        sideways_m: How far beside the middle of the handle's bar [m].
-        down_m: How far below it [m].
-        deeper_m: How far behind the bar what is pushed is [m].
+        short_m: Opening of the drawer at the end [m].
+        sideways_m: Distance of the push beside the middle of the handle's bar [m].
+        down_m: Distance of the push below it [m].
+        deeper_m: Distance of the pushed surface behind the bar [m].
         leave: Whether to withdraw.
     """
     drawer = drawer_of(scene)

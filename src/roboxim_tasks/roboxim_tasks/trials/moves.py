@@ -1,4 +1,4 @@
-"""What the trials of many skills are made of."""
+"""Building blocks of the trials of many skills."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from roboxim_tasks.script import Script
 from roboxim_tasks.skills import SKILLS
 
 SLOWLY = 0.35
-"""Speed of slow ways, as a fraction of the expert's."""
+"""Speed of slow trials, as a fraction of the expert's."""
 OTHER_RAD = 0.7
-"""Another grasp is turned by at least so much from the expert's [rad]."""
+"""Least rotation of another grasp from the expert's grasp [rad]."""
 
 
 def own_stages(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
@@ -25,9 +25,10 @@ def own_stages(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 def own_ways(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
-    """Yield the grasps that the skill's own executor tries, each with where it puts the target.
+    """Yield the grasps that the skill's own executor tries, each with the target's goal pose.
 
-    Non-obvious: for skills whose executors pick the target up; where it stays in the hand, the pose is where it is now.
+    Non-obvious: only for skills whose executors pick up the target. If the target stays in the hand, the pose is its
+    present one.
     """
     entity, last = scene.task.objects["target"].entity, None
     for stages in own_stages(scene):
@@ -45,7 +46,7 @@ def own_ways(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
 
 
 def other_grasps(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
-    """Yield the ways whose grasp is turned from that of the first, by `OTHER_RAD` or more."""
+    """Yield the ways whose grasp is turned by `OTHER_RAD` or more from the first way's grasp."""
     first: Pose | None = None
     for grasp, goal in own_ways(scene):
         first = first or grasp.pose
@@ -59,12 +60,12 @@ def slowed(stages: tuple[Stage, ...], share: float = SLOWLY) -> tuple[Stage, ...
 
 
 def without(stages: tuple[Stage, ...], *names: str) -> tuple[Stage, ...]:
-    """Return stages without those of some names."""
+    """Return stages without those with some names."""
     return tuple(stage for stage in stages if stage.name not in names)
 
 
 def caging(script: Script, entity: str, goal: Pose, onto: str) -> None:
-    """Put what is held at a pose and open the fingers, but do not withdraw."""
+    """Put the held object at a pose and open the fingers, but do not withdraw."""
     at = goal @ script.held_in_tcp.inverse()
     script.carry(at)
     script.move(at, name="lower", speed=0.6, touching=((entity, onto),))
@@ -73,7 +74,7 @@ def caging(script: Script, entity: str, goal: Pose, onto: str) -> None:
 
 
 def set_aside(script: Script, entity: str, grasp: Grasp, shift: tuple[float, float]) -> Grasp:
-    """Pick an object up, set it down beside where it is, and return the same grasp of it there."""
+    """Pick up an object, set it down beside its place, and return the same grasp of it there."""
     script.pick(entity, grasp)
     now = script.scene.pose_of(entity)
     there = replace(now, position=(now.position[0] + shift[0], now.position[1] + shift[1], now.position[2]))
@@ -98,7 +99,7 @@ def about_vertical(pose: Pose, angle_rad: float) -> Pose:
 
 
 def ways_with(make: Callable[[Script, Grasp, Pose], object]) -> Callable[[ExpertScene], Iterator[tuple[Stage, ...]]]:
-    """Return a function that yields a script for each of the skill's own ways, made by a function of it."""
+    """Return a trial that applies a function to each of the skill's own ways to make a script."""
 
     def ways(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         for grasp, goal in own_ways(scene):

@@ -12,7 +12,7 @@ from roboxim_tasks.trials.placing import ASIDE_M, CUBES
 
 
 def picked(scene: ExpertScene, lift_m: float) -> Iterator[Script]:
-    """Yield scripts that pick the target up."""
+    """Yield scripts that pick up the target."""
     for grasp, _ in own_ways(scene):
         script = Script(scene)
         script.pick("target", grasp, lift_m=lift_m)

@@ -17,7 +17,7 @@ from roboxim_tasks.trials.moves import about_vertical, around, own_ways
 
 
 def on(support: str, target: str = "cube") -> Mapping[str, Any]:
-    """Return the change of a task to one support and one target."""
+    """Return the changes to a task that leave one support and one target."""
     models = {"support": support, "target": target}
     return {"objects": {role: {"models": {"values": [model]}} for role, model in models.items()}}
 

@@ -24,21 +24,21 @@ RED_AND_BLUE = {
 
 
 def direction(scene: ExpertScene) -> Array:
-    """Return the direction that is asked for, in the base, shape (3,)."""
+    """Return the task's direction in the base, shape (3,)."""
     arguments = scene.task.arguments
     toward = (float(arguments["direction_x"]), float(arguments["direction_y"]), 0.0)
     return np.asarray(scene.scene.robot.pose.rotation.inv().apply(toward))
 
 
 def beside(scene: ExpertScene, entity: str, other: str, vector: Array) -> Pose:
-    """Return the pose of an entity at a vector from another one, as it lies now otherwise."""
+    """Return an entity's present pose, moved to a vector from another entity."""
     x, y, _ = scene.pose_of(other).position + vector
     now = scene.pose_of(entity)
     return replace(now, position=(float(x), float(y), now.position[2]))
 
 
 def across(toward: Array) -> Array:
-    """Return the horizontal vector at right angles, shape (3,)."""
+    """Return the horizontal vector at right angles to a direction, shape (3,)."""
     return np.array([-toward[1], toward[0], 0.0])
 
 

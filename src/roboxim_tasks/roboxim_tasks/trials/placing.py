@@ -1,4 +1,4 @@
-"""Trials that the skills share which pick something up and put it somewhere."""
+"""Trials that all pick-and-place skills share."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from roboxim_tasks.trials.moves import around, caging, other_grasps, own_stages,
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
 PLACING = ("place_on", *RELATIONS, "stack")
 CUBES = {"objects": {"target": {"models": {"values": ["cube"]}}}}
-"""The target is a cube, whose grasps are all alike, so that a trial is about how it is handled."""
+"""Changes to the task: the target is a cube, whose grasps are equivalent, so that only the handling matters."""
 ASIDE_M = 0.07
-"""How far the target is set aside before it is grasped again [m]."""
+"""Distance by which the target is set aside before it is grasped again [m]."""
 
 
 def onto(scene: ExpertScene) -> str:
-    """Return what the target is put on."""
+    """Return the entity that the target is put on."""
     roles = ("support", "container")
     return next((scene.task.objects[role].entity for role in roles if role in scene.task.objects), TABLE)
 
 
 def lowest_m(scene: ExpertScene) -> float:
-    """Return how far above a goal the target is let go: the fingers do not fit down to a container's floor [m]."""
+    """Return the height above a goal at which to release the target [m]: fingers do not reach a container's floor."""
     return 0.02 if "container" in scene.task.objects else 0.002
 
 

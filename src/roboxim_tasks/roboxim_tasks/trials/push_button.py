@@ -25,7 +25,7 @@ OTHER_BUTTON = {
 
 
 def presses(scene: ExpertScene, entity: str, change: Pose, opening: float = 0.0) -> Iterator[tuple[Stage, ...]]:
-    """Yield ways to press a button, the tool's pose changed from the expert's by one in the tool's frame."""
+    """Yield ways to press a button with the expert's tool pose changed by a pose in the tool's frame."""
     face = button_face(scene.model_of(entity), scene.pose_of(entity))
     for yaw in YAWS:
         pressed = pressed_pose(face, yaw) @ change

@@ -24,7 +24,7 @@ def along(pose: Pose, toward: Array, length_m: float) -> Pose:
 
 
 def push(script: Script, begin: Pose, length_m: float) -> None:
-    """Go down behind the target, push, back off, rise; from the pose where the fingers stand behind it."""
+    """Descend behind the target, push, withdraw, rise; the pose is that of the fingers behind the target."""
     toward, touching = direction(script.scene), fingers_touch(script.scene, "target")
     script.move(shifted(begin, APPROACH_M), name="approach", free=True)
     script.move(begin, name="descend", speed=0.6)
@@ -41,7 +41,7 @@ def starts(scene: ExpertScene) -> list[tuple[Pose, float]]:
 
 
 def full_way(scene: ExpertScene) -> float:
-    """Return how far the expert would push [m]."""
+    """Return the distance that the expert would push [m]."""
     return way_m(scene.model_of("target"), scene.pose_of("target"), direction(scene))
 
 

@@ -14,7 +14,7 @@ from roboxim_tasks.trials.placing import CUBES
 
 
 def turned_by(scene: ExpertScene, share: float) -> Iterator[tuple[Grasp, Script]]:
-    """Yield scripts that turn the target by a share of the angle that is asked for."""
+    """Yield scripts that turn the target by a share of the task's angle."""
     angle = parameters_of(scene.task, RotateParameters).angle_rad
     for grasp, _ in own_ways(scene):
         script = Script(scene)

@@ -10,7 +10,7 @@ from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import around, displaced, other_grasps, own_ways
 
 CARTON = {"objects": {"target": {"models": {"values": ["milk_carton"]}}}}
-"""The target is a carton, which does not roll when it is let go of while it lies."""
+"""Changes to the task: the target is a carton, which does not roll when it is released lying."""
 
 
 @cheat("turn_upright", reason="not_upright")
