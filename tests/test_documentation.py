@@ -92,7 +92,8 @@ def test_python_uses_only_names_that_it_defines(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", RUN, ids=str)
-def test_python_runs(block: Block) -> None:
+def test_python_runs(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     exec(compile(block.text, str(block), "exec"), {"__name__": "example"})
 
 

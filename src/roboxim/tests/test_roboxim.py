@@ -24,7 +24,7 @@ READMES = [Path(__file__).parents[3] / "README.md", Path(__file__).parents[1] / 
 def script_of(readme: Path) -> str:
     """Return the lines of a README that import roboxim."""
     return next(
-        code for code in re.findall(r"```python\n(.*?)```", readme.read_text(), re.DOTALL) if "roboxim." in code
+        code for code in re.findall(r"```python[^\n]*\n(.*?)```", readme.read_text(), re.DOTALL) if "roboxim." in code
     )
 
 
