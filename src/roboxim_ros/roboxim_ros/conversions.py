@@ -168,21 +168,7 @@ def from_msg(msg: Any, cls: type[T]) -> T:
         InvalidRequestError: When a value does not fit the class or fails the class's own checks.
     """
     getters = _getters(cls)  # type: ignore[arg-type]  # classes are hashable
-    try:
-        return cls(**{name: get_field(msg) for name, get_field in getters})
-    except AttributeError:  # a bag of an earlier version lacks the fields that were added since
-        missing = {name for name, _ in getters if name != "stamp_ns" and not hasattr(msg, name)}
-        if not missing <= _with_default(cls):  # type: ignore[arg-type]
-            raise
-    return cls(**{name: get_field(msg) for name, get_field in getters if name not in missing})
-
-
-@cache
-def _with_default(cls: type) -> frozenset[str]:
-    """Return the fields that need no value."""
-    none = dataclasses.MISSING
-    fields = dataclasses.fields(cls)
-    return frozenset(f.name for f in fields if f.default is not none or f.default_factory is not none)
+    return cls(**{name: get_field(msg) for name, get_field in getters})
 
 
 @cache

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from roboxim_interfaces.msg import RobotState as RobotStateMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
@@ -38,16 +37,6 @@ def test_numbers_of_arrays_are_pythons_own():
     arrived = from_msg(sent(to_msg(ROBOT, RobotStateMsg)), RobotState)
     assert arrived == ROBOT
     assert {type(value) for value in arrived.joint_positions} == {float}
-
-
-def test_a_message_of_an_earlier_version_has_the_defaults_of_what_it_lacks():
-    message = to_msg(ROBOT, RobotStateMsg)
-    names = set(message.get_fields_and_field_types())
-    earlier = SimpleNamespace(**{name: getattr(message, name) for name in names - {"joint_efforts"}})
-    assert from_msg(earlier, RobotState).joint_efforts == ()
-    broken = SimpleNamespace(**{name: getattr(message, name) for name in names - {"joint_positions"}})
-    with pytest.raises(AttributeError, match="joint_positions"):
-        from_msg(broken, RobotState)
 
 
 def test_arrays_as_rosbags_gives_them_are_read():
