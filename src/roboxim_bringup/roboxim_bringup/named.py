@@ -35,7 +35,7 @@ class Named(click.ParamType[str]):
             ConfigError: When the name is unknown; the message suggests the nearest.
         """
         text = str(value)
-        if not text or is_path(text) or ":" in text or "=" in text:
+        if not text or is_path(text) or ":" in text or "=" in text or text.endswith(".py"):
             return text
         known = self._known()
         if known and text not in known:
@@ -52,8 +52,10 @@ class Named(click.ParamType[str]):
 
     def _known(self) -> list[str]:
         """Return all valid names, or none when they are not certain."""
-        if self.kind == "task":
-            return names_of("task")
+        if self.kind == "renderer":  # plug-ins may add renderers, which the catalog does not hold
+            return []
+        if self.kind not in ("skill", "policy"):
+            return names_of(self.kind)
         kept = (fresh_catalog() or {}).get("skills" if self.kind == "skill" else "policies", {})
         return sorted({*kept, *self._names}) if kept else []
 

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from roboxim_bringup import catalog
 from roboxim_bringup.cli import group
+from roboxim_bringup.named import Named
 from roboxim_core.errors import ConfigError
 from roboxim_ros.testing import PATIENCE_S
 
@@ -33,6 +34,7 @@ def complete(*words: str) -> set[str]:
     code = f"""
 import sys
 from roboxim_bringup.cli import group
+from roboxim_bringup.named import Named
 try:
     group.main(prog_name="roboxim")
 finally:
@@ -93,3 +95,15 @@ def test_a_damaged_cache_is_made_again(cache, tmp_path, monkeypatch):
     catalog._file().write_text("{")
     assert "pick_up" in catalog.catalog()["skills"]
     assert catalog.fresh_catalog() is not None
+
+
+@pytest.mark.parametrize("kind", ["skill", "task", "object", "camera", "policy"])
+def test_a_fresh_catalog_refuses_the_unknown_names_of_a_kind_alone(cache, monkeypatch, kind):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    known = catalog.names_of(kind)
+    assert known
+    option = Named(kind)
+    assert [option.convert(name, None, None) for name in known] == known
+    with pytest.raises(ConfigError, match=f"unknown {kind}"):
+        option.convert("no_such_name", None, None)
+    assert option.convert("folder/file.py:Class", None, None) == "folder/file.py:Class"
