@@ -33,7 +33,9 @@ from typing import Any
 import numpy as np
 
 ANSWER_S = 90.0
-"""Time limit for a response [s], generous for a busy machine."""
+"""Longest wait for an answer, generous for a busy machine."""
+EPISODE_S = 300.0
+"""Longest wait for an episode, generous for a busy machine."""
 STOP_AFTER_S = 3.0
 """Duration after which goals and steps are cancelled [s]."""
 FLOATS = (
@@ -200,6 +202,7 @@ def live_graph(folder: Path) -> Iterator[Live]:
         "tasks": {"visible": False, "planner_timeout_s": 20.0},
         "planner": {"dumps_kept": 0},
         "recorder": {"output_root": str(folder)},
+        "evaluator": {"service_timeout_s": STOP_AFTER_S},
     }
     config = GraphConfig(parameters=parameters, policies=(PolicyLaunch(spec="random"),))
     activate_transport()
@@ -223,7 +226,7 @@ def corpus(live: Live) -> dict[str, Callable[[], Any]]:
     """Return functions that create valid requests, by service or action; they query the graph for values."""
     from control_msgs.action import FollowJointTrajectory, GripperCommand
     from roboxim_interfaces import action, srv
-    from roboxim_interfaces.msg import RunConfig
+    from roboxim_interfaces.msg import EpisodeResult, RunConfig
     from simulation_interfaces.action import SimulateSteps
     from simulation_interfaces.srv import GetEntityState, SetEntityState, SpawnEntity, StepSimulation
     from trajectory_msgs.msg import JointTrajectoryPoint
@@ -251,15 +254,17 @@ def corpus(live: Live) -> dict[str, Callable[[], Any]]:
     step.trajectory.points[0].time_from_start.sec = 1
     grip = GripperCommand.Goal()
     grip.command.position = 0.04
+    folder = str(live.folder / "bags")
+    opened = srv.OpenEpisode.Request(output_dir=folder, info=_episode_info(task, scene))
     config = RunConfig(
         run_seed=1, purpose="test", actor="policy", image_width=32, image_height=32, max_steps=3, settle_ticks=1,
-        output_dir=str(live.folder / "bags"), keep="none",
+        output_dir=folder, keep="none",
     )  # fmt: skip
     spawn = SpawnEntity.Request(name="new_cube", allow_renaming=True)
     spawn.entity_resource.uri = "cube"
     spawn.initial_pose.pose.position.x, spawn.initial_pose.pose.position.z = 0.5, 0.3
     entity = state.entities[0].name
-    cartesian = srv.PlanCartesian.Request(request=motion)
+    cartesian, sequence = _cartesian(srv, motion), _sequence(srv, motion, joints, near)
     window = srv.Act.Request(episode_id="fuzz", instruction=task.instruction)
     requests: dict[str, Any] = {
         "sim/load_scene": srv.LoadScene.Request(scene=scene, episode_id=""),
@@ -275,7 +280,10 @@ def corpus(live: Live) -> dict[str, Callable[[], Any]]:
         "gripper_controller/gripper_cmd": grip,
         "planner/plan_to_joints": _to_joints(srv, motion, joints, near),
         "planner/plan_cartesian": cartesian,
-        "planner/plan_sequence": srv.PlanSequence.Request(request=motion),
+        "planner/plan_sequence": sequence,
+        "action planner/plan_sequence": action.PlanSequence.Goal(request=sequence.request, stages=sequence.stages),
+        "recorder/open_episode": opened,
+        "recorder/close_episode": srv.CloseEpisode.Request(result=EpisodeResult(episode_id="fuzz"), keep="drop"),
         "planner/retime_path": _retime(srv, motion, joints, home, near),
         "planner/check_trajectory": srv.CheckTrajectory.Request(request=motion, trajectory=planned.plan.trajectory),
         "tasks/generate_episode": srv.GenerateEpisode.Request(run_seed=1, purpose="test"),
@@ -315,6 +323,41 @@ def _to_joints(srv: Any, motion: Any, joints: list[str], positions: list[float])
             state = getattr(request, goal)
             state.name, state.position = joints, positions
     return request
+
+
+def _cartesian(srv: Any, motion: Any) -> Any:
+    """Return a request for a line of 5 cm down from the start."""
+    from geometry_msgs.msg import PoseStamped
+
+    waypoint = PoseStamped()
+    waypoint.header.frame_id = "tcp"
+    waypoint.pose.position.z, waypoint.pose.orientation.w = 0.05, 1.0
+    return srv.PlanCartesian.Request(request=deepcopy(motion), waypoints=[waypoint])
+
+
+def _sequence(srv: Any, motion: Any, joints: list[str], positions: list[float]) -> Any:
+    """Return a request for a motion to joint positions and a line from there."""
+    from roboxim_interfaces.msg import MotionStage
+
+    free = MotionStage(kind=MotionStage.JOINTS, name="free")
+    free.joint_target.name, free.joint_target.position = joints, positions
+    line = MotionStage(kind=MotionStage.CARTESIAN, name="line", goals=_cartesian(srv, motion).waypoints)
+    return srv.PlanSequence.Request(request=deepcopy(motion), stages=[free, line])
+
+
+def _episode_info(task: Any, scene: Any) -> Any:
+    from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
+
+    from roboxim_core.actions import ActionSemantics
+    from roboxim_core.episode import EpisodeInfo
+    from roboxim_core.specs import SceneSpec, TaskSpec
+    from roboxim_ros.conversions import from_msg, to_msg
+
+    info = EpisodeInfo(
+        episode_id="fuzz", run_seed=1, purpose="test", index=0, attempt=0, task=from_msg(task, TaskSpec),
+        scene=from_msg(scene, SceneSpec), semantics=ActionSemantics(), actor="policy",
+    )  # fmt: skip
+    return to_msg(info, EpisodeInfoMsg)
 
 
 def _retime(srv: Any, motion: Any, joints: list[str], start: list[float], end: list[float]) -> Any:
@@ -447,17 +490,6 @@ class Fuzzer:
             return request
         return self.maker.message(cls)
 
-    def shortened(self, request: Any) -> Any:
-        """Return a request to run episodes, shortened to the fuzzer's time limit; invalid requests stay unchanged."""
-        config = request.config
-        for name, most in (("max_steps", 20), ("settle_ticks", 20), ("max_attempts", 2), ("execute", 20)):
-            if most < getattr(config, name) <= 100_000:
-                setattr(config, name, most)
-        if config.actor == "policy" and config.max_steps == 0:
-            config.max_steps = 3
-        request.indices = request.indices[:3] if len(request.indices) <= 100_000 else request.indices
-        return request
-
     def note(self, name: str, answer: Any, began: float) -> None:
         """Note an answer."""
         code, message = verdict(answer)
@@ -470,8 +502,6 @@ class Fuzzer:
         """Call a service once and check that it responds."""
         cls = interface(self.services[name])
         request = self.request(name, cls.Request)
-        if name == "evaluator/run_episodes":
-            request = self.shortened(request)
         began = time.monotonic()
         if name == "sim/step_simulation":
             answer = self.stopped(lambda: self.live.call(cls, name, request))
@@ -525,15 +555,21 @@ class Fuzzer:
 
 def episode_hash(live: Live) -> str:
     """Run an episode through the graph and return the hash of its last state."""
+    from roboxim_interfaces.action import RunEpisodes
     from roboxim_interfaces.msg import RunConfig
-    from roboxim_interfaces.srv import ReleaseEpisode, RunEpisodes
+    from roboxim_interfaces.srv import ReleaseEpisode
+
+    from roboxim_ros.actions import ActionCall
 
     live.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request())
     config = RunConfig(
         run_seed=3, purpose="test", actor="policy", image_width=32, image_height=32, max_steps=8, settle_ticks=1,
         keep="none",
     )  # fmt: skip
-    answer = live.call(RunEpisodes, "evaluator/run_episodes", RunEpisodes.Request(config=config, indices=[0]))
+    with ActionCall(
+        live.clients, RunEpisodes, "evaluator/run_episodes"
+    ) as action:  # it has no limit, unlike the service
+        answer = action.run(RunEpisodes.Goal(config=config, indices=[0]), timeout_s=EPISODE_S).result
     assert answer.error_code == 0, answer.error_msg
     return str(answer.results[0].final_state_hash)
 

@@ -3,10 +3,11 @@ from __future__ import annotations
 import pytest
 from roboxim_interfaces.action import RunEpisodes
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
+from roboxim_interfaces.srv import RunEpisodes as RunEpisodesService
 
 from roboxim_bringup.graph import NODES, PolicyLaunch, node_class, start_graph
 from roboxim_core.episode import EpisodeResult, RunConfig
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, InvalidRequestError, RequestTimeoutError
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture
 def graph_parameters():
-    return {"sim": {"renderer": "tiny"}}
+    return {"sim": {"renderer": "tiny"}, "evaluator": {"service_timeout_s": 1.0}}
 
 
 def test_fixture_runs_an_episode_in_this_process(graph):
@@ -29,6 +30,17 @@ def test_fixture_runs_an_episode_in_this_process(graph):
         answer = action.run(goal, timeout_s=PATIENCE_S)
     assert (answer.status, answer.result.error_msg) == ("succeeded", "")
     assert from_msg(answer.result.results[0], EpisodeResult).outcome == "success"
+
+
+def test_the_blocking_service_ends_by_itself(graph):
+    config = RunConfig(run_seed=2, purpose="test", keep="none", image_width=32, image_height=32)
+    request = RunEpisodesService.Request(config=to_msg(config, RunConfigMsg), indices=list(range(101)))
+    with graph.clients() as clients:
+        with pytest.raises(InvalidRequestError, match="at most 100 episodes of the service"):
+            clients.call(RunEpisodesService, "evaluator/run_episodes", request, timeout_s=PATIENCE_S)
+        request.indices = list(range(100))
+        with pytest.raises(RequestTimeoutError, match="of 100 episodes; the action"):
+            clients.call(RunEpisodesService, "evaluator/run_episodes", request, timeout_s=PATIENCE_S)
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -112,6 +112,4 @@ def test_a_name_of_300_characters_is_an_error_by_name(words, monkeypatch, capsys
 
 
 def test_a_value_of_the_wrong_kind_names_the_policy():
-    assert "policy 'random' cannot be made: TypeError" in mistake(
-        "evaluate", "--policy", "random", "--option", "scale=much"
-    )
+    assert "argument 'scale' of policy 'random'" in mistake("evaluate", "--policy", "random", "--option", "scale=much")

@@ -150,6 +150,31 @@ def parse_json(text: str, *, source: str = "JSON", most: int = limits.DOCUMENT_B
     return data
 
 
+def read_json(path: Path | str, most: int = limits.DOCUMENT_BYTES) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes].
+
+    Raises:
+        ConfigError: Naming the file, as `read_text` and `parse_json`.
+    """
+    return parse_json(read_text(path, most), source=str(path), most=most)
+
+
+def read_json_object(path: Path | str, most: int = limits.DOCUMENT_BYTES) -> dict[str, Any]:
+    """Read a JSON file that holds an object; arguments as `read_json`.
+
+    Raises:
+        ConfigError: As `read_json`, and when it holds something else.
+    """
+    data = read_json(path, most)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path} holds a {type(data).__name__}, expected a JSON object")
+    return data
+
+
 def _shallow(data: Any, levels: int) -> bool:
     layer = [data]
     for _ in range(levels + 1):

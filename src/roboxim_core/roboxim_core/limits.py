@@ -27,9 +27,17 @@ LONG_TEXT_CHARACTERS: Final = 16 * 2**20
 LONG_TEXTS: Final = frozenset({"task_config", "task_config_json", "config_json", "snapshot_json", "resource_string"})
 """String fields that hold a document: YAML or JSON."""
 ITEMS: Final = 10_000
-"""Elements of a sequence of messages or strings, except for those in `MANY_ITEMS`: handlers loop over them."""
-MANY_ITEMS: Final = {"points": 100_000, "indices": 100_000}
-"""Sequences that may be longer: points of a trajectory."""
+"""Elements of a sequence of messages or strings in a message, unless `FIELD_ITEMS` names it: handlers loop over it."""
+FIELD_ITEMS: Final = {
+    "points": 100_000, "indices": 100_000,
+    "stages": 100, "goals": 1_000, "waypoints": 1_000, "alternatives": 1_000, "objects": 1_000, "attached": 100,
+}  # fmt: skip
+"""Sequences with a bound of their own, by the field's name: points of a trajectory are many; each stage, goal and
+object costs the planner milliseconds at least."""
+MESSAGE_ITEMS: Final = 500_000
+"""Elements of all sequences of messages or strings of a message together: sequences inside of sequences multiply."""
+MESSAGE_CHARACTERS: Final = 32 * 2**20
+"""Characters of all strings of a message together."""
 NUMBERS: Final = 2**28
 """Elements of a sequence of numbers in a message: an image of 4096 x 4096 px with 16 bytes a pixel."""
 
@@ -57,7 +65,13 @@ SETTLE_STEPS: Final = 24_000
 STEPS: Final = 864_000
 """Physics steps of one request: an hour of simulated time at 240 Hz."""
 MOTION_S: Final = 600.0
-"""Simulated time of a trajectory [s]: its set points are held in memory."""
+"""Duration of a trajectory [s]: its set points are held in memory, and a planned one is checked every millisecond."""
+JOINT_POSITION: Final = 1_000.0
+"""Largest joint position of a path or trajectory [rad] or [m]: collisions are checked along the way to it."""
+TRAJECTORY_POINTS: Final = 200_000
+"""Points of all trajectories of an answer together: each takes a kilobyte."""
+IMPROVE_ITERATIONS: Final = 1_000_000
+"""Iterations of a path planner: each may add a state to a tree in memory."""
 WALL_TIME_S: Final = 600.0
 """Longest wall-clock time-out that a request may ask for [s]."""
 SNAPSHOT_ACTIONS: Final = 100_000
@@ -65,6 +79,8 @@ SNAPSHOT_ACTIONS: Final = 100_000
 
 EPISODE_STEPS: Final = 100_000
 """Actions of an episode."""
+SERVICE_EPISODES: Final = 100
+"""Episodes of one request to the blocking service, which cannot be cancelled; the action runs `FIELD_ITEMS`."""
 ATTEMPTS: Final = 10_000
 """Attempts at an episode until one is kept."""
 WINDOW: Final = 1_000

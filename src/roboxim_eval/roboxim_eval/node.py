@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
@@ -15,8 +16,9 @@ from roboxim_interfaces.action import RunEpisodes as RunEpisodesAction
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.srv import RunEpisodes as RunEpisodesService
 
+from roboxim_core import limits
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, Ports, RunConfig
-from roboxim_core.errors import ErrorCode, EvaluationError, RoboximError
+from roboxim_core.errors import ErrorCode, EvaluationError, RequestTimeoutError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.ports import RosPorts
 from roboxim_ros.conversions import from_msg, to_msg
@@ -39,6 +41,20 @@ def versions() -> dict[str, str]:
     return found
 
 
+@dataclass(frozen=True, kw_only=True)
+class EvaluatorConfig:
+    """Parameters of the evaluator node."""
+
+    service_timeout_s: float = field(
+        default=limits.WALL_TIME_S,
+        metadata={
+            "description": "wall-clock limit of the service, which cannot be cancelled; the action has none [s]",
+            "range": (0.001, limits.WALL_TIME_S),
+        },
+    )
+    """Longest run of the service [s]."""
+
+
 class EvaluatorNode(RoboximNode):
     """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time."""
 
@@ -48,6 +64,7 @@ class EvaluatorNode(RoboximNode):
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`."""
         super().__init__("evaluator", context=context, namespace=namespace, parameters=parameters)
+        self._config = self.declare_config(EvaluatorConfig)
         self._busy = threading.Lock()
         self._goal: ServerGoalHandle | None = None
         self._ports: RosPorts | None = None
@@ -67,7 +84,22 @@ class EvaluatorNode(RoboximNode):
         super().destroy_node()
 
     def _on_service(self, request: RunEpisodesService.Request, response: RunEpisodesService.Response) -> None:
-        response.results = [to_msg(result, EpisodeResultMsg) for result in self._run(request, lambda: False)]
+        limits.require_count("episodes of the service", len(request.indices), limits.SERVICE_EPISODES)
+        deadline = time.monotonic() + self._config.service_timeout_s
+
+        def over() -> bool:
+            return time.monotonic() > deadline or not self.context.ok()
+
+        try:
+            for result in self._run(request, over):
+                response.results = [*response.results, to_msg(result, EpisodeResultMsg)]
+        except RoboximError as error:
+            if error.code != ErrorCode.CANCELLED or time.monotonic() <= deadline:
+                raise
+            raise RequestTimeoutError(
+                f"ended after {self._config.service_timeout_s:g} s (parameter service_timeout_s) with "
+                f"{len(response.results)} of {len(request.indices)} episodes; the action of this name has no limit"
+            ) from None
 
     def _on_action(self, goal: ServerGoalHandle) -> RunEpisodesAction.Result:
         result = RunEpisodesAction.Result()

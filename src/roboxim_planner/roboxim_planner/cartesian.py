@@ -19,7 +19,7 @@ from roboxim_core.poses import Pose, distance
 from roboxim_planner.collision import CollisionWorld
 from roboxim_planner.paths import Watch
 from roboxim_planner.robot import PlannerRobot, pose_matrix
-from roboxim_planner.timing import Motion, MotionLimits, line_profile, still
+from roboxim_planner.timing import Motion, MotionLimits, line_profile, require_duration, still
 
 Array = npt.NDArray[np.float64]
 _NODE_M = 0.004
@@ -208,6 +208,9 @@ class LineMotion:
             limits: Limits.
             length_m: Distance that the TCP covers along ``joints`` [m].
             angle_rad: Angle that it turns by [rad].
+
+        Raises:
+            PlannerError: ``TRAJECTORY_INVALID`` when the motion would take too long.
         """
         if len(joints) < 4:  # the same line or parabola by four places, because its third derivative is needed
             few = make_interp_spline(np.linspace(0.0, 1.0, len(joints)), joints, k=len(joints) - 1)
@@ -232,6 +235,7 @@ class LineMotion:
 
     def _set_law(self, durations: Array, coefficients: Array) -> None:
         law = PPoly(coefficients, np.concatenate([[0.0], np.cumsum(durations)]))
+        require_duration(float(law.x[-1]))
         self._law = [law, *(law.derivative(k) for k in (1, 2, 3))]
 
     def _excess(self, limits: MotionLimits) -> float:

@@ -17,6 +17,7 @@ from roboxim_interfaces.msg import MotionPlan as MotionPlanMsg
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose
@@ -52,7 +53,9 @@ def optional_pose(msg: PoseMsg, *, what: str) -> Pose:
     if not any((p.x, p.y, p.z, q.x, q.y, q.z, q.w)):
         return IDENTITY
     with naming(what):
-        return pose_from_msg(msg)
+        pose = pose_from_msg(msg)
+        limits.require_finite("a position", pose.position, limits.LENGTH_M)
+    return pose
 
 
 def joints_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> Array:
@@ -110,6 +113,7 @@ def pose_in_world(
     base = f"{robot.description.id}_base"
     with naming(what):
         pose = pose_from_msg(msg)
+        limits.require_finite("a position", pose.position, limits.LENGTH_M)
     if frame in ("", WORLD):
         return pose
     if frame in (base, robot.description.base_link):
@@ -234,6 +238,8 @@ def _matrix(rows: Sequence[Any], order: list[int], what: str, *, required: bool 
     values = np.array(rows, dtype=float)[:, order]
     for i in map(int, np.flatnonzero(~np.isfinite(values).all(axis=1))):
         raise InvalidRequestError(f"point {i} of the trajectory: {what} must be finite, got {values[i].tolist()}")
+    if required and np.abs(values).max() > limits.JOINT_POSITION:
+        raise InvalidRequestError(f"{what} of a trajectory must be within +-{limits.JOINT_POSITION:g}")
     return values
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import from_plain, to_plain
+from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RequestTimeoutError, RoboximError, one_of
 from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
@@ -174,11 +175,9 @@ def read_dump(path: Path) -> Dump:
     Raises:
         ConfigError: If the file cannot be read or is not a dump of this version.
     """
-    try:
-        data = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"cannot read the dump {path}: {error}") from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("kind") not in QUERIES:
+    data = read_json_object(path)
+    missing = [key for key in ("query", "outcome", "config", "robot_digest") if key not in data]
+    if missing or data.get("format") != FORMAT or str(data.get("kind")) not in QUERIES:
         raise ConfigError(f"{path} is not a planner dump of format {FORMAT}")
     return Dump(
         query=from_plain(data["query"], QUERIES[data["kind"]], source=str(path)),

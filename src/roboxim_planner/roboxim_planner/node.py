@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import threading
 import time
@@ -36,9 +35,9 @@ from roboxim_interfaces.srv import (
 )
 from roboxim_interfaces.srv import PlanSequence as PlanSequenceSrv
 
+from roboxim_core import limits
 from roboxim_core.errors import (
     ErrorCode,
-    InvalidRequestError,
     PlannerError,
     RequestTimeoutError,
     RoboximError,
@@ -50,6 +49,7 @@ from roboxim_core.state import StateRecord
 from roboxim_planner import conversions as convert
 from roboxim_planner import query_conversions as queries
 from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
+from roboxim_planner.paths import Watch
 from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig
 from roboxim_planner.queries import Answer, Query, run_query
 from roboxim_planner.scene import PlanningScene
@@ -77,7 +77,7 @@ class PlannerNodeConfig:
     """Parameters of the planner node."""
 
     robot: str = _parameter("panda", "id of the robot model for requests that name none")
-    timeout_s: float = _parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, 600.0)
+    timeout_s: float = _parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, limits.WALL_TIME_S)
     padding_m: float = _parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
     scene_wait_s: float = _parameter(5.0, "longest wait for a scene revision that has not arrived yet [s]", 0.0, 60.0)
     dump_dir: str = _parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
@@ -220,17 +220,7 @@ class PlannerNode(RoboximNode):
             entered: Called with the index of the stage of a sequence that is being planned.
         """
         begun = time.monotonic()
-        timeout = float(msg.timeout) or self._config.timeout_s
-        if not (math.isfinite(timeout) and timeout > 0.0):
-            raise InvalidRequestError(f"timeout must be a positive number of seconds, got {timeout}")
-
-        def watch(stage: str, iterations: int) -> None:
-            if time.monotonic() - begun > timeout:
-                raise RequestTimeoutError(
-                    f"time out after {timeout:g} s in stage '{stage}', {iterations} iterations; increase the timeout"
-                )
-            progress(stage, iterations)
-
+        watch = self._watch(float(msg.timeout), progress)
         planner = self._planner(msg.robot)
         common = queries.common_from_msg(msg, planner, self._scene(msg.scene), with_start=with_start)
         try:
@@ -239,6 +229,29 @@ class PlannerNode(RoboximNode):
             queries.fill_answer(response, Answer(plans=(error.partial,), goal_indices=(-1,)), common, begun)
             raise
         queries.fill_answer(response, answer, common, begun)
+
+    def _watch(self, timeout_s: float, progress: Callable[[str, int], None] = lambda *_: None) -> Watch:
+        """Return a watch that ends a request after a time.
+
+        Args:
+            timeout_s: Longest time from now [s]; 0: as the node's parameters say.
+            progress: Called with stage and iterations as well.
+
+        Raises:
+            InvalidRequestError: When the time is out of range.
+        """
+        timeout = timeout_s or self._config.timeout_s
+        limits.require_range("timeout", timeout, 0.0, limits.WALL_TIME_S)
+        deadline = time.monotonic() + timeout
+
+        def watch(stage: str, iterations: int) -> None:
+            if time.monotonic() > deadline:
+                raise RequestTimeoutError(
+                    f"time out after {timeout:g} s in stage '{stage}', {iterations} iterations; increase the timeout"
+                )
+            progress(stage, iterations)
+
+        return watch
 
     def _run(
         self,
@@ -291,9 +304,10 @@ class PlannerNode(RoboximNode):
         return handler
 
     def _on_compute_ik(self, msg: ComputeIK.Request, response: ComputeIK.Response) -> None:
+        watch = self._watch(0.0)
         planner = self._planner(msg.robot)
         query = queries.ik_query(planner, self._scene(msg.scene), msg)
-        answer = self._run(planner, query, lambda *_: None)
+        answer = self._run(planner, query, watch)
         response.solutions = [convert.joints_to_msg(q, planner.robot.description) for q in answer.solutions]
 
     def _on_compute_fk(self, msg: ComputeFK.Request, response: ComputeFK.Response) -> None:
@@ -321,10 +335,11 @@ class PlannerNode(RoboximNode):
 
     def _on_check_trajectory(self, msg: CheckTrajectory.Request, response: CheckTrajectory.Response) -> None:
         response.first_invalid_index = -1
+        watch = self._watch(float(msg.request.timeout))
         planner = self._planner(msg.request.robot)
         scene = self._scene(msg.request.scene)
         arrays = convert.trajectory_from_msg(msg.trajectory, planner.robot.description)
-        finding = planner.check_trajectory(scene, **arrays, options=convert.options_from_msg(msg.request))
+        finding = planner.check_trajectory(scene, **arrays, options=convert.options_from_msg(msg.request), watch=watch)
         response.valid = finding.valid
         response.first_invalid_index = finding.index
         response.contacts = [convert.contact_to_msg(contact) for contact in finding.contacts]

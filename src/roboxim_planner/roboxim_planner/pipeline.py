@@ -217,6 +217,7 @@ class Planner:
         velocities: npt.ArrayLike | None = None,
         accelerations: npt.ArrayLike | None = None,
         options: MotionOptions | None = None,
+        watch: Watch = no_watch,
     ) -> Finding:
         """Check a joint path or sampled trajectory, with straight lines between its points; see `verify_samples`.
 
@@ -227,6 +228,7 @@ class Planner:
             velocities: Shape (N, dof) [rad/s]; none: computed from positions and times.
             accelerations: Shape (N, dof) [rad/s^2]; none: not checked.
             options: Limits and padding; if they give no padding, 0.
+            watch: Called now and then; ends the request by raising.
         """
         options = options or MotionOptions()
         path = np.atleast_2d(np.asarray(positions, dtype=float))
@@ -246,7 +248,7 @@ class Planner:
         sweep: Sweep = self._worlds(scene, MotionOptions())
         if options.padding_m:
             sweep = Sweep(self.robot, scene, padding=options.padding_m)
-        return verify_samples(sweep, self.limits(options), path, clock, rates[0], rates[1])
+        return verify_samples(sweep, self.limits(options), path, clock, rates[0], rates[1], watch)
 
     def inverse_kinematics(
         self,
@@ -257,6 +259,7 @@ class Planner:
         robot_pose: Pose | None = None,
         count: int = 1,
         seed: int = 0,
+        watch: Watch = no_watch,
     ) -> Array:
         """Return arm configurations that put the TCP at a pose, nearest to a reference first.
 
@@ -267,6 +270,7 @@ class Planner:
             robot_pose: Pose of the base in the world if there is no scene; none: identity.
             count: Largest number of solutions.
             seed: Seed of the search.
+            watch: Called now and then; ends the request by raising.
 
         Returns:
             Shape (N, dof), 1 <= N <= count.
@@ -283,11 +287,13 @@ class Planner:
             first = self.ik.nearest(goal, near)
             if first is not None and world.is_free(first):
                 return first[None]
+        watch("goals", 0)
         solutions = self.ik.solve(goal, near, seed=seed)
         if world is None:
             return solutions[:count]
         free = world.free_states(solutions)
         if len(free) < count:
+            watch("goals", 1)
             solutions = self.ik.solve(goal, near, seed=seed + 1, thorough=True)
             free = world.free_states(solutions)
         if not free:

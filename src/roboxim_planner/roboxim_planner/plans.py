@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_planner.constraint import Upright
 from roboxim_planner.paths import FINDERS, IMPROVERS
@@ -57,8 +58,8 @@ class MotionOptions:
             raise InvalidRequestError(
                 f"unknown planner '{self.planner}'; {one_of((*FINDERS, *IMPROVERS), self.planner)}"
             )
-        if self.improve_iterations is not None and self.improve_iterations < 1:
-            raise InvalidRequestError(f"improve_iterations must be positive, got {self.improve_iterations}")
+        if self.improve_iterations is not None:
+            limits.require_range("improve_iterations", self.improve_iterations, 1, limits.IMPROVE_ITERATIONS)
         if self.seed < 0:
             raise InvalidRequestError(f"seed must be >= 0, got {self.seed}")
 

@@ -177,6 +177,7 @@ class RetimeQuery(Query):
             tolerance_rad=self.tolerance_rad,
             stop_at_points=self.stop_at_points,
             scene=self.scene if self.check_collisions else None,
+            watch=watch,
         )
         return Answer(plans=(plan,), goal_indices=(-1,))
 
@@ -209,6 +210,7 @@ class IkQuery(Query):
             robot_pose=self.scene.robot_pose,
             count=count if self.mode != "nearest" else _ALL,
             seed=self.options.seed,
+            watch=watch,
         )
         return Answer(solutions=solutions[:count])
 

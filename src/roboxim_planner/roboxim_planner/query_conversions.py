@@ -12,6 +12,7 @@ import numpy.typing as npt
 from geometry_msgs.msg import Pose as PoseMsg
 from sensor_msgs.msg import JointState
 
+from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
@@ -298,8 +299,17 @@ def fill_answer(response: Any, answer: Answer, common: Common, begun: float) -> 
         answer: Answer of the query.
         common: Common part of the request.
         begun: Time at which the work began, by ``time.monotonic`` [s].
+
+    Raises:
+        InvalidRequestError: When the answer would have too many points.
     """
     robot = common.planner.robot
+    points = sum(plan.duration / common.period_s for plan in answer.plans)
+    if points > limits.TRAJECTORY_POINTS:
+        raise InvalidRequestError(
+            f"the answer would have {points:.0f} points, {limits.TRAJECTORY_POINTS} are allowed; ask for a longer "
+            "sample_period or more speed"
+        )
     plans = [plan_to_msg(plan, robot, common.scene, common.period_s, common.tcp_poses) for plan in answer.plans]
     for plan in plans:
         plan.planning_time = time.monotonic() - begun

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError
-from roboxim_planner.paths import without_repeats
-from roboxim_planner.pipeline import MotionOptions, Plan, Planner
+from roboxim_planner.paths import Watch, without_repeats
+from roboxim_planner.pipeline import MotionOptions, Plan, Planner, no_watch
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import still, time_path
@@ -32,6 +32,7 @@ def retime(
     tolerance_rad: float = DEFAULT_TOLERANCE_RAD,
     stop_at_points: bool = False,
     scene: PlanningScene | None = None,
+    watch: Watch = no_watch,
 ) -> Plan:
     """Give a joint path a time law within the limits.
 
@@ -42,6 +43,7 @@ def retime(
         tolerance_rad: Largest distance of the motion from the path, in any joint [rad].
         stop_at_points: Whether to pass exactly through each point, stopping there.
         scene: Obstacles to avoid; none: collisions are not checked.
+        watch: Called now and then; ends the request by raising.
 
     Returns:
         The verified motion; its route is ``retimed``.
@@ -62,8 +64,10 @@ def retime(
     finding = Finding()
     for factor in (*(() if stop_at_points else _SHRINK), 0.0):
         half = 0.5 * factor * tolerance_rad
-        line = simplified(points, half) if half else points
+        line = simplified(points, half, watch) if half else points
+        watch("timing", 0)
         motion = time_path(line, _corners(line, half), limits, planner.robot.kinematics.jacobian)
+        watch("verify", 0)
         finding = verify_motion(sweep, planner.robot, motion, limits, points[-1])
         if finding.valid:
             return Plan(motion=motion, limits=limits, route="retimed", waypoints=line)
@@ -84,12 +88,13 @@ def _checked(planner: Planner, path: npt.ArrayLike) -> Array:
     return np.asarray(np.clip(points, robot.lower, robot.upper))
 
 
-def simplified(path: Array, tolerance: float) -> Array:
+def simplified(path: Array, tolerance: float, watch: Watch = no_watch) -> Array:
     """Return a path of fewer points that stays within a tolerance in every joint (Douglas and Peucker, 1973).
 
     Args:
         path: Arm configurations, shape (N, dof), N >= 2 [rad].
         tolerance: Largest distance, in any joint, of an omitted point from the line that replaces it [rad].
+        watch: Called now and then; ends the request by raising.
 
     Returns:
         Shape (M, dof), both ends included.
@@ -98,6 +103,7 @@ def simplified(path: Array, tolerance: float) -> Array:
     pending = [(0, len(path) - 1)]
     while pending:
         first, last = pending.pop()
+        watch("simplify", len(kept))
         if last - first < 2:
             continue
         chord = path[last] - path[first]

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
-from roboxim_core.errors import PlannerError
+from roboxim_core import limits as bounds
+from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_planner import native
 
 Array = npt.NDArray[np.float64]
@@ -95,9 +96,14 @@ class MotionSequence:
     """Motions in sequence, with rest in between."""
 
     def __init__(self, motions: list[Motion]) -> None:
-        """Join motions; there is at least one."""
+        """Join motions; there is at least one.
+
+        Raises:
+            PlannerError: ``TRAJECTORY_INVALID`` when they take too long together.
+        """
         self._motions = motions
         self._starts = np.concatenate([[0.0], np.cumsum([m.duration for m in motions])])
+        require_duration(float(self._starts[-1]))
 
     @property
     def duration(self) -> float:
@@ -115,6 +121,23 @@ class MotionSequence:
         parts = [m.evaluate(times[which == i] - self._starts[i]) for i, m in enumerate(self._motions)]
         q, v, a, j = (np.concatenate([part[k] for part in parts]) for k in range(4))
         return q, v, a, j
+
+
+def require_duration(duration_s: float) -> None:
+    """Refuse a motion that takes too long: it is sampled every millisecond, and its samples are held in memory.
+
+    Args:
+        duration_s: How long it would take [s].
+
+    Raises:
+        PlannerError: ``TRAJECTORY_INVALID``.
+    """
+    if not duration_s <= bounds.MOTION_S:
+        raise PlannerError(
+            f"the motion would take {duration_s:.4g} s, a motion may take {bounds.MOTION_S:g} s; allow more speed or "
+            "acceleration",
+            ErrorCode.TRAJECTORY_INVALID,
+        )
 
 
 def still(joints: Array) -> PolynomialMotion:
@@ -226,6 +249,9 @@ def time_path(
         corners: Distance from each inner waypoint at which its blend begins and ends, shape (N - 2,) [rad]; 0: stop.
         limits: Limits.
         jacobian: The TCP's Jacobian at an arm configuration, for limits of its speed.
+
+    Raises:
+        PlannerError: ``TRAJECTORY_INVALID`` when the motion would take too long.
     """
     rates = TcpRates(jacobian, limits)
     passed = np.zeros(len(corners), dtype=bool)
@@ -260,6 +286,7 @@ def time_path(
             durations.append(np.array([time]))
             pieces.append(piece)
     breaks = np.concatenate([[0.0], np.cumsum(np.concatenate(durations))])
+    require_duration(float(breaks[-1]))
     return PolynomialMotion(breaks, np.concatenate(pieces, axis=1))
 
 

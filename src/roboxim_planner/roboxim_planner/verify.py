@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from roboxim_planner import native
 from roboxim_planner.collision import CollisionWorld, ContactPair
+from roboxim_planner.paths import Watch
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.sweep import Sweep
 from roboxim_planner.timing import Motion, MotionLimits
@@ -23,6 +24,8 @@ from roboxim_planner.timing import Motion, MotionLimits
 Array = npt.NDArray[np.float64]
 LIMIT_PERIOD_S = 1e-3
 WITNESSED_STATES = 24
+CHECKED_AT_ONCE = 200
+"""Points of a trajectory between two looks at the watch."""
 _SPREAD = np.linspace(0.0, 1.0, WITNESSED_STATES)
 _SLACK = 1.0 + 1e-3
 _COLLIDES = "the motion collides"
@@ -117,6 +120,7 @@ def verify_samples(
     times: Array | None = None,
     velocities: Array | None = None,
     accelerations: Array | None = None,
+    watch: Watch = lambda *_: None,
 ) -> Finding:
     """Check a joint path or sampled trajectory, with straight lines between its points.
 
@@ -127,6 +131,7 @@ def verify_samples(
         times: Times of the points, strictly increasing, shape (N,) [s]; none: a path without times.
         velocities: Velocities at the points, shape (N, dof) [rad/s]; none: computed from positions and times.
         accelerations: Accelerations at the points, shape (N, dof) [rad/s^2]; none: not checked.
+        watch: Called now and then; ends the check by raising.
     """
     robot = sweep.robot
     if times is not None and velocities is None and len(positions) > 1:
@@ -137,7 +142,7 @@ def verify_samples(
     )
     inside = (positions >= robot.lower - 1e-6) & (positions <= robot.upper + 1e-6)
     first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
-    hit = sweep.exact.first_hit(positions)
+    hit = _first_hit(sweep.exact, positions, watch)
     if hit < 0.0:
         hit = float(_witnessed_hit(sweep, positions))
     if hit < 0.0:
@@ -152,6 +157,16 @@ def verify_samples(
         time_s=-1.0 if times is None else float(times[index]),
         index=index if first < 0 else min(first, index),
     )
+
+
+def _first_hit(world: CollisionWorld, path: Array, watch: Watch) -> float:
+    """Return where a polyline first collides, in units of its points; negative: nowhere."""
+    for first in range(0, max(1, len(path) - 1), CHECKED_AT_ONCE):
+        watch("verify", first)
+        hit = world.first_hit(path[first : first + CHECKED_AT_ONCE + 1])
+        if hit >= 0.0:
+            return first + hit
+    return -1.0
 
 
 def at_fault(world: CollisionWorld, joints: Array) -> tuple[tuple[ContactPair, ...], tuple[str, ...]]:

@@ -158,6 +158,38 @@ def _largest_blends(world: CollisionWorld, path: np.ndarray, largest: float, *_:
     return np.minimum(largest, 0.499 * np.minimum(lengths[:-1], lengths[1:]))
 
 
+def test_a_motion_that_would_take_hours_is_refused_before_it_is_sampled(planner: Planner, left: np.ndarray) -> None:
+    down = planner.robot.fk(left)
+    line = replace(down, position=(down.position[0], down.position[1], down.position[2] - 0.05))
+    for limit in ({"velocity_scaling": 1e-6}, {"max_tcp_speed_m_s": 1e-6}, {"acceleration_scaling": 1e-15}):
+        options = MotionOptions(**limit)
+        with pytest.raises(PlannerError, match="may take 600 s; allow more speed"):
+            planner.plan_to_joints(PlanningScene(), left, left + 0.1, options)
+        with pytest.raises(PlannerError, match="may take 600 s; allow more speed"):
+            planner.plan_cartesian(PlanningScene(), left, [line], options)
+
+
+def test_checks_of_trajectories_end_when_the_watch_says_so(planner: Planner, left: np.ndarray) -> None:
+    path = np.linspace(left, left + 0.1, 1_000)
+    looked: list[int] = []
+
+    def watch(_: str, place: int) -> None:
+        looked.append(place)
+        if place > 500:
+            raise RequestTimeoutError("over")
+
+    with pytest.raises(RequestTimeoutError):
+        planner.check_trajectory(PlanningScene(), path, watch=watch)
+    assert looked == [0, 200, 400, 600]
+    wall = PlanningScene(bodies=(box("wall", (0.02, 2.0, 2.0), Pose(position=(-0.3, 0.0, 0.5))),))
+    there = path.copy()
+    there[:, 0] = np.linspace(0.0, 2.8, 1_000)
+    apart = planner.check_trajectory(wall, there)
+    place = CollisionWorld(planner.robot, wall).first_hit(there)
+    assert place > 200
+    assert apart.index == int(place)
+
+
 def test_goal_list_reaches_the_reachable_one(tcp_down: Down, planner: Planner, table: PlanningScene) -> None:
     goals = [Pose(position=(2.0, 0.0, 0.3)), tcp_down(0.5, 0.1, 0.3)]
     plan = planner.plan_to_pose(table, planner.named_state("home"), goals)

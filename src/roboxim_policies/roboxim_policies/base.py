@@ -27,7 +27,8 @@ from typing import Any
 
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ActionSemantics, check_chunk
+from roboxim_core.config import from_plain
 from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, one_of
 from roboxim_core.policies import (
     ActionChunk,
@@ -41,6 +42,45 @@ from roboxim_core.registry import Registry
 
 POLICIES: Registry[Callable[..., Policy]] = Registry("policy")
 """Policies by name: classes or factories. Entry point group of plug-ins: ``roboxim.policy``."""
+
+
+@POLICIES.conformance
+def takes_typed_arguments(name: str, item: Callable[..., Policy]) -> None:
+    """Refuse a policy that is no class with the three methods, or whose arguments do not say their types.
+
+    A policy is not made: most need a checkpoint, which the contract does not have.
+    """
+    assert callable(item), "it is not callable"
+    signature = inspect.signature(item, eval_str=True)
+    for parameter in signature.parameters.values():
+        assert parameter.annotation is not parameter.empty, f"argument '{parameter.name}' has no type"
+    kind = item if isinstance(item, type) else signature.return_annotation
+    missing = [method for method in ("describe", "reset", "act") if not callable(getattr(kind, method, None))]
+    assert not missing, f"it has no method {', '.join(missing)}; derive it from BasePolicy"
+    assert not inspect.isabstract(kind) or not isinstance(item, type), "it is abstract: write its act method"
+
+
+@POLICIES.conformance
+def answers_with_actions(name: str, item: Callable[..., Policy]) -> None:
+    """Refuse actions that a graph would refuse, or that a seed does not reproduce; of policies without arguments."""
+    required = [p for p in inspect.signature(item).parameters.values() if p.default is p.empty and p.kind not in (2, 4)]
+    if required:
+        return
+    try:
+        policy = item()
+    except ConfigError:  # it needs one of several arguments, e.g. a source or actions
+        return
+    description = policy.describe()
+    if description.cameras:
+        return
+    window = ObservationWindow(instruction="", observations=[], pad_mask=(), episode_id="check", seq=0)
+    chunks = []
+    for _ in range(2):
+        policy.reset(EpisodeStart(episode_id="check", instruction="", seed=1))
+        answer = policy.act(window)
+        actions = answer.actions if isinstance(answer, ActionChunk) else answer
+        chunks.append(check_chunk(actions, most=description.horizon))
+    assert chunks[0].tobytes() == chunks[1].tobytes(), "two episodes of one seed begin with different actions"
 
 
 class BasePolicy(ABC):
@@ -144,7 +184,7 @@ def find_policy(spec: str) -> Callable[..., Policy]:
 
 
 def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping[str, Any]) -> None:
-    """Refuse missing arguments and arguments that a policy does not take.
+    """Refuse missing arguments, arguments that a policy does not take, and values of a wrong type.
 
     Raises:
         ConfigError: The message shows the policy's arguments.
@@ -155,6 +195,10 @@ def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping
         raise ConfigError(
             f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
         ) from None
+    kinds = inspect.signature(make, eval_str=True).parameters
+    for name, value in arguments.items():
+        if name in kinds and kinds[name].annotation in (bool, int, float, str):
+            from_plain(value, kinds[name].annotation, source=f"argument '{name}' of policy '{spec}'")
 
 
 def _load_class(spec: str) -> Callable[..., Policy]:

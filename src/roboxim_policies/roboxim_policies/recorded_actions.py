@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.config import from_json
+from roboxim_core.documents import read_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_datasets.rlds import RldsEpisode, RldsReader
 from roboxim_ros.conversions import from_msg
@@ -69,10 +69,7 @@ def _from_npz(source: Path) -> npt.ArrayLike:
 
 
 def _from_json(source: Path) -> npt.ArrayLike:
-    try:
-        data: Any = json.loads(source.read_text())
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"{source} is not valid JSON: {error}") from None
+    data = read_json(source)
     actions: npt.ArrayLike = data.get("actions", []) if isinstance(data, dict) else data
     return actions
 

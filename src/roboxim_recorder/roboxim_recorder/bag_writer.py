@@ -17,6 +17,7 @@ from typing import Any, cast
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_recorder.schemas import MessageSchema
 from roboxim_recorder.topics import OF_SCENE
@@ -211,8 +212,9 @@ class BagWriter:
         """
         if not output_dir.is_absolute():
             raise InvalidRequestError(f"the recorder's output folder must be absolute, got '{output_dir}'")
-        if not episode_id or episode_id.startswith(".") or Path(episode_id).name != episode_id:
-            raise InvalidRequestError(f"an episode's id must be usable as a file name, got '{episode_id}'")
+        if not episode_id:
+            raise InvalidRequestError("an episode needs an id")
+        limits.require_episode_id(episode_id)
         existing = find_episode(output_dir, episode_id)
         if existing is not None:
             raise RecorderError(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from roboxim_core.config import from_plain
+from roboxim_core.documents import parse_json
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_recorder.bag_writer import PLACES
@@ -91,10 +91,7 @@ def read_results(run: Path) -> list[EpisodeResult]:
     found = {}
     for number, line in enumerate(lines, start=1):
         source = f"{path} line {number}"
-        try:
-            data = json.loads(line)
-        except (ValueError, RecursionError) as error:
-            raise ConfigError(f"{source} is not a result ({error})") from None
+        data = parse_json(line, source=source)
         if isinstance(data, dict):
             data.pop("key", None)  # the hash of what the result depends on
         result = from_plain(data, EpisodeResult, source=source)

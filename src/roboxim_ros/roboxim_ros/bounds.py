@@ -1,7 +1,8 @@
 """The bounds of `roboxim_core.limits`, applied to messages of any type: long strings and sequences are refused.
 
 A walker is compiled once per message type and visits only the fields that may be long, so that a request costs
-microseconds.
+microseconds. All elements and characters of a message are also counted together, because sequences inside of sequences
+multiply; counting ends at the bound.
 """
 
 from __future__ import annotations
@@ -9,18 +10,28 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 
-Check = Callable[[Any, str], None]
-"""A check of a value and its path; raises when the value is too long."""
+
+@dataclass(kw_only=True)
+class _Count:
+    """What a message has held so far."""
+
+    items: int = 0
+    characters: int = 0
+
+
+Check = Callable[[Any, str, _Count], None]
+"""Called with a value, its path and the message's count; raises."""
 
 
 def check_message(message: Any) -> None:
-    """Refuse a message with a string or a sequence beyond its bound.
+    """Refuse a message with a string or a sequence beyond its bound, or with too much of them together.
 
     Raises:
         InvalidRequestError: When one is too long; the message names the field and the bound.
@@ -28,7 +39,7 @@ def check_message(message: Any) -> None:
     kind: Any = type(message)
     check = _message_check(kind)
     if check is not None:
-        check(message, "")
+        check(message, "", _Count())
 
 
 @cache
@@ -38,9 +49,9 @@ def _message_check(kind: Any) -> Check | None:
     if not checks:
         return None
 
-    def walk(message: Any, path: str) -> None:
+    def walk(message: Any, path: str, count: _Count) -> None:
         for name, check in checks:
-            check(getattr(message, name), f"{path}.{name}" if path else name)
+            check(getattr(message, name), f"{path}.{name}" if path else name, count)
 
     return walk
 
@@ -57,9 +68,9 @@ def _field_check(name: str, kind: str) -> Check | None:
     inner = _element_check(name, element)
     if sequence:
         composed = inner is not None or "/" in element
-        most = limits.MANY_ITEMS.get(name, limits.ITEMS) if composed else limits.NUMBERS
-        return _sequence_check(most, inner)
-    return _sequence_check(None, inner) if element != kind and inner else inner
+        most = limits.FIELD_ITEMS.get(name, limits.ITEMS) if composed else limits.NUMBERS
+        return _sequence_check(most, inner, composed=composed)
+    return _sequence_check(None, inner, composed=False) if element != kind and inner else inner
 
 
 def _element_check(name: str, kind: str) -> Check | None:
@@ -72,19 +83,30 @@ def _element_check(name: str, kind: str) -> Check | None:
 
 
 def _string_check(most: int) -> Check:
-    def check(value: Any, path: str) -> None:
+    def check(value: Any, path: str, count: _Count) -> None:
         if len(value) > most:
             raise InvalidRequestError(f"{path} may have {most} characters, got {len(value)}")
+        count.characters += len(value)
+        if count.characters > limits.MESSAGE_CHARACTERS:
+            raise InvalidRequestError(
+                f"strings of a message may have {limits.MESSAGE_CHARACTERS} characters together; {path} exceeds that"
+            )
 
     return check
 
 
-def _sequence_check(most: int | None, inner: Check | None) -> Check:
-    def check(value: Any, path: str) -> None:
+def _sequence_check(most: int | None, inner: Check | None, *, composed: bool) -> Check:
+    def check(value: Any, path: str, count: _Count) -> None:
         if most is not None and len(value) > most:
             raise InvalidRequestError(f"{path} may have {most} elements, got {len(value)}")
+        if composed:
+            count.items += len(value)
+            if count.items > limits.MESSAGE_ITEMS:
+                raise InvalidRequestError(
+                    f"sequences of a message may have {limits.MESSAGE_ITEMS} elements together; {path} exceeds that"
+                )
         if inner is not None:
             for item in value:
-                inner(item, path)
+                inner(item, path, count)
 
     return check

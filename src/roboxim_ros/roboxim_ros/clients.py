@@ -14,11 +14,12 @@ from typing import Any, TypeVar
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
 from roboxim_ros.guard import GuardedNode
+from roboxim_ros.spinning import spin
 
 T = TypeVar("T")
 
@@ -59,14 +60,8 @@ class Clients:
         self._lock = threading.Lock()
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+        self._thread = threading.Thread(target=spin, args=(self._executor, self.node), name=name, daemon=True)
         self._thread.start()
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return
 
     def client(self, srv_type: Any, name: str) -> Client:
         """Return the client of a service, made on first use.

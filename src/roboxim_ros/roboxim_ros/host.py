@@ -13,16 +13,14 @@ from typing import TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from roboxim_ros.guard import CAUGHT, report
 from roboxim_ros.runs import activate_transport
+from roboxim_ros.spinning import spin
 
 N = TypeVar("N", bound=Node)
-MAX_EXECUTOR_FAILURES = 10_000
-"""Number of failures of the middleware after which a node ends: so many have a permanent cause."""
 ENDING_S = 60.0
 """Longest time for a node to finish its current callback at shutdown [s]."""
 
@@ -77,7 +75,7 @@ class NodeHost:
             finally:
                 ready.set()
             try:
-                _spin(executors[0], made[0])
+                spin(executors[0], made[0])
             finally:
                 made[0].destroy_node()
 
@@ -117,26 +115,6 @@ class NodeHost:
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
-
-
-def _spin(executor: Executor, node: Node) -> None:
-    """Spin until the executor or its context is shut down.
-
-    Callbacks raise nothing (`roboxim_ros.guard`), but the middleware does, e.g. on a message of a wrong type or an
-    answer to a disconnected action client. Such an error drops one message; the node keeps running.
-    """
-    failures = 0
-    while True:
-        try:
-            executor.spin()
-            return
-        except ExternalShutdownException:
-            return
-        except CAUGHT as error:
-            failures += 1
-            report(node.get_logger(), error, f"the executor of '{node.get_name()}', failure {failures}")
-            if failures >= MAX_EXECUTOR_FAILURES:
-                raise
 
 
 def _executor(node: Node, context: Context) -> Executor:

@@ -113,3 +113,18 @@ def test_call_to_a_killed_process_ends_before_its_timeout():
         finally:
             server.kill()
             killer.join()
+
+
+def test_clients_answer_after_a_failure_of_the_middleware(graph_host):
+    graph_host.add(_server)
+    with Clients("clients", context=graph_host.context) as clients:
+        failed = threading.Event()
+
+        def fail():
+            failed.set()
+            raise RuntimeError("of the middleware")
+
+        clients._executor.create_task(fail)
+        clients.wake()
+        assert failed.wait(PATIENCE_S)
+        assert clients.call(Trigger, "trigger", Trigger.Request()).message == "done"

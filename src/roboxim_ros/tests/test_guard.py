@@ -8,10 +8,12 @@ import threading
 import pybullet
 import pytest
 from control_msgs.action import FollowJointTrajectory, GripperCommand
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.parameter import Parameter
-from roboxim_interfaces.srv import Tick
+from roboxim_interfaces.msg import MotionStage
+from roboxim_interfaces.srv import PlanSequence, Tick
 from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import Result
 from simulation_interfaces.srv import DeleteEntity
@@ -150,3 +152,15 @@ def test_messages_beyond_their_bounds_are_refused():
     goal.trajectory.joint_names = [""] * (limits.ITEMS + 1)
     with pytest.raises(InvalidRequestError, match=r"trajectory\.joint_names may have 10000 elements"):
         check_message(goal)
+
+
+def test_what_sequences_inside_of_sequences_hold_is_counted_together():
+    stage = MotionStage(goals=[PoseStamped()] * 1_000, attach=["x"] * 9_000)
+    check_message(PlanSequence.Request(stages=[stage] * 40))
+    with pytest.raises(InvalidRequestError, match=r"500000 elements together; stages\.attach exceeds"):
+        check_message(PlanSequence.Request(stages=[stage] * 100))
+    with pytest.raises(InvalidRequestError, match="stages may have 100 elements, got 101"):
+        check_message(PlanSequence.Request(stages=[MotionStage()] * 101))
+    text = MotionStage(attach=["x" * 10_000] * 100)
+    with pytest.raises(InvalidRequestError, match="characters together"):
+        check_message(PlanSequence.Request(stages=[text] * 40))

@@ -178,6 +178,7 @@ class SimNode(SimServer):
     # ---------------------------------------------------------------- services
 
     def _on_load_scene(self, request: LoadScene.Request, response: LoadScene.Response) -> None:
+        limits.require_episode_id(request.episode_id)
         self._refuse_foreign(request.episode_id, request.holder)
         response.state = self.load(from_msg(request.scene, SceneSpec), request.episode_id, request.renderer)
         self._holder = request.holder
@@ -198,6 +199,7 @@ class SimNode(SimServer):
         response.snapshot_json = to_json(self.world.snapshot())
 
     def _on_restore_snapshot(self, request: RestoreSnapshot.Request, response: RestoreSnapshot.Response) -> None:
+        limits.require_episode_id(request.episode_id)
         self._refuse_foreign(request.episode_id)
         snapshot = from_json(request.snapshot_json, Snapshot, source="snapshot_json")
         for camera in snapshot.scene.cameras:

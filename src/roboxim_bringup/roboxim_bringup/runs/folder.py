@@ -18,6 +18,7 @@ from typing import Any
 from roboxim_bringup.runs.results_log import REMEDY, LoggedResult, ResultsLog, write_atomically
 from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.differences import differences
+from roboxim_core.documents import read_json_object
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
@@ -132,22 +133,20 @@ class RunFolder:
         """
         file = self.path / RUN_FILE
         try:
-            stored = json.loads(file.read_text())
+            with open(file, "rb"):
+                pass
         except OSError as error:
             raise ConfigError(
                 f"{self.path} is not a run's folder (no readable {RUN_FILE}): {error.strerror or error}"
             ) from None
-        except (ValueError, RecursionError) as error:
-            stored, why = None, str(error)
-        else:
-            why = "expected a JSON object"
-        if not isinstance(stored, dict):
+        try:
+            return read_json_object(file)
+        except ConfigError as error:
             raise ConfigError(
-                f"{file} is damaged ({why}), so the configuration of its results is unknown; restore the file, run "
+                f"{file} is damaged ({error}), so the configuration of its results is unknown; restore the file, run "
                 "again with --repair or repair=True, which keeps the results that name this configuration, or choose "
                 "another output folder (--out or out=)"
-            )
-        return stored
+            ) from None
 
     def results(self) -> list[EpisodeResult]:
         """Return the finished results in the order of their indices. A torn last line, left by a crash, is skipped.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 
 KEY = "key"
@@ -104,9 +105,9 @@ class ResultsLog:
 
 def _parse(number: int, line: str) -> LoggedResult:
     try:
-        data = json.loads(line)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+        data = parse_json(line, source="the line")
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
     if not isinstance(data, dict):
         raise ValueError("expected a JSON object")
     key = data.pop(KEY, "")

@@ -11,6 +11,7 @@ import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json, to_json
+from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.images import encode_image
 from roboxim_core.proprioception import STATE_FIELDS, STATE_NAMES, ProprioField
@@ -129,10 +130,7 @@ def camera_keys(episode: RldsEpisode) -> dict[str, str]:
 
 
 def _parsed(metadata: Mapping[str, MetaValue], key: str, default: list[str] | dict[str, str]) -> Any:
-    try:
-        value = json.loads(str(metadata.get(key) or json.dumps(default)))
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"episode_metadata/{key} is not valid JSON: {error}") from None
+    value = parse_json(str(metadata.get(key) or json.dumps(default)), source=f"episode_metadata/{key}")
     if type(value) is not type(default):
         raise ConfigError(f"episode_metadata/{key} is a {type(value).__name__}, expected a {type(default).__name__}")
     return value

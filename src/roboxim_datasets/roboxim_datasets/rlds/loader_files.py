@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import to_plain
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES, STATE_SIZE
 from roboxim_datasets.rlds.format import ACTION_SIZE, RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
@@ -58,8 +60,15 @@ def _summary(values: npt.NDArray[np.float32]) -> dict[str, list[float]]:
 
 
 def action_statistics(path: Path) -> dict[str, list[float]]:
-    """Return the statistics of an exported dataset's actions by name (``mean``, ``std``, ``q01`` ...)."""
-    statistics: dict[str, list[float]] = json.loads((path / STATISTICS_FILE).read_text())["action"]
+    """Return the statistics of an exported dataset's actions by name (``mean``, ``std``, ``q01`` ...).
+
+    Raises:
+        ConfigError: When the file cannot be read or has none.
+    """
+    file = path / STATISTICS_FILE
+    statistics = read_json_object(file).get("action")
+    if not isinstance(statistics, dict) or not isinstance(statistics.get("std"), list):
+        raise ConfigError(f"{file} has no statistics of 'action'; export the dataset again")
     return statistics
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_datasets.rlds.format import RldsEpisode, decode_episode, features_from_json
 from roboxim_datasets.rlds.tfrecord import read_records
 
@@ -28,13 +28,15 @@ class RldsReader:
             raise RecorderError(_not_one(Path(path), [file.parent for file in found]))
         self.path = found[0].parent
         try:
-            info = json.loads(found[0].read_text())
-            self.features = features_from_json(json.loads((self.path / "features.json").read_text()))
+            info = read_json_object(found[0])
+            self.features = features_from_json(read_json_object(self.path / "features.json"))
             self.name: str = info["name"]
             self.version: str = info["version"]
             self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
             """Split to the number of episodes in each of its shards."""
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except ConfigError as error:
+            raise RecorderError(f"the dataset's description cannot be read: {error}") from None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecorderError(f"{self.path} is not a dataset that this reader knows: {error!r}") from None
 
     def count(self, split: str) -> int:

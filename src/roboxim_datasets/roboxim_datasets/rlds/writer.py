@@ -6,6 +6,7 @@ after its last finished shard.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from collections.abc import Mapping
@@ -13,7 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, encode_episode, features_to_json
 from roboxim_datasets.rlds.tfrecord import write_record
 
@@ -73,8 +75,10 @@ class RldsWriter:
     def _resume(self, identity: str) -> None:
         journal = self._partial / "journal.json"
         if identity and journal.is_file():
-            found = json.loads(journal.read_text())
-            if found["identity"] == identity:
+            found: dict[str, Any] = {}
+            with contextlib.suppress(ConfigError):  # a torn journal: what it says of is made again
+                found = read_json_object(journal)
+            if found.get("identity") == identity and isinstance(found.get("shards"), dict):
                 self._journal = found
                 return
         shutil.rmtree(self._partial, ignore_errors=True)

@@ -8,6 +8,7 @@ from planner_graph import FOLDED, HOME, NAMES, Graph, divided, obstacle, target,
 from roboxim_interfaces.srv import ComputeIK, PlanCartesian, PlanToJoints, PlanToPose
 from sensor_msgs.msg import JointState
 
+from roboxim_core import limits
 from roboxim_core.errors import ErrorCode
 from roboxim_core.poses import Pose
 from roboxim_ros.conversions import fill_pose
@@ -65,7 +66,7 @@ def test_an_anytime_planner_takes_the_iterations_it_is_given(graph: Graph) -> No
     request.request.scene.objects = divided()[:1]
     request.request.planner_id, request.request.improve_iterations = "BITstar", 20
     assert graph.call(PlanToJoints, "plan_to_joints", request).plan.trajectory.points
-    request.request.improve_iterations, request.request.timeout = 2**31, 0.3
+    request.request.improve_iterations, request.request.timeout = limits.IMPROVE_ITERATIONS, 0.3
     assert graph.refused(PlanToJoints, "plan_to_joints", request).code == ErrorCode.TIMEOUT
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
 
@@ -37,9 +37,12 @@ def read_description(path: Path) -> dict[str, Any]:
         raise ConfigError(f"no checkpoint at {file}; train one with 'roboxim train bc'")
     try:
         with np.load(file, allow_pickle=False) as archive:
-            said: dict[str, Any] = json.loads(str(archive["said"]))
+            text = str(archive["said"])
     except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+    said: Any = parse_json(text, source=f"the description in {file}")
+    if not isinstance(said, dict):
+        raise ConfigError(f"{file} is not a readable checkpoint: its description is a {type(said).__name__}")
     if said.get("format") == 1:
         raise ConfigError(
             f"{file} was trained on proprioception of the old layout (8 numbers with a quaternion); this "
@@ -52,4 +55,4 @@ def read_description(path: Path) -> dict[str, Any]:
             f"{file} was trained on proprioception {said.get('state_layout')}, this version has {list(STATE_NAMES)}; "
             "export the bags and train again"
         )
-    return said
+    return dict(said)

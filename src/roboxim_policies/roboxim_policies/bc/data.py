@@ -5,7 +5,6 @@ Images stay uint8; everything else is small. All arrays contain the steps of all
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.images import resized
 from roboxim_datasets.rlds import RldsEpisode, RldsReader
@@ -230,7 +230,9 @@ def load_rlds(
 def _cameras(episode: RldsEpisode) -> dict[str, str]:
     """Return camera name to image key, as named in the export or else by the usual names."""
     said = episode.metadata.get("cameras")
-    names = dict(json.loads(said)) if isinstance(said, str) else {}
+    names = parse_json(said, source="episode_metadata/cameras") if isinstance(said, str) else {}
+    if not isinstance(names, dict):
+        raise ConfigError(f"episode_metadata/cameras is a {type(names).__name__}, expected a JSON object")
     return {str(names.get(key, IMAGE_KEYS.get(key, key))): key for key in episode.images}
 
 

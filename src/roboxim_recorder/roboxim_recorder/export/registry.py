@@ -66,3 +66,14 @@ class Exporter(Protocol):
 
 EXPORTERS: Registry[type[Exporter]] = Registry("exporter")
 """Exporter classes by format name; they take no arguments."""
+
+
+@EXPORTERS.conformance
+def says_what_it_writes(name: str, item: type[Exporter]) -> None:
+    """Refuse a format that the command line could not offer: it needs help, a configuration, methods."""
+    assert (item.__doc__ or "").strip(), "it has no docstring, whose first line is the command line's help"
+    exporter = item()
+    assert isinstance(exporter.config, type), "config is no class"
+    assert issubclass(exporter.config, Selection), "config does not derive from Selection"
+    missing = [method for method in ("path", "open", "contents") if not callable(getattr(exporter, method, None))]
+    assert not missing, f"it has no method {', '.join(missing)}; see Exporter"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.config import to_json, to_plain
+from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.episodes import bag_episode
@@ -121,8 +122,8 @@ def _identity(name: str, selected: Selected, config: Selection) -> str:
 
 def _exported_identity(path: Path) -> str:
     try:
-        return str(json.loads((path / EXPORT_FILE).read_text())["identity"])
-    except (OSError, ValueError, LookupError, TypeError):
+        return str(read_json_object(path / EXPORT_FILE)["identity"])
+    except (ConfigError, KeyError):
         return ""
 
 

@@ -8,6 +8,7 @@ machine without GL raises an error.
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -18,6 +19,16 @@ from roboxim_core.rendering import Renderer
 
 RENDERERS: Registry[Callable[[], Renderer]] = Registry("renderer")
 """Factories by renderer name; a plug-in registers its own under the entry point group ``roboxim.renderer``."""
+
+
+@RENDERERS.conformance
+def is_made_without_arguments(name: str, item: Callable[[], Renderer]) -> None:
+    """Refuse a renderer that cannot be made as the sim makes it. It is not made: that may need a GPU, or Blender."""
+    assert callable(item), "it is not callable"
+    inspect.signature(item).bind()
+    if isinstance(item, type):
+        missing = [method for method in ("load", "render", "close") if not callable(getattr(item, method, None))]
+        assert not missing, f"it has no {', '.join(missing)}; see roboxim_core.rendering.Renderer"
 
 
 @RENDERERS.register("raster")
