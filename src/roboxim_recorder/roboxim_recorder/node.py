@@ -17,12 +17,15 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
+from rclpy.validate_topic_name import validate_topic_name
 from roboxim_interfaces.msg import RecordedTick
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
+from roboxim_core import limits
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
 from roboxim_recorder import topics
@@ -165,6 +168,10 @@ class RecorderNode(RoboximNode):
     # ---------------------------------------------------------------- extra topics
 
     def _type_of(self, topic: str) -> str:
+        try:
+            validate_topic_name(topic)
+        except InvalidTopicNameException as error:
+            raise InvalidRequestError(f"cannot record topic {limits.echo(topic)}: {error}") from None
         full = self.resolve_topic_name(topic)
         found = dict(self.get_topic_names_and_types())
         if full not in found:
