@@ -19,7 +19,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.rig import draw_frames
+from roboxim_sim.rendering.camera_effects import draw_frames
 
 RENDERERS = ("tiny", "raster", "photo")
 VIEWS = ("workspace_left", "workspace_front", "workspace_right", "pose_1", "pose_2", "pose_3", "pose_4", "pose_5")

@@ -15,8 +15,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, RobotSpec, SceneSpec
 from roboxim_sim.world import World
+from roboxim_tasks.measures import Conditions, stayed
 from roboxim_tasks.placement import turned
-from roboxim_tasks.predicates import Conditions, stayed
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.skills.base import register
 

@@ -34,7 +34,7 @@ from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_ros.conversions import to_msg
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.rig import CameraRig
+from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World
 from roboxim_tasks.config import load_task_config, parse_task_config

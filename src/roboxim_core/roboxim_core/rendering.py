@@ -83,7 +83,7 @@ class Renderer(Protocol):
     """A renderer of worlds. Only the thread that made a renderer may call it; calls of other threads are refused.
 
     A renderer draws the pinhole image of a camera (`CameraSpec.matrix`, size, near, far). It ignores lens distortion,
-    noise and frame rate: `roboxim_sim.rendering.rig` adds them to the images of every renderer.
+    noise and frame rate: `roboxim_sim.rendering.camera_effects` adds them to the images of every renderer.
     """
 
     name: str

@@ -37,7 +37,7 @@ from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_sim.conversions import camera_msgs
 from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.rig import CameraRig
+from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.snapshots import Snapshot

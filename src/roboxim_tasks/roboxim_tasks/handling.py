@@ -1,6 +1,6 @@
 """How the robot handled an object: dropped or set down, carried or pushed, let go or still held.
 
-The measures are folds over state records like those of `roboxim_tasks.predicates`, so they judge live and from a bag.
+The measures are folds over state records like those of `roboxim_tasks.measures`, so they judge live and from a bag.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from roboxim_core.poses import Array, Pose
 from roboxim_core.state import Contact, StateRecord
+from roboxim_tasks.measures import Condition, Measure, released
 from roboxim_tasks.motion import ROBOT
-from roboxim_tasks.predicates import Condition, Measure, released
 
 GRAVITY_M_S2 = 9.81
 DROP_M = 0.05

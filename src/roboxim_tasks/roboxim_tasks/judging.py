@@ -6,7 +6,7 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import NOT_HELD, Verdict
-from roboxim_tasks.predicates import Assessment, Condition, Conditions, largest_shift
+from roboxim_tasks.measures import Assessment, Condition, Conditions, largest_shift
 from roboxim_tasks.roles import STAY, task_distractors
 from roboxim_tasks.skills import SKILLS
 

@@ -8,7 +8,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_core.state import Contact, EntityState, RobotState, StateRecord
 from roboxim_tasks.judging import Judge
-from roboxim_tasks.predicates import at_rest
+from roboxim_tasks.measures import at_rest
 
 TASK = TaskSpec(
     skill="pick_up",

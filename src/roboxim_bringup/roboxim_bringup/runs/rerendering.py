@@ -1,8 +1,8 @@
 """Renders recorded episodes again with other cameras, lights, materials, resolution or renderer.
 
 No graph is started: a bag holds the scene and the state of every tick, which is all that a renderer needs. Images come
-from the same code as in the sim node (`roboxim_sim.rendering.rig`), so unchanged settings give the recorded images, bit
-for bit on one type of machine. All topics other than the cameras' are copied byte for byte.
+from the same code as in the sim node (`roboxim_sim.rendering.camera_effects`). Unchanged settings therefore give the
+recorded images, bit for bit on one type of machine. All topics other than the cameras' are copied byte for byte.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.photo import THREADS_VARIABLE
-from roboxim_sim.rendering.rig import CameraRig
 from roboxim_sim.rendering.textures import pixels
 from roboxim_sim.tick_messages import OF_STATE, TickMessages, tick_notice
 

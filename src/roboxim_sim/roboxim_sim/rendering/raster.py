@@ -30,7 +30,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
-from roboxim_sim.rendering.frame import CONTACT_REACH_M, MAX_LIGHTS, Frame
+from roboxim_sim.rendering.draw_lists import CONTACT_REACH_M, MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import check_request, check_world, pack, texture_names
 from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context
 from roboxim_sim.rendering.occlusion import OcclusionBaker

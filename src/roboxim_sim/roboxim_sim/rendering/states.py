@@ -10,7 +10,7 @@ from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.rendering import CameraImages, Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_sim.rendering.rig import draw_frames
+from roboxim_sim.rendering.camera_effects import draw_frames
 
 
 class StateRenderer:

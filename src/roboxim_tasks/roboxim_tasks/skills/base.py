@@ -18,8 +18,8 @@ from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
+from roboxim_tasks.measures import Assessment, Evaluator
 from roboxim_tasks.motion import ExpertScene, Stage
-from roboxim_tasks.predicates import Assessment, Evaluator
 from roboxim_tasks.roles import STAY, Role
 
 

@@ -19,8 +19,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.motion import ExpertScene, Stage, grasps_of
-from roboxim_tasks.predicates import (
+from roboxim_tasks.measures import (
     Condition,
     Conditions,
     above,
@@ -30,6 +29,7 @@ from roboxim_tasks.predicates import (
     pressing_links,
     table_force,
 )
+from roboxim_tasks.motion import ExpertScene, Stage, grasps_of
 from roboxim_tasks.reach import graspable, start_clear
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register

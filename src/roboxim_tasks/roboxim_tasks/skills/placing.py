@@ -15,8 +15,8 @@ from roboxim_core.models.description import ObjectModel, Region
 from roboxim_core.poses import Pose
 from roboxim_core.state import StateRecord
 from roboxim_tasks.handling import DROP_M, let_go, set_down
+from roboxim_tasks.measures import Condition, at_rest, fallen_off, lift
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasps_of
-from roboxim_tasks.predicates import Condition, at_rest, fallen_off, lift
 from roboxim_tasks.script import Script
 
 GOAL_YAWS = (0.0, math.pi / 2, -math.pi / 2, math.pi / 4, -math.pi / 4, math.pi)

@@ -31,9 +31,9 @@ from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import not_carried
+from roboxim_tasks.measures import Condition, Conditions, Measure, above, lift, table_force, tilt
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.placement import Room
-from roboxim_tasks.predicates import Condition, Conditions, Measure, above, lift, table_force, tilt
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
-from roboxim_tasks.predicates import Conditions, stayed
+from roboxim_tasks.measures import Conditions, stayed
 from roboxim_tasks.skills.base import Evaluator, Role, parameters_of, register
 from roboxim_tasks.skills.place_on import PlaceOn, PlaceOnParameters, placed_on
 

@@ -30,8 +30,8 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.handling import DROP_M
+from roboxim_tasks.measures import Condition, Conditions, Measure, above, table_force, tilt
 from roboxim_tasks.motion import RELEASE_CLEARANCE_M, ExpertScene, Grasp, Stage, grasp_poses, retreated, shifted
-from roboxim_tasks.predicates import Condition, Conditions, Measure, above, table_force, tilt
 from roboxim_tasks.reach import follows, start_clear
 from roboxim_tasks.script import APPROACH_M, LIFT_M, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register

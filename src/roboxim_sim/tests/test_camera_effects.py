@@ -19,7 +19,7 @@ from roboxim_core.rendering import RenderBody, Renderer, RenderWorld, TriangleMe
 from roboxim_core.specs import CameraNoise, CameraSpec, LookSpec, MaterialSpec, SceneSpec
 from roboxim_sim.conversions import camera_info_msg
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.rig import CameraRig, draw_frames
+from roboxim_sim.rendering.camera_effects import CameraRig, draw_frames
 
 EYE = look_at((0.9, 0.5, 0.6), (0.0, 0.05, 0.0))
 PLAIN = CameraSpec(name="eye", width=360, height=270, depth=True, segmentation=True)
