@@ -265,13 +265,16 @@ def test_a_second_run_at_a_time_is_refused_and_does_not_disturb_the_first(shared
     (result,) = run(policy_timeout_s=PATIENCE_S)
     assert (result.outcome, result.steps) == ("failure", 3), result
     assert [status for status, _ in refusals] == ["aborted"]
-    assert "running episodes already; wait for them or cancel them" in refusals[0][1]
+    assert "already running episodes; wait for them or cancel them" in refusals[0][1]
 
 
 def test_malformed_requests_are_rejected(run, tmp_path):
     assert run(()) == []
-    (result,) = run(max_steps=2**32 - 1, actor="expert", settle_ticks=5)
+    (result,) = run(max_steps=100_000, actor="expert", settle_ticks=5)
     assert result.outcome == "success"
+    code, message = refused(lambda: run(max_steps=2**32 - 1))
+    assert code == ErrorCode.INVALID_REQUEST
+    assert "max_steps must be from 0 to 100000" in message
     code, message = refused(lambda: run(rate_hz=7.0, actor="expert"))
     assert code == ErrorCode.INVALID_REQUEST
     assert "must divide the physics rate of 240 Hz, got 7" in message
@@ -315,11 +318,11 @@ def test_an_evaluator_that_died_does_not_lock_out_its_successor(shared, policy, 
 def test_a_foreign_lease_is_respected(shared, run):
     graph, clients, _, _ = shared
     sim = ports.SimClient(clients)
-    sim.load("a user's", ports.TaskClient(clients).draw(seed(), "").scene)
+    sim.load("of-a-user", ports.TaskClient(clients).draw(seed(), "").scene)
     code, message = refused(run)
     assert code == ErrorCode.LEASE_HELD
     assert "release it first" in message
-    sim.release("a user's")
+    sim.release("of-a-user")
     assert run()[0].steps == 3
 
 
