@@ -23,7 +23,7 @@ def test_a_run_continues_only_with_its_code_and_configuration(tmp_path, monkeypa
     again = _kept.Kept(folder, {"a": "skill: pick_up", "b": "skill: rotate"})
     again.add([{"cell": "b", "index": 3}])
     assert again.load() == {"a": [{"cell": "a", "index": 0}], "b": [{"cell": "b", "index": 3}]}
-    with pytest.raises(SystemExit, match="another configuration of b: give --out a new folder"):
+    with pytest.raises(SystemExit, match="another configuration of b: set --out to a new folder"):
         _kept.Kept(folder, {"a": "skill: pick_up", "b": "skill: stack"})
     with pytest.raises(SystemExit, match="another configuration of a"):
         _kept.Kept(folder, {"a": "skill: stack"})
