@@ -28,7 +28,7 @@ def test_a_run_continues_only_with_its_code_and_configuration(tmp_path, monkeypa
     with pytest.raises(SystemExit, match="another configuration of a"):
         _kept.Kept(folder, {"a": "skill: stack"})
     monkeypatch.setattr(_kept, "code_digest", lambda: "0123")
-    with pytest.raises(SystemExit, match="other code made .*new folder"):
+    with pytest.raises(SystemExit, match="of other code .*new folder"):
         _kept.Kept(folder, {"a": "skill: pick_up"})
     (folder / "made_by.json").unlink()
     with pytest.raises(SystemExit, match="commit unknown"):
