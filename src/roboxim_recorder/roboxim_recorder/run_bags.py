@@ -95,7 +95,7 @@ def read_results(run: Path) -> list[EpisodeResult]:
         if isinstance(data, dict):
             data.pop("key", None)  # the hash of what the result depends on
         result = from_plain(data, EpisodeResult, source=source)
-        found[result.episode_id.rpartition("-")[0]] = result  # of all attempts at an index the last counts
+        found[result.episode] = result
     return list(found.values())
 
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 from roboxim_bringup.executors.protocol import (
+    MAX_TRIES,
     Cancellation,
     CancelledError,
     Done,
@@ -16,9 +17,6 @@ from roboxim_bringup.executors.protocol import (
     WorkerBrokenError,
     as_json,
 )
-
-MAX_TRIES = 3
-"""Number of workers that may die at one job."""
 
 
 class InlineExecutor:

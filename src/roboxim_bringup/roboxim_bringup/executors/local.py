@@ -26,12 +26,10 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.executors.protocol import Cancellation, CancelledError, Done, Job, Lost, Note, Work
+from roboxim_bringup.executors.protocol import MAX_TRIES, Cancellation, CancelledError, Done, Job, Lost, Note, Work
 from roboxim_bringup.process import describe_exit, spawn, stop
 from roboxim_core.errors import UnavailableError, raise_for_code
 
-MAX_TRIES = 3
-"""Number of workers that may die at one job before it is given up."""
 READY_S = 300.0
 """Longest start of a worker [s]; a policy may compile meanwhile."""
 STALL_S = 300.0

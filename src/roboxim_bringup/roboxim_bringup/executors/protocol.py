@@ -16,6 +16,9 @@ from typing import Any, Protocol
 
 from roboxim_core.errors import ErrorCode, RoboximError
 
+MAX_TRIES = 3
+"""Number of workers that may die at one job."""
+
 
 class Cancellation(Protocol):
     """A request to end a run early, e.g. a `threading.Event`."""

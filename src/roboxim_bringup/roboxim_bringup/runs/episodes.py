@@ -26,8 +26,9 @@ from roboxim_bringup.runs.events import (
 from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
 from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
 from roboxim_core.config import from_plain, to_plain
-from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
 from roboxim_core.errors import ConfigError
+from roboxim_core.seeds import SeedPath
 from roboxim_sim.rendering import RENDERERS
 
 WORKER_DIED = "worker_died"
@@ -339,7 +340,7 @@ def episode_result(outcome: Done | Lost, config: RunConfig) -> EpisodeResult:
         return from_plain(outcome.value, EpisodeResult, source="a worker's result")
     index = index_of(outcome.key)
     return EpisodeResult(
-        episode_id=f"{config.purpose}-{config.run_seed}-{index:05d}",
+        episode_id=episode_id(SeedPath(run_seed=config.run_seed, purpose=config.purpose, index=index)),
         index=index,
         outcome="error",
         reason=WORKER_DIED,

@@ -157,8 +157,8 @@ class RunFolder:
         found = {}
         for entry in self.log.read():
             result = self._parsed(entry)
-            found[result.index] = result
-        return [found[index] for index in sorted(found)]
+            found[result.index, result.episode] = result
+        return [found[place] for place in sorted(found)]
 
     def _parsed(self, entry: LoggedResult) -> EpisodeResult:
         try:

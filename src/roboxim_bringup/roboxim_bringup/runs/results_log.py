@@ -64,7 +64,7 @@ class ResultsLog:
             key: Hash of everything that the result depends on.
             result: Plain data.
         """
-        if self.path.exists() and self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
+        if self._ends_torn():
             whole = self.path.read_bytes().rpartition(b"\n")[0]
             write_atomically(self.path, whole.decode(errors="replace") + ("\n" if whole else ""))
         with open(self.path, "a") as file:
@@ -95,6 +95,14 @@ class ResultsLog:
             self.path.with_name(f"{self.path.name}.damaged").write_bytes(self.path.read_bytes())
             write_atomically(self.path, "".join(f"{line}\n" for line in kept))
         return dropped
+
+    def _ends_torn(self) -> bool:
+        """Return whether a crash left a partial last line; reads one byte, since runs have many results."""
+        if not self.path.exists() or not self.path.stat().st_size:
+            return False
+        with open(self.path, "rb") as file:
+            file.seek(-1, os.SEEK_END)
+            return file.read(1) != b"\n"
 
     def _lines(self) -> list[str]:
         """Return the whole lines, without the partial last line that a crash leaves."""

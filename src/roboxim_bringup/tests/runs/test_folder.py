@@ -33,6 +33,16 @@ def test_results_survive_a_torn_last_line(tmp_path):
         assert folder.results() == [result(0), result(1), result(2)]
 
 
+def test_episodes_of_two_seeds_keep_a_result_each_and_the_last_attempt_counts(tmp_path):
+    """`rerender` writes episodes of several runs into one folder."""
+    results = [replace(result(0), episode_id=f"demo-{seed}-00000-0") for seed in (0, 1)]
+    again = replace(results[1], episode_id="demo-1-00000-1", attempt=1)
+    with RunFolder(tmp_path / "run").opened({"rerender": {}}) as folder:
+        for one in (*results, again):
+            folder.append(one)
+        assert folder.results() == [results[0], again]
+
+
 def test_another_configuration_is_refused_by_key(tmp_path):
     with RunFolder(tmp_path / "run").opened({"seed": 2}):
         pass

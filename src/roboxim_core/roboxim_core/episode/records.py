@@ -215,3 +215,8 @@ class EpisodeResult:
     """Wall time in the policy [s]; 0 in bags."""
     final_state_hash: str = ""
     """State hash of the last tick."""
+
+    @property
+    def episode(self) -> str:
+        """The episode id without the attempt: equal for all attempts at an index of a run."""
+        return self.episode_id.rpartition("-")[0]
