@@ -2,12 +2,16 @@
 
 Components never share a stream, and demonstrations and evaluations never share seeds. An episode depends only on its
 own seed path, not on the number of workers, the order, or earlier episodes.
+
+In a mix with ``seed_by: cell`` the cell's key and the number in the cell replace the index. Two mixes then have the
+same episodes in the cells that they share, whatever else they contain.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -16,6 +20,10 @@ from roboxim_core.errors import InvalidRequestError
 
 Purpose = Literal["demo", "eval", "train", "test"]
 PURPOSES: tuple[str, ...] = get_args(Purpose)
+CELL = "cell"
+"""Key of a task's ``drawn``: the episode's cell in a mix, e.g. ``pick_up target=apple``."""
+CELL_NUMBER = "cell_number"
+"""Key of a task's ``drawn``: number of the episode in its cell, if the seeds go by cell."""
 
 
 def _number(text: str) -> int:
@@ -34,6 +42,8 @@ class SeedPath:
     """Index of the episode in its run, >= 0."""
     attempt: int = 0
     """Number of earlier attempts at this index; after a failure the index is drawn again with ``attempt + 1``."""
+    cell: str = ""
+    """Key of the cell that ``index`` counts in; empty: ``index`` counts in the whole run."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -48,8 +58,22 @@ class SeedPath:
 
     def rng(self, component: str) -> np.random.Generator:
         """Return a fresh generator of one component's stream, e.g. ``rng("camera")``."""
-        key = (_number(self.purpose), self.index, self.attempt, _number(component))
+        key: tuple[int, ...] = (_number(self.purpose), self.index, self.attempt, _number(component))
+        if self.cell:
+            key += (_number(self.cell),)
         return np.random.default_rng(np.random.SeedSequence(self.run_seed, spawn_key=key))
+
+    def in_cell(self, cell: str, number: int) -> SeedPath:
+        """Return the seed path of an episode that is addressed by its cell and its number there."""
+        return replace(self, cell=cell, index=number)
+
+    def of_task(self, drawn: Mapping[str, str]) -> SeedPath:
+        """Return the seed path that a task was drawn from.
+
+        Args:
+            drawn: The task's ``drawn``; its cell and number replace the index if the seeds go by cell.
+        """
+        return self.in_cell(drawn[CELL], int(drawn[CELL_NUMBER])) if CELL_NUMBER in drawn else self
 
     def derived_seed(self, component: str) -> int:
         """Return a 31-bit seed of one component, for libraries and policies that take an integer."""

@@ -65,7 +65,10 @@ class TaskSpec:
     instruction: str
     """Natural language instruction, e.g. ``Pick up the red cube``."""
     drawn: dict[str, str] = field(default_factory=dict)
-    """Choices that reset components drew by name, e.g. ``{"interaction_area": "left"}``."""
+    """Drawn choices by name, e.g. ``{"target": "apple", "direction": "clockwise", "camera.workspace": "pose_3"}``.
+
+    Results are grouped by them. Lists are recorded with every draw, and numbers of ranges with four digits; positions
+    and vectors of ranges are in the scene."""
 
     def __hash__(self) -> int:
         """Return the hash, which equal ones share."""

@@ -11,8 +11,9 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, SimError, TaskError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.policies import ActionChunk, CameraRequirement, Observation, PolicyDescription
+from roboxim_core.policies import RECOVERY, ActionChunk, CameraRequirement, Observation, PolicyDescription
 from roboxim_core.poses import Pose
+from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec, TaskSpec, WorkspaceSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_core.verdicts import NOT_HELD, Verdict
@@ -136,6 +137,31 @@ def test_what_slides_away_while_settling_is_a_failure():
     result = run(World(slides_back=True), Actor(), keep="successful").run_index(0)
     assert (result.outcome, result.reason, result.success_ever) == ("failure", "not_there", True)
     assert result.bag.startswith("set_apart/")
+
+
+@pytest.mark.parametrize(("keep", "outcome"), [("successful", "success"), ("first_try", "failure")])
+def test_a_second_grasp_is_no_first_try(keep, outcome):
+    action = np.array([[1.0, 0, 0, 0, 0, 0, 1.0]], np.float32)
+    actor = Actor(lambda window: ActionChunk(actions=action, phases=(RECOVERY,)))
+    result = run(World(), actor, keep=keep, max_attempts=3).run_index(0)
+    assert (result.outcome, result.recovered) == (outcome, True)
+    assert (result.attempt, result.reason) == ((0, "") if outcome == "success" else (2, "recovered"))
+    assert result.bag.startswith("keep/" if outcome == "success" else "set_apart/")
+
+
+def test_seeds_of_a_cell_are_those_of_its_number_at_any_index():
+    class Mixed(World):
+        def draw(self, seed, task_config):
+            draw = super().draw(seed, task_config)
+            return replace(draw, task=replace(draw.task, drawn={CELL: "a", CELL_NUMBER: "3"}))
+
+    def policy_seed(world, index):
+        actor = Actor()
+        run(world, actor).run_index(index)
+        return actor.starts[0].seed
+
+    assert policy_seed(Mixed(), 0) == policy_seed(Mixed(), 5)
+    assert policy_seed(World(), 0) != policy_seed(World(), 5)
 
 
 def test_limit_of_steps():

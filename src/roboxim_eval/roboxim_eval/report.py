@@ -19,6 +19,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from roboxim_core.episode import EpisodeResult
+from roboxim_core.seeds import CELL_NUMBER
+from roboxim_eval.grouping import grouped
 from roboxim_eval.statistics import (
     SuccessRate,
     error_line,
@@ -49,11 +51,16 @@ class PolicyRun:
 
     @property
     def rates_by_dimension(self) -> dict[str, dict[str, SuccessRate]]:
-        """Success rates by instruction, and by each dimension for which reset components have named draws."""
+        """Success rates by instruction, and by each recorded choice that differs between episodes.
+
+        Numbers of ranges are in three groups of equal size, see `roboxim_eval.grouping`.
+        """
         found = {"instruction": rates_by(self.results, lambda result: result.instruction)}
-        for dimension in sorted({name for names in self.drawn.values() for name in names}):
+        for dimension in sorted({name for names in self.drawn.values() for name in names} - {CELL_NUMBER}):
             names = {episode: drawn[dimension] for episode, drawn in self.drawn.items() if dimension in drawn}
-            found[dimension] = _rates_by_name(self.results, names)
+            groups = grouped(names)
+            if len(set(groups.values())) > 1:
+                found[dimension] = _rates_by_name(self.results, groups)
         return found
 
 

@@ -1,11 +1,13 @@
 import json
 import re
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.grouping import grouped
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
 from roboxim_eval.statistics import error_line, failure_reasons, is_measured, rate_of, success_rate
 
@@ -90,6 +92,20 @@ def test_report_is_self_contained_and_escapes(tmp_path):
     numbers = json.loads((tmp_path / "summary.json").read_text())
     assert numbers["policies"]["bc"]["successes"] == 18
     assert numbers["policies"]["random"]["failure_reasons"] == {"max_steps": 20}
+
+
+def test_numbers_of_ranges_are_grouped_into_thirds():
+    groups = grouped({str(i): f"{0.1 * i:.4g}" for i in range(30)})
+    assert Counter(groups.values()) == {"0 to 0.967": 10, "0.967 to 1.93": 10, "1.93 to 2.9": 10}
+    assert groups["0"] == "0 to 0.967"
+    assert grouped({"a": "left", "b": "right"}) == {"a": "left", "b": "right"}
+    assert grouped({str(i): f"{i} {i}" for i in range(100)}) == {}, "positions are no groups"
+
+
+def test_a_choice_without_a_choice_is_no_dimension():
+    results = [result(i) for i in range(4)]
+    drawn = {r.episode_id: {"target": "cube", "cell_number": str(r.index)} for r in results}
+    assert list(PolicyRun(policy="bc", results=results, drawn=drawn).rates_by_dimension) == ["instruction"]
 
 
 def test_rates_by_what_reset_components_have_drawn(tmp_path):

@@ -205,6 +205,13 @@ class VectorChoice:
         return drawn
 
 
+def choice_text(value: object) -> str:
+    """Return a drawn value as the text of a task's ``drawn``: numbers with four digits, vectors with spaces."""
+    if isinstance(value, str | bool):
+        return str(value)
+    return " ".join(f"{number:.4g}" for number in np.atleast_1d(np.asarray(value, dtype=float)))
+
+
 def _pick(count: int, order: str, rng: np.random.Generator, index: int) -> int:
     return index % count if order == "in_order" else int(rng.integers(count))
 

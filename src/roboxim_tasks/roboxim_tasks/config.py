@@ -11,13 +11,15 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import PurePath
 from typing import Any
 
 from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
+from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_tasks.checks import (
     Document,
     Path,
@@ -36,6 +38,7 @@ from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 DEFAULT_TASK = "pick_cube"
 TASK = "task"
 """Key of a mix's exclusions besides the roles."""
+SEED_BY = ("index", "cell")
 
 
 def task_config(data: Any, *, source: str = "task configuration", library: ModelLibrary | None = None) -> TaskConfig:
@@ -118,7 +121,10 @@ class CellConfig:
     episodes: int = 1
     """Episodes of each cell."""
     set: dict[str, Any] = field(default_factory=dict)
-    """Keys of the task to replace, e.g. ``{reset: {cameras: {names: [right]}}}``."""
+    """Keys of the task to replace, e.g. ``{reset: {cameras: {names: [right]}}}``; a null removes a key, which then has
+    its default, e.g. ``{objects: {target: {modifiers: {color: null}}}}`` for "Pick up the cube"."""
+    key: str = ""
+    """Name that distinguishes this part's cells from those of other parts with the same tasks and models."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -131,6 +137,11 @@ class CellConfig:
         if not 1 <= self.episodes <= limits.MIX_EPISODES:
             raise ConfigError(f"episodes must be from 1 to {limits.MIX_EPISODES}, got {self.episodes}")
 
+    def name(self, task: str, models: Mapping[str, str]) -> str:
+        """Return the key of a cell, e.g. ``pick_up target=apple``; independent of the order of the roles."""
+        roles = (f"{role}={models[role]}" for role in sorted(models))
+        return " ".join((PurePath(task).stem, *roles, *([self.key] if self.key else [])))
+
 
 @dataclass(frozen=True, kw_only=True)
 class MixConfig:
@@ -139,14 +150,19 @@ class MixConfig:
     cells: tuple[CellConfig, ...]
     """The parts."""
     set: dict[str, Any] = field(default_factory=dict)
-    """Keys to replace in every task."""
+    """Keys to replace in every task; a null removes a key."""
+    seed_by: str = "index"
+    """``index``: an episode depends on its index in the run; ``cell``: on its cell and its number there, so that mixes
+    with other cells or counts have the same episodes in the cells that they share."""
 
     def __post_init__(self) -> None:
         """Check that there is a cell.
 
         Raises:
-            ConfigError: When there is no cell.
+            ConfigError: When there is no cell, or ``seed_by`` is unknown.
         """
+        if self.seed_by not in SEED_BY:
+            raise ConfigError(f"seed_by '{self.seed_by}' is unknown; {one_of(SEED_BY, self.seed_by)}")
         if not self.cells:
             raise ConfigError("cells must hold at least one part, got none")
 
@@ -163,6 +179,12 @@ class TaskMix:
     """One configuration per cell."""
     counts: tuple[int, ...]
     """Episodes of each."""
+    keys: tuple[str, ...]
+    """Key of each, e.g. ``pick_up target=apple``; recorded as ``drawn["cell"]``."""
+    tasks: tuple[str, ...]
+    """Name of each one's task; recorded as ``drawn["task"]``."""
+    seed_by: str = "index"
+    """``index``: an episode is drawn from its index in the run; ``cell``: from its cell's key and its number there."""
 
     def __post_init__(self) -> None:
         """Check the counts.
@@ -183,6 +205,12 @@ class TaskMix:
         rounds, place = divmod(index, sum(self.counts))
         cell, number = _turn(self.counts, place)
         return self.cells[cell], rounds * self.counts[cell] + number
+
+    def drawn(self, index: int) -> dict[str, str]:
+        """Return the names that an episode's task records: ``task``, ``cell`` and, if seeds go by cell, the number."""
+        cell, _ = _turn(self.counts, index % sum(self.counts))
+        names = {TASK: self.tasks[cell], CELL: self.keys[cell]}
+        return names | ({CELL_NUMBER: str(self.at(index)[1])} if self.seed_by == "cell" else {})
 
 
 _SCALE = 2**128
@@ -229,7 +257,7 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
             raise document.error(
                 ("cells", number, "tasks", place), f"'{name}' is a mix itself; name tasks of one skill"
             )
-    cells, counts = [], []
+    cells, counts, keys, names_of_tasks = [], [], [], []
     for number, cell in enumerate(mix.cells):
         given = data["cells"][number]
         for task, *models in itertools.product(cell.tasks, *cell.models.values()):
@@ -241,9 +269,18 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
                 plain = merged(plain, change)
             cells.append(task_config(plain, source=f"{source}: cells.{number}, task '{task}'"))
             counts.append(cell.episodes)
+            keys.append(cell.name(task, names))
+            names_of_tasks.append(PurePath(task).stem)
+            if mix.seed_by == "cell" and keys[-1] in keys[:-1]:
+                raise document.error(
+                    ("cells", number),
+                    f"a second cell '{keys[-1]}' would have the same scenes; give this part a key of its own",
+                )
     if not cells:
         raise document.error(("cells",), "every cell is excluded; exclude less")
-    return TaskMix(cells=tuple(cells), counts=tuple(counts))
+    return TaskMix(
+        cells=tuple(cells), counts=tuple(counts), keys=tuple(keys), tasks=tuple(names_of_tasks), seed_by=mix.seed_by
+    )
 
 
 def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
@@ -284,11 +321,15 @@ def _models(cell: Any, names: Mapping[str, str]) -> Any:
 def merged(base: Any, change: Any) -> Any:
     """Return plain data with keys replaced recursively in mappings; lists and choices are replaced as a whole.
 
+    A key whose change is None is removed and has its default then.
+
     Every key keeps its line number, see `roboxim_core.config.line_of`.
     """
-    if not isinstance(base, Mapping) or not isinstance(change, Mapping) or "values" in change or "lower" in change:
+    if not isinstance(change, Mapping) or "values" in change or "lower" in change:
         return change
+    base = base if isinstance(base, Mapping) else {}
     items = {**base, **{key: merged(base.get(key), value) for key, value in change.items()}}
+    items = {key: value for key, value in items.items() if key not in change or value is not None}
     lines = {key: line_of(change, key) if key in change else line_of(base, key) for key in items}
     return LocatedMap(items, lines) if any(lines.values()) else items
 

@@ -12,7 +12,7 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
-from roboxim_tasks.components import COMPONENTS, ResetComponent, ResetContext
+from roboxim_tasks.components import COMPONENTS, ResetContext
 from roboxim_tasks.config import TaskMix
 from roboxim_tasks.files import named
 from roboxim_tasks.generators import GenerationContext
@@ -53,8 +53,8 @@ class EpisodeGenerator:
         """
         cell, ordinal = config.at(seed.index)
         task = self.task(seed, config)
-        scene = self.reset(seed, cell, task, ordinal)
-        drawn = dict(self.last_reset.drawn) if self.last_reset else {}
+        scene = self.reset(seed.of_task(task.drawn), cell, task, ordinal)
+        drawn = task.drawn | (self.last_reset.drawn if self.last_reset else {})
         return Draw(task=replace(task, drawn=drawn), scene=scene, max_steps=cell.max_steps, config_json=to_json(cell))
 
     def task(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
@@ -65,11 +65,31 @@ class EpisodeGenerator:
             ConfigError: When the configuration names what does not exist.
         """
         cell, ordinal = config.at(seed.index)
+        drawn = config.drawn(seed.index)
         skill = SKILLS[cell.skill]
         context = GenerationContext(
-            seed=seed, config=cell, library=self._library, roles=skill.roles, mismatch=skill.mismatch, ordinal=ordinal
+            seed=seed.of_task(drawn),
+            config=cell,
+            library=self._library,
+            roles=skill.roles,
+            mismatch=skill.mismatch,
+            ordinal=ordinal,
         )
-        return skill.generate(context)
+        task = skill.generate(context)
+        return replace(task, drawn=drawn | context.drawn(task))
+
+    def sample(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
+        """Draw the task of a seed path, with the recorded choices of the components that place no objects.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE`` when there are no suitable objects, or no reachable start.
+            ConfigError: When the configuration names what does not exist.
+        """
+        cell, ordinal = config.at(seed.index)
+        task = self.task(seed, config)
+        context = self._context(seed.of_task(task.drawn), cell, task, ordinal)
+        self._begin(context, named("scenes", cell.scene, SceneSpec))
+        return replace(task, drawn=task.drawn | context.drawn)
 
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
         """Draw the scene of a task.
@@ -84,28 +104,13 @@ class EpisodeGenerator:
         base = named("scenes", config.scene, SceneSpec)
         wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
         _check_unambiguous(base, config, task, wording)
-        arm = self._arm(base.robot.model)
-        context = ResetContext(
-            seed=seed,
-            config=config,
-            task=task,
-            library=self._library,
-            arm=arm,
-            ordinal=ordinal,
-            way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
-        )
+        context = self._context(seed, config, task, ordinal)
         self.last_reset = context
-        context.constraints = SKILLS[config.skill].constraints(context)
-        components = [COMPONENTS[name](section) for name, section in config.reset.items()]
-        scene = replace(base, control_rate_hz=config.rate_hz)
-        try:
-            scene = _apply(scene, [c for c in components if not c.places], context)
-        except RejectedError as error:
-            raise _infeasible(context, error.constraint, config.max_draws) from None
+        scene = self._begin(context, base)
         while context.draws < config.max_draws:
             context.draws += 1
             try:
-                drawn = _apply(scene, [c for c in components if c.places], context)
+                drawn = _apply(scene, context, places=True)
                 if any(wording.mistakable(drawn, task)):
                     raise RejectedError("instruction_unambiguous")
                 self._check(drawn, context)
@@ -114,6 +119,26 @@ class EpisodeGenerator:
                 context.rejections[error.constraint] += 1
         (worst, _), *_ = context.rejections.most_common(1)
         raise _infeasible(context, worst, context.draws)
+
+    def _context(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None) -> ResetContext:
+        context = ResetContext(
+            seed=seed,
+            config=config,
+            task=task,
+            library=self._library,
+            arm=self._arm(named("scenes", config.scene, SceneSpec).robot.model),
+            ordinal=ordinal,
+            way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
+        )
+        context.constraints = SKILLS[config.skill].constraints(context)
+        return context
+
+    def _begin(self, context: ResetContext, base: SceneSpec) -> SceneSpec:
+        """Return the scene with the draws of the components that place no objects."""
+        try:
+            return _apply(replace(base, control_rate_hz=context.config.rate_hz), context, places=False)
+        except RejectedError as error:
+            raise _infeasible(context, error.constraint, context.config.max_draws) from None
 
     def _check(self, scene: SceneSpec, context: ResetContext) -> None:
         """Refuse a scene by the first constraint that it violates; the costly ones come last."""
@@ -141,9 +166,11 @@ def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, word
         )
 
 
-def _apply(scene: SceneSpec, components: list[ResetComponent], context: ResetContext) -> SceneSpec:
-    for component in components:
-        scene = component.reset(scene, context)
+def _apply(scene: SceneSpec, context: ResetContext, *, places: bool) -> SceneSpec:
+    """Apply the task's components that place objects, or those that do not."""
+    for name, section in context.config.reset.items():
+        if COMPONENTS[name].places == places:
+            scene = COMPONENTS[name](section).reset(scene, context)
     return scene
 
 

@@ -17,7 +17,7 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, TaskSpec
-from roboxim_tasks.choices import Choice
+from roboxim_tasks.choices import Choice, choice_text
 from roboxim_tasks.exclusions import MODEL, matches, taken
 from roboxim_tasks.roles import STAY, Role, Wording, description, distractor_role
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
@@ -65,6 +65,23 @@ class GenerationContext:
     def wording(self) -> Wording:
         """The objects that the instruction names."""
         return Wording.of_template(self.template, self.roles, self.library)
+
+    def drawn(self, task: TaskSpec) -> dict[str, str]:
+        """Return the recorded choices of a task: objects, their modifiers, arguments, template and distractors.
+
+        Args:
+            task: The task that was drawn with these inputs.
+        """
+        named = {role: thing for role, thing in task.objects.items() if role in self.roles}
+        drawn = {role: thing.model for role, thing in named.items()}
+        for role, thing in named.items():
+            drawn |= {f"{role}.{name}": choice_text(value) for name, value in thing.modifiers.items()}
+        drawn |= {name: choice_text(task.arguments[name]) for name in self.config.arguments if name in task.arguments}
+        if self.config.templates is not None and len(self.config.templates.values) > 1:
+            drawn["template"] = self.template
+        if self.config.distractors.maximum:
+            drawn["distractors"] = str(len(task.objects) - len(named))
+        return drawn
 
     @property
     def parameters(self) -> Any:

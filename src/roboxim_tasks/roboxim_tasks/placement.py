@@ -104,6 +104,7 @@ def place(
         if not reason and demand:
             reason = demand.leaves(there)
         if not reason:
+            context.record(f"{thing.entity}.position", config.area, (x, y))
             return there
         refused[reason] = refused.get(reason, 0) + 1
     raise RejectedError(f"{thing.entity}_{max(refused, key=lambda key: refused[key])}")

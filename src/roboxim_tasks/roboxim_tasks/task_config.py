@@ -122,3 +122,7 @@ class TaskConfig:
     def at(self, index: int) -> tuple[TaskConfig, int]:
         """Return the configuration of an episode and its index into ordered lists: this one and the given index."""
         return self, index
+
+    def drawn(self, index: int) -> dict[str, str]:
+        """Return the names that an episode's task records besides its draws: none, which only mixes have."""
+        return {}

@@ -13,6 +13,11 @@ from roboxim_bringup.options import episode_options
 @episode_options(episodes=50, out="runs/demos")
 @click.option("--max-attempts", default=5, show_default=True, help="Largest number of attempts per index.")
 @click.option(
+    "--first-try",
+    is_flag=True,
+    help="Draw an index again if its demonstration needed a second grasp, which exports leave out: counts stay exact.",
+)
+@click.option(
     "--noise-mm",
     default=3.0,
     show_default=True,

@@ -89,7 +89,7 @@ def sample(
     text = task_text(task, skill=skill, objects=objects, distractors=distractors, colors=colors)
     config = parse_task_config(text)
     for index in range(first, first + count):
-        drawn = generator.task(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
+        drawn = generator.sample(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
         if as_json:
             click.echo(to_json(drawn))
             continue
@@ -97,3 +97,6 @@ def sample(
         click.echo(
             f"{index:>4}  {digest(drawn)}  {drawn.instruction}" + (f"   (also there: {others})" if others else "")
         )
+        chosen = "  ".join(f"{name}: {value}" for name, value in drawn.drawn.items())
+        if chosen:
+            click.echo(f"{'':>24}{chosen}")

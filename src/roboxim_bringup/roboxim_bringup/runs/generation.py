@@ -33,6 +33,9 @@ class GenerationConfig(EpisodesConfig):
     """Standard deviation of the noise in free motions, per axis and tick [mm]."""
     noise_mrad: float = 10.0
     """Standard deviation of the rotation noise, per axis and tick [mrad]."""
+    first_try: bool = False
+    """Whether to draw an index again if its demonstration needed a second grasp. Exports leave such demonstrations out,
+    so that without this a dataset may have fewer episodes in some cells of a mix than in others."""
 
     def job(self) -> EpisodesJob:
         """Return the episodes to run.
@@ -41,7 +44,8 @@ class GenerationConfig(EpisodesConfig):
             ConfigError: When the task or a number is wrong.
         """
         config = self.run_config(
-            self.task_text(), purpose="demo", actor="expert", keep="successful", max_attempts=self.max_attempts,
+            self.task_text(), purpose="demo", actor="expert",
+            keep="first_try" if self.first_try else "successful", max_attempts=self.max_attempts,
             noise_translation_m=self.noise_mm / 1000, noise_rotation_rad=self.noise_mrad / 1000,
         )  # fmt: skip
         return EpisodesJob(config=config, episodes=self.episodes, workers=self.workers, renderer=self.renderer)

@@ -122,6 +122,7 @@ class RerenderConfig:
     def _cameras(self, info: EpisodeInfo) -> Iterator[CameraSpec]:
         recorded = {camera.name: camera for camera in info.scene.cameras}
         seed = SeedPath(run_seed=info.run_seed, purpose=info.purpose, index=info.index, attempt=info.attempt)
+        seed = seed.of_task(info.task.drawn)
         for name, file in (self.cameras or dict.fromkeys(recorded, "")).items():
             if not file and name in recorded:
                 camera = recorded[name]

@@ -10,7 +10,7 @@ from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.verdicts import Verdict
 
-KEEP_RULES = ("successful", "all", "none")
+KEEP_RULES = ("successful", "first_try", "all", "none")
 
 
 LIMITS = {
@@ -64,7 +64,8 @@ class RunConfig:
     settle_ticks: int = 0
     """Number of hold actions between the end and the final verdict; recorded, not exported; 0: one second of them."""
     keep: str = "all"
-    """``successful`` (sets other episodes apart), ``all`` (keeps every episode) or ``none`` (records nothing)."""
+    """``successful`` (sets other episodes apart), ``first_try`` (also those that needed a second grasp, which count as
+    failures), ``all`` (keeps every episode) or ``none`` (records nothing)."""
     max_attempts: int = 1
     """Largest number of attempts per index until an episode is kept."""
     policy_timeout_s: float = 30.0

@@ -23,6 +23,8 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
 LEFT_WORKSPACE = "left_workspace"
+RECOVERED = "recovered"
+"""Reason of an episode that succeeded after a second grasp, in a run that keeps first tries alone."""
 SETTLE_S = 1.0
 """Default time for which the robot holds still between the end of an episode and the final verdict."""
 
@@ -193,7 +195,8 @@ class _Episode:
         self.seed = seed
         self.max_steps = max_steps
         self.cancelled = cancelled
-        self.noise_rng = seed.rng("execution_noise")
+        self.source = seed.of_task(info.task.drawn)
+        self.noise_rng = self.source.rng("execution_noise")
         self.window = _Window(self.config.window or self.description.window)
         self.queue: deque[tuple[ActionArray, str]] = deque()
         self.actor_done = False
@@ -237,7 +240,8 @@ class _Episode:
         if reason == LEFT_WORKSPACE:  # this failure is final, whatever happens to the objects afterwards
             return outcome, reason
         if self.verdict.success:
-            return "success", ""
+            again = self.config.keep == "first_try" and self.counts["recovery"]
+            return ("failure", RECOVERED) if again else ("success", "")
         if outcome == "success":
             return "failure", self.verdict.reason or "not_stable"
         return outcome, self.verdict.reason or reason
@@ -246,7 +250,7 @@ class _Episode:
         """Act until success, failure, the action limit or a policy fault; return outcome, reason, message."""
         start = EpisodeStart(
             episode_id=self.info.episode_id, instruction=self.info.task.instruction,
-            seed=self.seed.derived_seed("policy"),
+            seed=self.source.derived_seed("policy"),
             task=self.info.task if self.description.privileged else None,
             scene=self.info.scene if self.description.privileged else None,
         )  # fmt: skip

@@ -19,7 +19,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.registry import Registry
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
-from roboxim_tasks.choices import VectorChoice
+from roboxim_tasks.choices import Choice, VectorChoice, choice_text
 from roboxim_tasks.task_config import TaskConfig
 
 
@@ -60,7 +60,7 @@ class ResetContext:
     areas: dict[str, VectorChoice] = field(default_factory=dict)
     """Entity to the area it is placed in, which overrides the configuration of the placing component."""
     drawn: dict[str, str] = field(default_factory=dict)
-    """Component to the name of the value it has drawn, for components by which results are grouped."""
+    """Name of a choice to its drawn value; see `record`."""
     draws: int = 0
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)
@@ -77,6 +77,26 @@ class ResetContext:
         if component not in self._streams:
             self._streams[component] = self.seed.rng(component)
         return self._streams[component]
+
+    def record(self, name: str, choice: Choice | VectorChoice | None, value: object, *, always: bool = False) -> None:
+        """Record a drawn value in the task's ``drawn``, if the choice leaves a choice.
+
+        A list of one value is not recorded, nor is a vector of a range, which the scene has.
+
+        Args:
+            name: Name of the value; begins with the component's name, e.g. ``lights.intensity``.
+            choice: The choice; none: nothing was drawn.
+            value: The drawn value.
+            always: Whether to record the value of a list of one value too.
+        """
+        if choice is None:
+            return
+        if choice.values:
+            varies = len(choice.values) > 1
+        else:
+            varies = isinstance(choice, Choice) and choice.lower != choice.upper
+        if varies or always:
+            self.drawn[name] = choice_text(value)
 
     def room_taken(self, scene: SceneSpec) -> str:
         """Return the first constraint whose free space is taken in a scene with all objects, or an empty text."""

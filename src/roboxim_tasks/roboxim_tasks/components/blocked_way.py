@@ -126,7 +126,9 @@ class BlockedWayReset(ResetComponent):
             raise RejectedError("way_long_enough")
         along = (end - begin) / length
         across = np.array([-along[1], along[0]])
-        middle = begin + (first + config.share.draw_number(rng, index) * (last - first)) * along
+        share = config.share.draw_number(rng, index)
+        context.record(f"blocked_way.{'-'.join(way)}", config.share, share)
+        middle = begin + (first + share * (last - first)) * along
         middle = middle + config.aside_m.draw_number(rng, index) * across
         offset = -(sum(widths) + config.gap_m * (len(row) - 1)) / 2
         for entity, width in zip(row, widths, strict=True):

@@ -58,7 +58,8 @@ class CamerasResetConfig:
 class CamerasReset(ResetComponent):
     """Sets up the named cameras with drawn offsets.
 
-    Randomisation: view, shift, turn and exposure of each camera. Each camera has its own random stream.
+    Randomisation: view, shift, turn and exposure of each camera. Each camera has its own random stream. The task
+    records them as ``drawn["camera.<name>"]`` (the view), ``drawn["camera.<name>.exposure_ev"]`` and so on.
     """
 
     name = "cameras"
@@ -77,17 +78,21 @@ class CamerasReset(ResetComponent):
         view = name
         if name in config.views:
             view = str(config.views[name].draw(context.rng(f"{self.name}/{name}/view"), index))
+            context.record(f"camera.{name}", config.views[name], view, always=True)
         camera = replace(load_camera(view), name=name)
         camera = replace(camera, parent=camera_parent(camera, context.arm))
         rng = context.rng(f"{self.name}/{name}")
         if name in config.shift_m:
-            shift = Pose.from_arrays(config.shift_m[name].draw(rng, index))
-            camera = replace(camera, pose=shift @ camera.pose)
+            shift = config.shift_m[name].draw(rng, index)
+            camera = replace(camera, pose=Pose.from_arrays(shift) @ camera.pose)
+            context.record(f"camera.{name}.shift_m", config.shift_m[name], shift)
         if name in config.turn_rad:
             angles = config.turn_rad[name].draw(rng, index)
             turn = Pose.from_arrays((0, 0, 0), Rotation.from_euler("xyz", angles))
             camera = replace(camera, pose=camera.pose @ turn)
+            context.record(f"camera.{name}.turn_rad", config.turn_rad[name], angles)
         if name in config.exposure_ev:
-            exposure = camera.noise.exposure_ev + config.exposure_ev[name].draw_number(rng, index)
-            camera = replace(camera, noise=replace(camera.noise, exposure_ev=exposure))
+            exposure = config.exposure_ev[name].draw_number(rng, index)
+            camera = replace(camera, noise=replace(camera.noise, exposure_ev=camera.noise.exposure_ev + exposure))
+            context.record(f"camera.{name}.exposure_ev", config.exposure_ev[name], exposure)
         return with_noise_seed(camera, context.seed)

@@ -83,6 +83,8 @@ class DistractorsReset(ResetComponent):
         near = self.config.near
         target = next((entity for entity in scene.entities if entity.name == TARGET), None)
         close = bool(near and self._turn(context) < near.share)
+        if near and target and task_distractors(context.task):
+            context.drawn["distractors.near"] = "yes" if close else "no"
         for number, thing in enumerate(task_distractors(context.task)):
             demand = Demand()
             if near and target:

@@ -73,5 +73,5 @@ class InteractionAreaReset(ResetComponent):
         name = str(choice.draw(context.rng(self.name), context.index))
         for role in self.config.roles:
             context.areas[context.task.objects[role].entity] = self.config.areas[name]
-        context.drawn[self.name] = name
+        context.record(self.name, choice, name, always=True)
         return scene

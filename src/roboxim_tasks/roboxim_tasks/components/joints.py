@@ -52,6 +52,8 @@ class JointsReset(ResetComponent):
         for joint in context.library.entity_model(entity).joints:
             if joint.spring == 0.0:
                 wanted = joint.name == context.task.arguments.get("joint")
-                share = (self.config.target if wanted else self.config.others).draw_number(rng, index)
+                choice = self.config.target if wanted else self.config.others
+                share = choice.draw_number(rng, index)
+                context.record(f"joints.{joint.name}", choice, share)
                 positions[joint.name] = joint.lower + share * (joint.upper - joint.lower)
         return replace(entity, joint_positions=positions) if positions else entity

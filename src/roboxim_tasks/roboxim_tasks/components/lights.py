@@ -110,6 +110,8 @@ class LightsReset(ResetComponent):
                 changed[key] = tuple(choice.draw(rng, index).tolist())
         if self.config.radius is not None:
             changed["radius"] = self.config.radius.draw_number(rng, index)
+        for key, value in changed.items():
+            context.record(f"light.{key}", getattr(self.config, key), value)
         if changed:
             if not look.lights:
                 raise ConfigError(
@@ -119,7 +121,9 @@ class LightsReset(ResetComponent):
         if self.config.ambient is not None:
             r, g, b = self.config.ambient.draw(rng, index).tolist()
             look = replace(look, ambient=(r, g, b))
+            context.record("light.ambient", self.config.ambient, look.ambient)
         lamps = self._lamps(context.rng(f"{self.name}/lamps"), index)
+        context.record("light.lamps", self.config.lamps.number, len(lamps))
         return replace(scene, look=replace(look, lights=(*look.lights, *lamps)))
 
     def _lamps(self, rng: np.random.Generator, index: int) -> tuple[LightSpec, ...]:

@@ -91,6 +91,7 @@ class PhysicsReset(ResetComponent):
         """
         rng = context.seed.rng(f"{self.name}/table")
         table = replace(scene.table, friction=self.config.table_friction.draw_number(rng, context.index))
+        context.record("friction.table", self.config.table_friction, table.friction)
         drawn = {thing.entity: self.config.objects for thing in task_objects(context.task)}
         drawn |= {thing.entity: self.config.distractors for thing in task_distractors(context.task)}
         entities = tuple(
@@ -114,4 +115,6 @@ class PhysicsReset(ResetComponent):
                 PHYSICAL[kind].check(f"reset.physics: {entity.model}, usually {usually:g}", kind, modifiers[kind])
             elif kind in entity.modifiers:
                 modifiers[kind] = entity.modifiers[kind]
+            if factor is not None or value is not None:
+                context.record(f"{kind}.{entity.name}", factor or value, modifiers[kind])
         return replace(entity, modifiers=modifiers)

@@ -56,9 +56,11 @@ class RobotReset(ResetComponent):
         """
         rng, index, arm = context.rng(self.name), context.index, context.arm
         opening = self.config.gripper_opening.draw_number(rng, index)
+        context.record("robot.gripper_opening", self.config.gripper_opening, opening)
         if self.config.joints is not None:
             self.config.joints.require_size(len(arm.lower), "reset.robot.joints")
             joints = self.config.joints.draw(rng, index)
+            context.record("robot.joints", self.config.joints, joints)
             if not arm.within_limits(joints):
                 raise ConfigError(f"reset.robot.joints {joints.tolist()} are beyond the limits of '{arm.model.id}'")
             return _with_joints(scene, joints.tolist(), opening)
@@ -68,6 +70,8 @@ class RobotReset(ResetComponent):
             rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", 180, degrees=True)
             found = arm.ik_near(Pose.from_arrays(position, rotation), arm.model.home)
             if found.converged and arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
+                context.record("robot.position", self.config.position, position)
+                context.record("robot.yaw_rad", self.config.yaw_rad, yaw)
                 return _with_joints(scene, found.joints.tolist(), opening)
         raise RejectedError("robot_start_reachable")
 

@@ -60,7 +60,9 @@ class ToppledReset(ResetComponent):
         sides = context.library.entity_model(target).toppled
         if not sides:
             raise ConfigError(f"object '{target.model}' has no toppled pose; choose another model")
-        side = sides[int(rng.integers(len(sides)))]
+        number = int(rng.integers(len(sides)))
+        side = sides[number]
+        context.record("toppled.side", Choice(values=tuple(range(len(sides)))), number)
         yaw = self.config.yaw_rad.draw_number(rng, index)
         x, y, _ = target.pose.position
         return replace(target, pose=turned((x, y, scene.table.center[2]), yaw) @ side)
