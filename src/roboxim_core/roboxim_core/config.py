@@ -12,6 +12,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -65,6 +66,7 @@ def _converter() -> cattrs.Converter:
     converter.register_structure_hook(int, integer)
     converter.register_structure_hook(str, exact(str))
     converter.register_structure_hook(bool, exact(bool))
+    converter.register_structure_hook(StrEnum, lambda value, kind: kind(value))  # before that of str, its base
     converter.register_structure_hook_func(_is_scalar_union, _scalar)
     converter.register_structure_hook(Path, lambda value, _: Path(value))
     converter.register_unstructure_hook(Path, str)

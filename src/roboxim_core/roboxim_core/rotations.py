@@ -138,6 +138,59 @@ def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rot
             return IDENTITY_ROTATION
 
 
+def encode_rows(
+    rotations: Rotation, representation: RotationRepresentation, near: Rotation = IDENTITY_ROTATION
+) -> Floats:
+    """Encode many rotations as numbers; row by row the same as `encode`, up to rounding.
+
+    Args:
+        rotations: n rotations.
+        representation: The representation of the result.
+        near: The rotation that the seam is kept away from; see the module.
+
+    Returns:
+        float64, shape (n, `RotationRepresentation.size`).
+    """
+    kind = RotationRepresentation
+    match representation:
+        case kind.ROTATION_6D:
+            return np.asarray(rotations.as_matrix()[:, :, :2].transpose(0, 2, 1).reshape(-1, 6))
+        case kind.QUATERNION_XYZW:
+            return _signed_rows(rotations, near)
+        case kind.QUATERNION_WXYZ:
+            return np.roll(_signed_rows(rotations, near), 1, axis=1)
+        case kind.ROTATION_VECTOR:
+            quaternions = _signed_rows(rotations, near)
+            length = np.linalg.norm(quaternions[:, :3], axis=1)
+            angle = 2.0 * np.arctan2(length, quaternions[:, 3])
+            factor = np.where(length > 1e-12, angle / np.maximum(length, 1e-12), 2.0)
+            return np.asarray(quaternions[:, :3] * factor[:, None])
+        case kind.EULER_XYZ_EXTRINSIC | kind.EULER_XYZ_INTRINSIC:
+            angles = _extrinsic_xyz if representation == kind.EULER_XYZ_EXTRINSIC else _intrinsic_xyz
+            rows = [angles(matrix) for matrix in rotations.as_matrix()]
+            return _near(np.array(rows).reshape(-1, 3), angles(near.as_matrix()))
+        case kind.NONE:
+            return np.zeros((len(rotations), 0))
+
+
+def decode_rows(values: npt.ArrayLike, representation: RotationRepresentation) -> Rotation:
+    """Decode many rotations from numbers; row by row the same as `decode`.
+
+    Args:
+        values: Shape (n, `RotationRepresentation.size`).
+        representation: The representation of the values.
+
+    Raises:
+        InvalidRequestError: With code ``INVALID_ACTION`` on numbers that do not describe a rotation.
+    """
+    rows = np.asarray(values, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != representation.size:
+        raise _no_rotation(representation, f"it takes rows of {representation.size} numbers", rows)
+    if not len(rows) or representation == RotationRepresentation.NONE:
+        return Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1)))
+    return Rotation.from_quat([decode(row, representation).as_quat() for row in rows])
+
+
 def continued_quaternions(quaternions: npt.ArrayLike) -> Floats:
     """Return equal rotations whose signs do not flip between consecutive rows; the first row keeps its sign.
 
@@ -159,6 +212,11 @@ def continued_angles(angles: npt.ArrayLike) -> Floats:
 def _signed(rotation: Rotation, near: Rotation) -> Floats:
     quaternion = np.asarray(rotation.as_quat(), dtype=float)
     return -quaternion if float(quaternion @ near.as_quat()) < 0.0 else quaternion
+
+
+def _signed_rows(rotations: Rotation, near: Rotation) -> Floats:
+    quaternions = np.asarray(rotations.as_quat(), dtype=float).reshape(-1, 4)
+    return quaternions * np.where(quaternions @ near.as_quat() < 0.0, -1.0, 1.0)[:, None]
 
 
 def _near(angles: Floats, reference: Floats) -> Floats:

@@ -1,0 +1,55 @@
+"""Conventions: what a policy is sent, and what its numbers mean.
+
+A convention is a file of ``config/conventions``, or of the user's folders: ``load_convention("libero")``. It is pure
+numbers, without a wire and without ROS. `roboxim_core.conventions.convention` explains the conversions.
+"""
+
+from roboxim_core.conventions.convention import (
+    Chunking,
+    Convention,
+    Ensemble,
+    PromptInput,
+    Request,
+    decode_actions,
+    from_actions,
+    gripper_decoder,
+    joined_answer,
+    load_convention,
+    observe,
+    to_actions,
+)
+from roboxim_core.conventions.frames import Frames
+from roboxim_core.conventions.gripper import GripperDecoder, GripperKind, GripperOutput
+from roboxim_core.conventions.images import ImageInput, Layout, Resize
+from roboxim_core.conventions.normalisation import Normalisation, NormalisationKind
+from roboxim_core.conventions.outputs import ActionOutput
+from roboxim_core.conventions.states import ArmReadings, StateField, StateInput, StatePart
+
+__all__ = [
+    "ActionOutput",
+    "ArmReadings",
+    "Chunking",
+    "Convention",
+    "Ensemble",
+    "Frames",
+    "GripperDecoder",
+    "GripperKind",
+    "GripperOutput",
+    "ImageInput",
+    "Layout",
+    "Normalisation",
+    "NormalisationKind",
+    "PromptInput",
+    "Request",
+    "Resize",
+    "StateField",
+    "StateInput",
+    "StatePart",
+    "decode_actions",
+    "from_actions",
+    "gripper_decoder",
+    "joined_answer",
+    "load_convention",
+    "observe",
+    "to_actions",
+]
