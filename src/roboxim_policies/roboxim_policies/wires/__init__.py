@@ -1,0 +1,33 @@
+"""Wires: how RoboXim talks to policy servers in other processes. Each module is one protocol.
+
+A wire takes the request of a convention (`roboxim_core.conventions`), a plain map of arrays and texts, and returns the
+server's raw actions. `roboxim_policies.remote` joins a wire and a convention to a policy. No wire uses pickle.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from roboxim_core.errors import ConfigError
+from roboxim_policies.wires.base import REFUSED, WIRES, Metadata, Request, Rows, Wire
+
+for _module in ("openpi", "vla_eval", "openvla", "groot"):
+    importlib.import_module(f"{__name__}.{_module}")
+
+
+def find_wire(name: str) -> type[Wire]:
+    """Return the class of a wire.
+
+    Args:
+        name: Registered name; hyphens count as underscores.
+
+    Raises:
+        ConfigError: When there is no such wire, or RoboXim refuses its protocol; the message gives the reason.
+    """
+    name = name.replace("-", "_")
+    if name in REFUSED:
+        raise ConfigError(f"the wire '{name}' is refused: {REFUSED[name]}")
+    return WIRES[name]
+
+
+__all__ = ["REFUSED", "WIRES", "Metadata", "Request", "Rows", "Wire", "find_wire"]

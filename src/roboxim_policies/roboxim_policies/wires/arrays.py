@@ -1,0 +1,154 @@
+"""Arrays of a foreign message, checked before memory is taken for them.
+
+A message comes from a server that nobody vouches for. Its data type must be a plain number, its shape must have few
+axes, and shape, data type and number of bytes must agree. Only then an array is made, as a view of the message's own
+bytes. Nothing is unpickled: object arrays, structured types and complex numbers are refused.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.limits import echo
+from roboxim_policies.wires.errors import unreadable
+
+MESSAGE_BYTES = 64 * 2**20
+"""Largest message that is sent or received [bytes]: dozens of large pictures."""
+AXES = 8
+"""Largest number of axes of an array."""
+NPY_HEADER_BYTES = 4096
+"""Largest header of an array in the ``.npy`` format."""
+_DTYPE = re.compile(r"[<>|=]?(?:b1|[iu][1248]|f[248])")
+_NPY_MAGIC = b"\x93NUMPY"
+
+
+def checked_dtype(name: Any) -> np.dtype[Any]:
+    """Return the data type with a name, e.g. ``<f4``.
+
+    Raises:
+        PolicyError: When it is not a boolean, an integer or a real number.
+    """
+    if isinstance(name, bytes):
+        name = name.decode("ascii", "replace")
+    if not isinstance(name, str) or not _DTYPE.fullmatch(name):
+        raise unreadable(f"an array's data type must be a plain number such as '<f4' or '|u1', got {echo(name)}")
+    return np.dtype(name)
+
+
+def checked_shape(shape: Any) -> tuple[int, ...]:
+    """Return a shape as a tuple.
+
+    Raises:
+        PolicyError: When it is not a list of at most `AXES` sizes.
+    """
+    if not isinstance(shape, list | tuple) or len(shape) > AXES:
+        raise unreadable(f"an array's shape must be a list of at most {AXES} sizes, got {echo(shape)}")
+    if any(isinstance(size, bool) or not isinstance(size, int) or size < 0 for size in shape):
+        raise unreadable(f"an array's sizes must be whole numbers >= 0, got {echo(shape)}")
+    return tuple(shape)
+
+
+def array_from(data: Any, dtype: Any, shape: Any, *, fortran: bool = False) -> npt.NDArray[Any]:
+    """Return an array that shares the memory of its bytes; read-only.
+
+    Args:
+        data: The bytes.
+        dtype: Name of the data type.
+        shape: The shape.
+        fortran: Whether the bytes are in column-major order.
+
+    Raises:
+        PolicyError: When the three do not fit each other.
+    """
+    kind, sizes = checked_dtype(dtype), checked_shape(shape)
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise unreadable(f"an array's data must be bytes, got {type(data).__name__}")
+    needed = kind.itemsize
+    for size in sizes:
+        needed *= size
+    if needed != len(data) or needed > MESSAGE_BYTES:
+        raise unreadable(
+            f"an array of shape {echo(list(sizes))} and type '{kind.str}' has {needed} bytes "
+            f"(at most {MESSAGE_BYTES} are allowed), its data has {len(data)}"
+        )
+    array = np.frombuffer(data, kind).reshape(sizes, order="F" if fortran else "C")
+    array.flags.writeable = False
+    return array
+
+
+def array_from_npy(data: Any) -> npt.NDArray[Any]:
+    """Return an array in the ``.npy`` format; ``numpy.load`` would reserve what the header claims.
+
+    Raises:
+        PolicyError: When the format is damaged, or the header does not fit the data.
+    """
+    if not isinstance(data, bytes) or len(data) < 12 or data[:6] != _NPY_MAGIC or data[6] not in (1, 2, 3):
+        raise unreadable("an array in the .npy format must begin with its magic and a version from 1 to 3")
+    width = 2 if data[6] == 1 else 4
+    length = int.from_bytes(data[8 : 8 + width], "little")
+    start = 8 + width
+    if length > NPY_HEADER_BYTES or start + length > len(data):
+        raise unreadable(f"a .npy header has {length} bytes, at most {NPY_HEADER_BYTES} within the data are allowed")
+    try:
+        header = ast.literal_eval(data[start : start + length].decode("latin-1").strip())
+        names = (header["descr"], header["shape"], header["fortran_order"])
+    except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError):
+        raise unreadable("a .npy header must be a dictionary with descr, shape and fortran_order") from None
+    descr, shape, fortran = names
+    return array_from(data[start + length :], descr, shape, fortran=bool(fortran))
+
+
+def npy_bytes(array: npt.NDArray[Any]) -> bytes:
+    """Return an array in the ``.npy`` format, version 1."""
+    array = np.ascontiguousarray(array)
+    header = f"{{'descr': {array.dtype.str!r}, 'fortran_order': False, 'shape': {array.shape!r}, }}"
+    header += " " * (-(10 + len(header) + 1) % 64) + "\n"
+    return b"".join((_NPY_MAGIC, b"\x01\x00", len(header).to_bytes(2, "little"), header.encode(), array.tobytes()))
+
+
+def rows_of(value: Any, what: str, *, most: int) -> npt.NDArray[np.float64]:
+    """Return a server's actions as rows.
+
+    Args:
+        value: Its answer: an array of shape (n, D), (D,) or (1, n, D), or nested lists of numbers.
+        what: What it is, for messages, e.g. ``"actions"``.
+        most: Largest number of rows.
+
+    Returns:
+        float64, shape (n, D).
+
+    Raises:
+        PolicyError: With code ``INVALID_ACTION`` when they are not finite numbers of such a shape.
+    """
+    from roboxim_policies.wires.errors import invalid
+
+    if not isinstance(value, np.ndarray):
+        value = _array_of_lists(value, what)
+    if value.dtype.kind not in "iuf":
+        raise invalid(f"{what} must be numbers, got type '{value.dtype.str}'")
+    if value.ndim == 3 and value.shape[0] == 1:
+        value = value[0]
+    rows = np.asarray(value[None] if value.ndim == 1 else value, np.float64)
+    if rows.ndim != 2 or not 1 <= rows.shape[0] <= most or not 1 <= rows.shape[1] <= 256:
+        raise invalid(f"{what} must have shape (n, D) with n from 1 to {most}, or (D,); got {echo(list(value.shape))}")
+    if not np.isfinite(rows).all():
+        row, column = np.argwhere(~np.isfinite(rows))[0].tolist()
+        raise invalid(f"{what} must be finite, got {rows[row, column]} in step {row}, component {column}")
+    return rows
+
+
+def _array_of_lists(value: Any, what: str) -> npt.NDArray[Any]:
+    from roboxim_policies.wires.errors import invalid
+
+    try:
+        if not isinstance(value, Sequence) or isinstance(value, str | bytes):
+            raise ValueError(f"it is {type(value).__name__}")
+        return np.array(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise invalid(f"{what} must be an array of numbers: {error}") from None

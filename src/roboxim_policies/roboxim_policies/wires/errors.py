@@ -1,0 +1,80 @@
+"""The errors of a wire. Each ends one episode, by the reason that its code names."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from roboxim_core.errors import ErrorCode, PolicyError, printable
+
+LONGEST_REPLY = 600
+"""Characters of a server's text that a message repeats."""
+
+
+def died(message: str) -> PolicyError:
+    """Return the error of a server that is not there, or no longer: ``policy_died``."""
+    return PolicyError(message, ErrorCode.POLICY_DIED)
+
+
+def late(message: str) -> PolicyError:
+    """Return the error of a server that did not answer before the deadline: ``policy_late``."""
+    return PolicyError(message, ErrorCode.POLICY_LATE)
+
+
+def fault(message: str) -> PolicyError:
+    """Return the error of a server that reported an error, or broke the protocol: ``policy_fault``."""
+    return PolicyError(message, ErrorCode.POLICY_FAULT)
+
+
+def invalid(message: str) -> PolicyError:
+    """Return the error of an answer whose actions cannot be used: ``invalid_action``."""
+    return PolicyError(message, ErrorCode.INVALID_ACTION)
+
+
+def unreadable(message: str) -> PolicyError:
+    """Return the error of a message that cannot be decoded: ``policy_fault``."""
+    return fault(f"the server's message cannot be read: {message}")
+
+
+def quoted(text: Any) -> str:
+    """Return the part of a server's text that tells most: a traceback's last line, or the beginning."""
+    text = printable(text, 20_000).strip()
+    if text.startswith("Traceback (most recent call last)"):
+        text = text.splitlines()[-1].strip()
+    return printable(text, LONGEST_REPLY)
+
+
+class Deadline:
+    """A point in time until which one operation may take, whatever number of steps it has."""
+
+    def __init__(self, seconds: float) -> None:
+        """Start the time.
+
+        Args:
+            seconds: Time from now [s].
+        """
+        self.seconds = seconds
+        self._end = time.monotonic() + seconds
+
+    def left(self, what: str) -> float:
+        """Return the time that is left [s], > 0.
+
+        Args:
+            what: What one waits for, for the message, e.g. ``"the reply of ws://host:8000"``.
+
+        Raises:
+            PolicyError: With code ``POLICY_LATE`` when no time is left.
+        """
+        left = self._end - time.monotonic()
+        if left <= 0:
+            raise self.passed(what)
+        return left
+
+    def left_ms(self, what: str) -> int:
+        """Return the time that is left [ms], rounded up; see `left`."""
+        return math.ceil(self.left(what) * 1000)
+
+    def passed(self, what: str) -> PolicyError:
+        """Return the error of a deadline that has passed."""
+        return late(f"{what} did not come within {self.seconds:g} s; a slower server needs a longer timeout_s")
