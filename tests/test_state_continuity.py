@@ -47,7 +47,7 @@ def test_no_component_jumps(run, tmp_path):
     for episode in episodes:
         steps = np.abs(np.diff(episode.state, axis=0)).max(axis=0)
         assert (steps <= bounds).all(), dict(zip(STATE_NAMES, steps.tolist(), strict=True))
-        joints = np.abs(np.diff(episode.joint_positions, axis=0)).max(axis=0)
+        joints = np.abs(np.diff(episode.vectors["joint_positions"], axis=0)).max(axis=0)
         assert (joints <= LAG * np.array(robot.limits.velocity) / limits.rate_hz).all()
 
 

@@ -33,7 +33,15 @@ def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[cl
 
 
 def field_docs(cls: type[Any]) -> dict[str, str]:
-    """Return the docstrings of a class's own fields, without inherited ones."""
+    """Return the docstrings of a dataclass's fields, those inherited from other dataclasses included."""
+    docs = {}
+    for base in reversed(cls.__mro__):
+        if dataclasses.is_dataclass(base):
+            docs.update(_own_field_docs(base))
+    return docs
+
+
+def _own_field_docs(cls: type[Any]) -> dict[str, str]:
     [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
     assert isinstance(tree, ast.ClassDef)
     docs = {}

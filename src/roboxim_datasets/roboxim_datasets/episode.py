@@ -2,22 +2,62 @@
 
 Step k holds observation k and the action that leads from it to observation k + 1; T actions make T steps. The small
 fields are loaded at once. Steps are read on demand, one after another, so an episode needs the memory of one step.
+
+A step's numbers have three kinds. ``proprio`` is observed: a policy may read it. ``action`` is the label. ``signals``
+are further values that no trainer reads; their names start with ``sim.``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 
 Floats = npt.NDArray[np.float32]
 RGBImage = npt.NDArray[np.uint8]
+DepthImage = npt.NDArray[np.float32]
+Segmentation = npt.NDArray[np.uint16]
 MetaValue = str | int | float | bool
+SIGNAL_PREFIX = "sim."
+"""Prefix of the names of `Step.signals`."""
+EXECUTED = "sim.action_executed"
+"""Name under which datasets store `Step.action_executed`."""
+
+
+METADATA: Mapping[str, type[MetaValue]] = {
+    "episode_id": str,
+    "file_path": str,
+    "run_seed": int,
+    "index": int,
+    "attempt": int,
+    "skill": str,
+    "success": bool,
+    "actor": str,
+    "robot": str,
+    "action_semantics": str,
+    "cameras": str,
+    "state_layout": str,
+    "joint_names": str,
+    "vectors": str,
+    "task": str,
+    "final_state_hash": str,
+}
+"""Metadata of an episode that RoboXim writes, key to type, in every format that has metadata.
+
+``file_path`` is the bag below the run's folder, ``index`` and ``attempt`` are the episode's in its run, ``task`` is the
+task's JSON, and ``final_state_hash`` is the hash of the bag's last state. An `Episode` has some as separate fields;
+those are JSON if they are not plain values: ``cameras`` (image key to camera), ``state_layout`` (names of the
+components of ``state``), ``vectors`` (vector or signal to the names of its components), ``action_semantics``,
+``joint_names``."""
+OWN_FIELDS = frozenset(
+    ("episode_id", "success", "robot", "action_semantics", "cameras", "state_layout", "joint_names", "vectors")
+)
+"""Metadata that an `Episode` has as separate fields, so that they are not in `Episode.metadata`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +70,18 @@ class ImageSize:
     """Width [px]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What to read of an episode's steps beside the small arrays."""
+
+    cameras: tuple[str, ...] = ()
+    """Cameras whose RGB images to read."""
+    depth: tuple[str, ...] = ()
+    """Cameras whose depth images to read."""
+    segmentation: tuple[str, ...] = ()
+    """Cameras whose segmentation images to read."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One step."""
@@ -38,13 +90,21 @@ class Step:
     """Number of the step, from 0."""
     images: Mapping[str, RGBImage] = field(default_factory=dict)
     """Camera to RGB image, uint8, shape (height, width, 3), read-only; only the requested cameras."""
+    depth: Mapping[str, DepthImage] = field(default_factory=dict)
+    """Camera to distance along the optical axis [m], float32, shape (height, width); only the requested cameras."""
+    segmentation: Mapping[str, Segmentation] = field(default_factory=dict)
+    """Camera to entity ids, uint16, shape (height, width); only the requested cameras."""
     proprio: Mapping[str, Floats] = field(default_factory=dict)
-    """Field of `roboxim_core.proprioception.ProprioField` to float32 vector; a dataset that does not say what its state
-    consists of has the one field ``state``."""
+    """Observed vector to its values, float32; `Episode.vectors` names the components. The vector that trainers read by
+    default is called ``state``. An episode that comes from a bag has one vector for each
+    `roboxim_core.proprioception.ProprioField` instead."""
     action: Floats
     """Action that an imitator should output, float32, shape (D,); its meaning is in `Episode.semantics`."""
     action_executed: Floats | None = None
-    """Executed action; differs from ``action`` where noise was injected. None: not stored."""
+    """Executed action, of the same meaning as ``action``; differs from it where noise was injected. None: not stored.
+    Datasets store it as ``sim.action_executed``, which trainers ignore."""
+    signals: Mapping[str, Floats] = field(default_factory=dict)
+    """Further vectors that no trainer reads, float32, shape (n,), by name; the names start with ``sim.``."""
     reward: float = 0.0
     """1 on the last step of a success, else 0."""
 
@@ -72,32 +132,45 @@ class Episode:
     """Id of the robot model; empty: the dataset does not say."""
     joint_names: tuple[str, ...] = ()
     """Arm joints in the order of ``joint_positions``; empty: the dataset does not say."""
+    fps: float = 0.0
+    """Steps per second; 0: the dataset does not say."""
+    vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Name of each vector in `Step.proprio` to the names of its components, e.g. ``tcp.x``."""
+    signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Name of each vector in `Step.signals` to the names of its components."""
+    depth: tuple[str, ...] = ()
+    """Cameras that have depth images."""
+    segmentation: tuple[str, ...] = ()
+    """Cameras that have segmentation images."""
     metadata: Mapping[str, MetaValue] = field(default_factory=dict)
-    """Further metadata of the episode, by name."""
-    read: Callable[[Sequence[str]], Iterator[Step]] = field(repr=False)
-    """Reads the steps with the images of the cameras given; `steps` calls it."""
+    """Further metadata of the episode, by name; `METADATA` lists those that RoboXim writes."""
+    read: Callable[[Wanted], Iterator[Step]] = field(repr=False)
+    """Reads the steps; `steps` calls it."""
 
     def __len__(self) -> int:
         """Count the steps."""
         return self.length
 
-    def steps(self, cameras: Sequence[str] | None = None) -> Iterator[Step]:
+    def steps(
+        self, cameras: Sequence[str] | None = None, *, depth: Sequence[str] = (), segmentation: Sequence[str] = ()
+    ) -> Iterator[Step]:
         """Yield the steps in order.
 
         Args:
             cameras: Cameras whose images to read; None: all.
+            depth: Cameras whose depth images to read.
+            segmentation: Cameras whose segmentation images to read.
 
         Raises:
-            InvalidRequestError: On a camera that the episode does not have.
+            InvalidRequestError: On a camera that the episode does not have, or that has no such images.
             RecorderError: With code ``BAG_DAMAGED`` when it cannot be read, or has more or fewer steps than it says.
         """
-        for name in cameras or ():
-            if name not in self.cameras:
-                raise InvalidRequestError(
-                    f"episode '{self.episode_id}' has no camera '{name}'; {one_of(self.cameras, name)}"
-                )
+        chosen = tuple(self.cameras if cameras is None else cameras)
+        self._require(chosen, self.cameras, "camera")
+        self._require(depth, self.depth, "depth images of camera")
+        self._require(segmentation, self.segmentation, "segmentation images of camera")
         count = 0
-        for step in self.read(tuple(self.cameras if cameras is None else cameras)):
+        for step in self.read(Wanted(cameras=chosen, depth=tuple(depth), segmentation=tuple(segmentation))):
             yield step
             count += 1
         if count != self.length:
@@ -105,11 +178,41 @@ class Episode:
                 f"episode '{self.episode_id}' has {count} steps, expected {self.length}", ErrorCode.BAG_DAMAGED
             )
 
+    def _require(self, names: Sequence[str], have: Iterable[str], what: str) -> None:
+        for name in names:
+            if name not in have:
+                raise InvalidRequestError(f"episode '{self.episode_id}' has no {what} '{name}'; {one_of(have, name)}")
+
     def actions(self) -> Floats:
         """Read all actions, float32, shape (T, D)."""
         return np.stack([step.action for step in self.steps(())])
 
     def proprio(self) -> dict[str, Floats]:
-        """Read all of the proprioception: field to float32, shape (T, size)."""
+        """Read all of the proprioception: name of a vector to float32, shape (T, size)."""
         steps = [step.proprio for step in self.steps(())]
         return {name: np.stack([values[name] for values in steps]) for name in steps[0]}
+
+    def picker(self, names: Sequence[str]) -> Callable[[Step], Floats]:
+        """Return a function that takes components of the proprioception by name, whichever vectors hold them.
+
+        Args:
+            names: Names of components, e.g. `roboxim_core.proprioception.STATE_NAMES`.
+
+        Returns:
+            Function of a step to a float32 vector with the components in this order.
+
+        Raises:
+            ConfigError: On a component that no vector of the episode holds.
+        """
+        at: dict[str, tuple[str, int]] = {}
+        for vector, components in self.vectors.items():
+            for index, component in enumerate(components):
+                at.setdefault(component, (vector, index))
+        for name in names:
+            if name not in at:
+                raise ConfigError(
+                    f"episode '{self.episode_id}' has no proprioception '{name}'; {one_of(at, name)}; an export "
+                    "with other fields has it (--state)"
+                )
+        places = [at[name] for name in names]
+        return lambda step: np.array([step.proprio[vector][index] for vector, index in places], np.float32)

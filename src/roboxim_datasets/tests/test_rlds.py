@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,8 @@ FEATURES = RldsFeatures(
     images={"image": (16, 24)},
     encoding="png",
     metadata={"episode_id": "text", "index": "int64", "success": "bool"},
-    joints=6,
+    vectors={"state": 10, "joint_positions": 6},
+    signals={"action_executed": 7},
 )
 
 
@@ -27,9 +27,12 @@ def make_episode(index: int, steps: int = 5) -> RldsEpisode:
     rng = np.random.default_rng(index)
     return RldsEpisode(
         images={"image": [encode_image(rng.integers(0, 255, (16, 24, 3), np.uint8), "png") for _ in range(steps)]},
-        state=rng.normal(size=(steps, 10)).astype(np.float32),
+        vectors={
+            "state": rng.normal(size=(steps, 10)).astype(np.float32),
+            "joint_positions": rng.normal(size=(steps, 6)).astype(np.float32),
+        },
         action=rng.normal(size=(steps, 7)).astype(np.float32),
-        joint_positions=rng.normal(size=(steps, 6)).astype(np.float32),
+        signals={"action_executed": rng.normal(size=(steps, 7)).astype(np.float32)},
         instruction=f"Pick up cube {index}",
         reward=np.eye(steps, dtype=np.float32)[-1],
         metadata={"episode_id": f"e{index}", "index": -index, "success": index % 2 == 0},
@@ -51,8 +54,12 @@ def test_episodes_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert (reader.count("train"), reader.count("val"), reader.count("test")) == (5, 1, 0)
     for index, episode in enumerate(reader.episodes("train")):
         expected = make_episode(index)
-        for name in ("state", "joint_positions", "action", "reward"):
+        for name in ("action", "reward"):
             np.testing.assert_array_equal(getattr(episode, name), getattr(expected, name))
+        for kind in ("vectors", "signals"):
+            assert getattr(episode, kind).keys() == getattr(expected, kind).keys()
+            for name, values in getattr(expected, kind).items():
+                np.testing.assert_array_equal(getattr(episode, kind)[name], values)
         np.testing.assert_array_equal(episode.frames("image"), expected.frames("image"))
         assert episode.instruction == expected.instruction
         assert episode.metadata == expected.metadata
@@ -98,20 +105,6 @@ def test_existing_data_set_is_refused_unless_overwritten(tmp_path: Path) -> None
     with make_writer(tmp_path, overwrite=True) as writer:
         writer.add("train", make_episode(3))
     assert [e.metadata["episode_id"] for e in RldsReader(tmp_path).episodes("train")] == ["e3"]
-
-
-def test_a_state_of_the_old_layout_is_refused_by_name(tmp_path: Path) -> None:
-    with make_writer(tmp_path) as writer:
-        writer.add("train", make_episode(0))
-    file = next(tmp_path.rglob("features.json"))
-    text = file.read_text()
-    described = json.loads(text)
-    step = described["featuresDict"]["features"]["steps"]["sequence"]["feature"]
-    observation = step["featuresDict"]["features"]["observation"]["featuresDict"]["features"]
-    observation["state"]["tensor"]["shape"]["dimensions"] = ["8"]
-    file.write_text(json.dumps(described))
-    with pytest.raises(RecorderError, match=r"shape \[8\].*expected \[10\].*tcp\.x_axis\.x.*export the bags again"):
-        RldsReader(tmp_path)
 
 
 def test_damage_is_named(tmp_path: Path) -> None:

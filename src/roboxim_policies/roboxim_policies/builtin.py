@@ -101,15 +101,15 @@ class ReplayPolicy(BasePolicy):
 
         Args:
             source: A ``.npz`` or ``.json`` file of actions, a recorded bag (``.mcap`` or its folder: the executed
-                actions), or the folder of an RLDS export (the labels of one episode).
+                actions), or a dataset of any registered format (the labels of one episode).
             actions: The actions themselves, shape (T, 7), instead of a source.
-            episode: Index of the episode in an RLDS export.
+            episode: Number of the episode in a dataset, through all of its splits.
 
         Raises:
             ConfigError: When neither or both are given, or the source contains no actions.
         """
         if (source is None) == (actions is None):
-            raise ConfigError("replay needs either a source (.npz, .json, .mcap, RLDS export) or actions")
+            raise ConfigError("replay needs either a source (.npz, .json, .mcap, dataset) or actions")
         if source is not None:
             self._actions, self.semantics = load_actions(Path(source), episode=episode)
             self.version = f"{Path(source).name}#{episode}"

@@ -1,8 +1,7 @@
-"""Loading of recorded actions for the ``replay`` policy: from ``.npz``, ``.json``, a recorded bag, an RLDS export."""
+"""Loading of recorded actions for the ``replay`` policy: from ``.npz``, ``.json``, a recorded bag, a dataset."""
 
 from __future__ import annotations
 
-import itertools
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
-from roboxim_core.config import from_json
 from roboxim_core.documents import read_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
-from roboxim_datasets.rlds import RldsEpisode, RldsReader
+from roboxim_datasets.episode import Episode
+from roboxim_datasets.formats import open_dataset
 from roboxim_ros.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
@@ -25,11 +24,11 @@ def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, Action
 
     Args:
         source: ``.npz`` (array ``actions``, or the only array), ``.json`` (a list, or an object with ``actions``), a
-            bag (``.mcap`` file, or a folder with one), or the folder of an RLDS export.
-        episode: Index of the episode in an RLDS export.
+            bag (``.mcap`` file, or a folder with one), or a dataset of any registered format.
+        episode: Number of the episode in a dataset, through all of its splits.
 
     Returns:
-        Actions of shape (T, 7), and their semantics (the default if the file does not state them).
+        Actions of shape (T, D), and their semantics (the default if the file does not state them).
 
     Raises:
         ConfigError: When the source is missing, of an unknown kind, or contains no valid actions.
@@ -42,17 +41,20 @@ def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, Action
         if bags:
             actions, semantics = _from_bag(bags[0])
         else:
-            actions, semantics = _from_rlds(source, episode)
+            actions, semantics = _from_dataset(source, episode)
     elif source.suffix == ".mcap":
         actions, semantics = _from_bag(source)
     elif source.suffix == ".npz":
         actions = _from_npz(source)
     elif source.suffix == ".json":
         actions = _from_json(source)
+    elif source.suffix in (".hdf5", ".h5"):
+        actions, semantics = _from_dataset(source, episode)
     else:
-        raise ConfigError(f"{source}: cannot read actions from this; give .npz, .json, .mcap or an RLDS export")
+        raise ConfigError(f"{source}: cannot read actions from this; give .npz, .json, .mcap or a dataset")
     try:
-        return check_chunk(actions), semantics
+        joints = max(np.asarray(actions).shape[-1] - 1, 1)
+        return check_chunk(actions, size=semantics.dimension(joints)), semantics
     except InvalidRequestError as error:
         raise ConfigError(f"{source}: {error}") from None
 
@@ -109,29 +111,23 @@ def _semantics(reader: Any, connection: Any) -> ActionSemantics:
     return ActionSemantics()
 
 
-def _from_rlds(source: Path, episode: int) -> tuple[npt.ArrayLike, ActionSemantics]:
+def _from_dataset(source: Path, episode: int) -> tuple[npt.ArrayLike, ActionSemantics]:
     try:
-        reader = RldsReader(source)
-    except RecorderError as error:
-        raise ConfigError(f"{source} contains neither a bag (.mcap) nor an RLDS export: {error}") from None
-    split = "train" if episode < reader.count("train") else "val"
-    index = episode - (reader.count("train") if split == "val" else 0)
-    if episode < 0 or index >= reader.count(split):
-        raise ConfigError(
-            f"{source}: no episode {episode}; there are {reader.count('train') + reader.count('val')}, "
-            "numbered through 'train', then 'val'"
-        )
-    found = next(itertools.islice(reader.episodes(split), index, None))
-    return found.action, rlds_semantics(found)
+        dataset = open_dataset(source)
+        found = dataset.episode(episode)
+        return found.actions(), require_semantics(found, dataset.path)
+    except ConfigError as error:
+        raise ConfigError(f"{source} has no recorded actions: {error}") from None
+    except (RecorderError, InvalidRequestError) as error:
+        raise ConfigError(str(error)) from None
 
 
-def rlds_semantics(episode: RldsEpisode) -> ActionSemantics:
-    """Return the action semantics of an exported episode.
+def require_semantics(episode: Episode, path: Path) -> ActionSemantics:
+    """Return the action semantics of a dataset's episode.
 
     Raises:
-        ConfigError: When the export does not state them, or states them in another format.
+        ConfigError: When the dataset does not state them.
     """
-    said = episode.metadata.get("action_semantics")
-    if not isinstance(said, str):
-        raise ConfigError("the export does not state its action semantics (episode_metadata/action_semantics)")
-    return from_json(said, ActionSemantics, source="episode_metadata/action_semantics")
+    if episode.semantics is None:
+        raise ConfigError(f"{path}: the dataset does not state its action semantics; RoboXim's exports do")
+    return episode.semantics

@@ -62,12 +62,14 @@ def replayed(policy) -> np.ndarray:
 
 
 def write_rlds(folder, semantics=ActionSemantics()):  # noqa: B008 - frozen
-    features = RldsFeatures(images={"image": (16, 16)}, encoding="png", metadata={"action_semantics": "text"})
+    metadata = {"action_semantics": "text"}
+    features = RldsFeatures(images={"image": (16, 16)}, encoding="png", metadata=metadata, vectors={"state": 10})
     frames = [encode_image(np.zeros((16, 16, 3), np.uint8), "png")] * len(ACTIONS)
     with RldsWriter(folder, features, name="cubes", version="1.0.0", description="") as writer:
         for split, sign in (("train", -1), ("val", 1)):
             episode = RldsEpisode(
-                images={"image": frames}, state=np.zeros((len(ACTIONS), 10), np.float32), action=sign * ACTIONS,
+                images={"image": frames}, vectors={"state": np.zeros((len(ACTIONS), 10), np.float32)},
+                action=sign * ACTIONS,
                 instruction="Pick up the red cube", reward=np.zeros(len(ACTIONS), np.float32),
                 metadata={"action_semantics": to_json(semantics)},
             )  # fmt: skip

@@ -54,7 +54,7 @@ def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
             tcp = robot.pose_tcp_measured.matrix
             expected = np.float32([*tcp[:3, 3], *tcp[:3, 0], *tcp[:3, 1], 1.0])
             np.testing.assert_allclose(exported.state[step], expected, atol=1e-7)
-            np.testing.assert_array_equal(exported.joint_positions[step], np.float32(robot.joint_positions))
+            np.testing.assert_array_equal(exported.vectors["joint_positions"][step], np.float32(robot.joint_positions))
         layout = json.loads(exported.metadata["state_layout"])
         assert layout[:4] == ["tcp.x", "tcp.y", "tcp.z", "tcp.x_axis.x"]
         assert (len(layout), layout[-1]) == (10, "gripper.opening")
@@ -88,7 +88,7 @@ def test_two_exports_are_the_same_bytes(run, tmp_path):
 
 
 def test_an_interrupted_export_is_not_taken_for_whole_and_goes_on(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("roboxim_recorder.export.rlds.RldsWriter", small_shards())
+    monkeypatch.setattr("roboxim_datasets.rlds.dataset.RldsWriter", small_shards())
 
     def interrupt(done, total):
         if done == 2:

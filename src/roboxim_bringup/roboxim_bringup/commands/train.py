@@ -29,7 +29,7 @@ def command() -> None:
 def behaviour_cloning(
     dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, limit: int
 ) -> None:
-    r"""Train a small behaviour-cloning network on an RLDS export, on CPU.
+    r"""Train a small behaviour-cloning network on a dataset of any format, on CPU.
 
     \b
     roboxim train bc runs/demos-rlds --out runs/bc --steps 2000

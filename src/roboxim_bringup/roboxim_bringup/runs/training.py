@@ -53,12 +53,12 @@ def train_bc(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> TrainingResult:
-    """Train a small behaviour-cloning network on an RLDS export, on CPU.
+    """Train a small behaviour-cloning network on a dataset, on CPU.
 
     Ctrl-C or a cancellation saves a checkpoint. The same call continues from it and ends with the same weights.
 
     Args:
-        dataset: The export's folder.
+        dataset: A dataset of any registered format.
         out: Folder of the checkpoint.
         config: Configuration of network and training; none: the defaults.
         limit: Largest number of episodes to use; 0: all.
@@ -74,7 +74,7 @@ def train_bc(
     checked_path(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
-    from roboxim_policies.bc.data import load_rlds  # importing JAX takes a second
+    from roboxim_policies.bc.data import load_demonstrations  # importing JAX takes a second
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
     started = time.monotonic()
@@ -89,7 +89,7 @@ def train_bc(
         _check(cancellation)
 
     on_event(StageStarted(title="reading demonstrations", total=1))
-    data = load_rlds(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+    data = load_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
     on_event(StageFinished())
     make_folder(folder)
     trainer = Trainer(data, settings, Path(out))

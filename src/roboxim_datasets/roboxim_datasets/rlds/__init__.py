@@ -4,8 +4,17 @@ A dataset is a folder ``<data_dir>/<name>/<version>`` with one Example per episo
 ``features.json`` and ``dataset_info.json``.
 """
 
+from roboxim_datasets.rlds.dataset import RldsFormat, RldsOptions
 from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures
-from roboxim_datasets.rlds.reader import RldsReader
+from roboxim_datasets.rlds.reader import RldsDataset, RldsReader
 from roboxim_datasets.rlds.writer import RldsWriter
 
-__all__ = ["RldsEpisode", "RldsFeatures", "RldsReader", "RldsWriter"]
+__all__ = [
+    "RldsDataset",
+    "RldsEpisode",
+    "RldsFeatures",
+    "RldsFormat",
+    "RldsOptions",
+    "RldsReader",
+    "RldsWriter",
+]

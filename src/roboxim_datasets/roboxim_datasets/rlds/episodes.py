@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,38 +13,17 @@ import numpy as np
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json, to_json
 from roboxim_core.documents import parse_json
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.images import encode_image
-from roboxim_core.proprioception import STATE_FIELDS, STATE_NAMES, ProprioField
-from roboxim_datasets.episode import Episode, Floats, ImageSize, MetaValue, Step
-from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures
+from roboxim_core.proprioception import ProprioField, component_names
+from roboxim_datasets.episode import EXECUTED, OWN_FIELDS, SIGNAL_PREFIX, Episode, ImageSize, MetaValue, Step, Wanted
+from roboxim_datasets.rlds.format import Array, RldsEpisode, RldsFeatures
 
-METADATA = {
-    "episode_id": "text",
-    "file_path": "text",
-    "run_seed": "int64",
-    "index": "int64",
-    "attempt": "int64",
-    "skill": "text",
-    "success": "bool",
-    "actor": "text",
-    "robot": "text",
-    "action_semantics": "text",
-    "cameras": "text",
-    "state_layout": "text",
-    "joint_names": "text",
-    "task": "text",
-}
-"""Metadata that `to_rlds` writes, key to type."""
-_OF_EPISODE = {"episode_id", "success", "robot", "action_semantics", "cameras", "state_layout", "joint_names"}
-"""Metadata that an `Episode` has as separate fields."""
 USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
 """Default camera to image key; other cameras keep their names."""
 
 
-def to_rlds(
-    episode: Episode, keys: Mapping[str, str], features: RldsFeatures, pool: Executor, *, resize: bool
-) -> RldsEpisode:
+def to_rlds(episode: Episode, keys: Mapping[str, str], features: RldsFeatures, pool: Executor) -> RldsEpisode:
     """Turn an episode into one of an RLDS dataset.
 
     Args:
@@ -51,34 +31,42 @@ def to_rlds(
         keys: Camera to image key.
         features: Features of the dataset's episodes.
         pool: Threads that encode images.
-        resize: Whether images are resized to the features' sizes.
     """
     images: dict[str, list[Future[bytes]]] = {key: [] for key in keys.values()}
     steps = []
     for step in episode.steps(list(keys)):
         steps.append(step)
         for camera, key in keys.items():
-            size = features.images[key] if resize else None
-            images[key].append(pool.submit(encode_image, step.images[camera], features.encoding, size))
-    joints = [step.proprio[ProprioField.JOINT_POSITIONS] for step in steps]
+            images[key].append(pool.submit(encode_image, step.images[camera], features.encoding))
     own: dict[str, MetaValue] = {
         "episode_id": episode.episode_id,
         "success": episode.success,
         "robot": episode.robot,
         "action_semantics": to_json(episode.semantics) if episode.semantics else "",
         "cameras": json.dumps({key: camera for camera, key in keys.items()}, sort_keys=True),
-        "state_layout": json.dumps(STATE_NAMES),
+        "state_layout": json.dumps(episode.vectors.get("state", ())),
         "joint_names": json.dumps(episode.joint_names),
+        "vectors": json.dumps({**episode.vectors, **episode.signals}),
     }
     return RldsEpisode(
         images={key: [future.result() for future in futures] for key, futures in images.items()},
-        state=np.stack([np.concatenate([step.proprio[field] for field in STATE_FIELDS]) for step in steps]),
-        joint_positions=np.stack(joints),
+        vectors={name: np.stack([step.proprio[name] for step in steps]) for name in features.vectors},
+        signals={name: np.stack([_signal(step, name) for step in steps]) for name in features.signals},
         action=np.stack([step.action for step in steps]),
         instruction=episode.instruction,
         reward=np.array([step.reward for step in steps], np.float32),
-        metadata={**episode.metadata, **own},
+        metadata={key: value for key, value in {**episode.metadata, **own}.items() if key in features.metadata},
     )
+
+
+def _signal(step: Step, name: str) -> Array:
+    """Return a signal of a step by its name without the prefix.
+
+    A step that states no executed action executed its label.
+    """
+    if SIGNAL_PREFIX + name != EXECUTED:
+        return step.signals[SIGNAL_PREFIX + name]
+    return step.action if step.action_executed is None else step.action_executed
 
 
 def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
@@ -89,32 +77,96 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
     """
     metadata = episode.metadata
     keys = camera_keys(episode)
-    joint_names = tuple(_parsed(metadata, "joint_names", []))
-    named = tuple(_parsed(metadata, "state_layout", [])) == STATE_NAMES
+    names = component_names_of(episode, features)
+    executed = EXECUTED.removeprefix(SIGNAL_PREFIX)
+    others = [name for name in episode.signals if name != executed]
 
-    def read(cameras: Sequence[str]) -> Iterator[Step]:
+    def read(wanted: Wanted) -> Iterator[Step]:
         for index in range(len(episode)):
             yield Step(
                 index=index,
-                images={camera: episode.frame(keys[camera], index) for camera in cameras},
-                proprio=_proprio(episode, index, named=named),
+                images={camera: episode.frame(keys[camera], index) for camera in wanted.cameras},
+                proprio={name: values[index] for name, values in episode.vectors.items()},
                 action=episode.action[index],
+                action_executed=episode.signals[executed][index] if executed in episode.signals else None,
+                signals={SIGNAL_PREFIX + name: episode.signals[name][index] for name in others},
                 reward=float(episode.reward[index]),
             )
 
-    said = metadata.get("action_semantics")
+    semantics = semantics_of(episode)
     sizes = {camera: features.images[key] for camera, key in keys.items()}
     return Episode(
         episode_id=str(metadata.get("episode_id", "")),
         length=len(episode),
         instruction=episode.instruction,
-        semantics=from_json(str(said), ActionSemantics, source="episode_metadata/action_semantics") if said else None,
+        semantics=semantics,
         cameras={camera: ImageSize(height=height, width=width) for camera, (height, width) in sizes.items()},
         success=bool(metadata.get("success", episode.reward[-1] > 0)),
         robot=str(metadata.get("robot", "")),
-        joint_names=joint_names,
-        metadata={key: value for key, value in metadata.items() if key not in _OF_EPISODE},
+        joint_names=tuple(_parsed(metadata, "joint_names", [])),
+        fps=semantics.rate_hz if semantics else 0.0,
+        vectors=names.vectors,
+        signals={name: value for name, value in names.signals.items() if name != EXECUTED},
+        metadata={key: value for key, value in metadata.items() if key not in OWN_FIELDS},
         read=read,
+    )
+
+
+def semantics_of(episode: RldsEpisode) -> ActionSemantics | None:
+    """Return the action semantics that an episode states; None: it states none.
+
+    Raises:
+        ConfigError: When it states them in another format.
+    """
+    said = episode.metadata.get("action_semantics")
+    return from_json(str(said), ActionSemantics, source="episode_metadata/action_semantics") if said else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentNames:
+    """Names of the components of everything in a dataset's steps."""
+
+    action: tuple[str, ...]
+    """Of the action."""
+    vectors: dict[str, tuple[str, ...]]
+    """Of each observed vector."""
+    signals: dict[str, tuple[str, ...]]
+    """Of each signal, by its name with the prefix ``sim.``."""
+
+
+def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> ComponentNames:
+    """Return the names of components, as an episode states them; else numbered, e.g. ``state.0``.
+
+    Raises:
+        ConfigError: When the metadata that state them are not readable.
+    """
+    metadata = episode.metadata
+    joints = tuple(_parsed(metadata, "joint_names", []))
+    said = {"state": _parsed(metadata, "state_layout", []), **_parsed(metadata, "vectors", {})}
+    if "joint_positions" in features.vectors:
+        said.setdefault("joint_positions", component_names((ProprioField.JOINT_POSITIONS,), joints))
+
+    def named(name: str, size: int, key: str) -> tuple[str, ...]:
+        names = tuple(map(str, said.get(key, ())))
+        return names if len(names) == size else tuple(f"{name}.{index}" for index in range(size))
+
+    semantics = semantics_of(episode)
+    action: tuple[str, ...] = ()
+    if semantics is not None:
+        try:
+            action = semantics.component_names(joints)
+        except InvalidRequestError as error:
+            raise ConfigError(f"the meaning of the actions cannot be read: {error}") from None
+    if len(action) != features.action_size:
+        action = tuple(f"action.{index}" for index in range(features.action_size))
+    signals = {name: SIGNAL_PREFIX + name for name in features.signals}
+    return ComponentNames(
+        action=action,
+        vectors={name: named(name, size, name) for name, size in features.vectors.items()},
+        signals={
+            key: action if key == EXECUTED else named(name, features.signals[name], key)
+            for name, key in signals.items()
+        },
     )
 
 
@@ -134,21 +186,3 @@ def _parsed(metadata: Mapping[str, MetaValue], key: str, default: list[str] | di
     if type(value) is not type(default):
         raise ConfigError(f"episode_metadata/{key} is a {type(value).__name__}, expected a {type(default).__name__}")
     return value
-
-
-_SIZES = {ProprioField.TCP_POSITION: 3, ProprioField.TCP_ROTATION_6D: 6, ProprioField.GRIPPER_OPENING: 1}
-
-
-def _proprio(episode: RldsEpisode, index: int, *, named: bool) -> dict[str, Floats]:
-    """Return a step's proprioception by field; without a state layout in the dataset the one field is ``state``."""
-    state, found = episode.state[index], {}
-    if named:
-        at = 0
-        for field in STATE_FIELDS:
-            found[str(field)] = state[at : at + _SIZES[field]]
-            at += _SIZES[field]
-    else:
-        found["state"] = state
-    if episode.joint_positions.size:
-        found[str(ProprioField.JOINT_POSITIONS)] = episode.joint_positions[index]
-    return found

@@ -5,7 +5,7 @@ Step k holds observation k and the action that leads from it to observation k + 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,19 +14,18 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.images import ENCODINGS, decode_image
-from roboxim_core.proprioception import STATE_NAMES, STATE_SIZE
+from roboxim_datasets.episode import MetaValue
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
-MetaValue = str | int | float | bool
-ACTION_SIZE = 7
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
+META_NAMES: dict[type, str] = {kind: name for name, kind in META_TYPES.items()}
 _CLASS = "tensorflow_datasets.core.features."
 
 
 @dataclass(frozen=True, kw_only=True)
 class RldsFeatures:
-    """Features of a dataset's episodes."""
+    """Features of a dataset's episodes. The defaults of the paths are those that RoboXim writes."""
 
     images: dict[str, tuple[int, int]]
     """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]."""
@@ -34,45 +33,66 @@ class RldsFeatures:
     """``jpeg`` or ``png``."""
     metadata: dict[str, str] = field(default_factory=dict)
     """Key of the episode's metadata to ``text``, ``int64``, ``bool`` or ``float32``."""
-    joints: int = 0
-    """Arm joints, whose positions are in ``observation/joint_positions``; 0: there is no such feature."""
+    vectors: dict[str, int] = field(default_factory=dict)
+    """Observed vector, e.g. ``state``, to its size; the feature is ``observation/<name>``."""
+    signals: dict[str, int] = field(default_factory=dict)
+    """Vector beside the trained ones to its size; the feature is ``sim/<name>``, which loaders ignore."""
+    action: dict[str, int] = field(default_factory=lambda: {"steps/action": 7})
+    """Path of the action to its size; several paths are concatenated."""
+    instruction: str = "steps/language_instruction"
+    """Path of the instruction; empty: there is none."""
+    reward: str = "steps/reward"
+    """Path of the reward; empty: there is none."""
 
     def __post_init__(self) -> None:
         """Check the names.
 
         Raises:
-            InvalidRequestError: On an unknown encoding or metadata type.
+            InvalidRequestError: On an unknown encoding or metadata type, or a name that is given twice.
         """
         if self.encoding not in ENCODINGS:
             raise InvalidRequestError(f"unknown image encoding '{self.encoding}'; {one_of(ENCODINGS, self.encoding)}")
         for key, kind in self.metadata.items():
             if kind not in META_TYPES:
                 raise InvalidRequestError(f"metadata '{key}': unknown type '{kind}'; {one_of(META_TYPES, kind)}")
+        if twice := sorted(self.images.keys() & self.vectors.keys()):
+            raise InvalidRequestError(
+                f"image keys that are names of vectors too: {', '.join(twice)}; rename the cameras"
+            )
+
+    @property
+    def action_size(self) -> int:
+        """Number of components of the action."""
+        return sum(self.action.values())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RldsEpisode:
-    """One episode of T steps."""
+    """One episode of T steps, images encoded."""
 
     images: Mapping[str, list[bytes]]
     """Image key to T encoded images; `frame` and `frames` decode."""
-    state: Array
-    """float32, shape (T, 10): measured TCP in the base frame, position [m] (3) and rotation as the first two columns
-    of its matrix (6), gripper opening (1); `roboxim_core.proprioception.STATE_NAMES` names the numbers."""
+    vectors: Mapping[str, Array]
+    """Observed vector to float32, shape (T, size)."""
     action: Array
-    """float32, shape (T, 7); its meaning is in the metadata's ``action_semantics``."""
+    """float32, shape (T, D); its meaning is in the metadata's ``action_semantics``."""
     instruction: str
     """Natural language instruction."""
     reward: Array
     """float32, shape (T,)."""
+    signals: Mapping[str, Array] = field(default_factory=dict)
+    """Vector beside the trained ones to float32, shape (T, size)."""
     metadata: Mapping[str, MetaValue] = field(default_factory=dict)
     """The episode's metadata."""
-    joint_positions: Array = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """float32, shape (T, joints): measured arm joint positions [rad]; empty: not recorded."""
 
     def __len__(self) -> int:
         """Count the steps."""
         return len(self.action)
+
+    @property
+    def state(self) -> Array:
+        """The vector ``state``: float32, shape (T, size)."""
+        return self.vectors["state"]
 
     def frame(self, key: str, step: int) -> npt.NDArray[np.uint8]:
         """Decode one image, uint8, shape (height, width, 3).
@@ -97,20 +117,10 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         InvalidRequestError: If the episode does not match the features or holds a number that is not finite.
     """
     count = len(episode)
-    shapes: dict[str, tuple[int, ...]] = {
-        "state": (count, STATE_SIZE),
-        "action": (count, ACTION_SIZE),
-        "reward": (count,),
-    }
-    if features.joints:
-        shapes["joint_positions"] = (count, features.joints)
-    for name, shape in shapes.items():
-        array = getattr(episode, name)
-        if count == 0 or array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
-            raise InvalidRequestError(
-                f"an episode's {name} must be finite float32 of shape {shape} with at least one step, "
-                f"got {array.dtype} of shape {array.shape}"
-            )
+    _require_vectors("action", {"action": episode.action}, {"action": features.action_size}, count)
+    _require_vectors("reward", {"reward": episode.reward[:, None]}, {"reward": 1}, count)
+    _require_vectors("observation", episode.vectors, features.vectors, count)
+    _require_vectors("signal", episode.signals, features.signals, count)
     if set(episode.images) != set(features.images) or any(len(v) != count for v in episode.images.values()):
         raise InvalidRequestError(
             f"an episode needs {count} images each of {sorted(features.images)}, "
@@ -119,7 +129,6 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
     flags = np.zeros((2, count), np.int64)
     flags[0, 0] = flags[1, -1] = 1
     example: dict[str, Feature] = {
-        "steps/observation/state": episode.state,
         "steps/action": episode.action,
         "steps/reward": episode.reward,
         "steps/discount": np.ones(count, np.float32),
@@ -128,13 +137,28 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         "steps/is_terminal": flags[1],
         "steps/language_instruction": [episode.instruction.encode()] * count,
     }
-    if features.joints:
-        example["steps/observation/joint_positions"] = episode.joint_positions
+    for name, values in episode.vectors.items():
+        example[f"steps/observation/{name}"] = values
+    for name, values in episode.signals.items():
+        example[f"steps/sim/{name}"] = values
     for key, images in episode.images.items():
         example[f"steps/observation/{key}"] = images
     for key, kind in features.metadata.items():
         example[f"episode_metadata/{key}"] = _encode_meta(key, kind, episode.metadata.get(key))
     return encode_example(example)
+
+
+def _require_vectors(kind: str, found: Mapping[str, Array], sizes: Mapping[str, int], count: int) -> None:
+    """Refuse vectors that are not exactly those of the features, finite and one per step."""
+    if found.keys() != sizes.keys():
+        raise InvalidRequestError(f"an episode needs the {kind} vectors {sorted(sizes)}, got {sorted(found)}")
+    for name, size in sizes.items():
+        array = found[name]
+        if count == 0 or array.shape != (count, size) or array.dtype != np.float32 or not np.isfinite(array).all():
+            raise InvalidRequestError(
+                f"an episode's {name} must be finite float32 of shape {(count, size)} with at least one step, "
+                f"got {array.dtype} of shape {array.shape}"
+            )
 
 
 def _encode_meta(key: str, kind: str, value: MetaValue | None) -> Feature:
@@ -160,8 +184,17 @@ def _text(description: str) -> dict[str, Any]:
     return {"pythonClassName": _CLASS + "text_feature.Text", "text": {}, "description": description}
 
 
-def features_to_json(features: RldsFeatures) -> dict[str, Any]:
-    """Return the content of ``features.json``."""
+def features_to_json(features: RldsFeatures, names: Mapping[str, tuple[str, ...]] | None = None) -> dict[str, Any]:
+    """Return the content of ``features.json``.
+
+    Args:
+        features: The features.
+        names: Observed vector or signal to the names of its components, for the descriptions.
+    """
+
+    def vector(name: str, size: int) -> dict[str, Any]:
+        return _tensor("float32", (size,), ", ".join((names or {}).get(name, ())))
+
     observation: dict[str, Any] = {
         key: {
             "pythonClassName": _CLASS + "image_feature.Image",
@@ -173,16 +206,10 @@ def features_to_json(features: RldsFeatures) -> dict[str, Any]:
         }
         for key, (height, width) in features.images.items()
     }
-    observation["state"] = _tensor(
-        "float32",
-        (STATE_SIZE,),
-        f"measured proprioception: {', '.join(STATE_NAMES)}",
-    )
-    if features.joints:
-        observation["joint_positions"] = _tensor("float32", (features.joints,), "measured arm joint positions [rad]")
+    observation |= {name: vector(name, size) for name, size in features.vectors.items()}
     steps = {
         "observation": _group(observation),
-        "action": _tensor("float32", (ACTION_SIZE,), "see episode_metadata/action_semantics"),
+        "action": _tensor("float32", (features.action_size,), "see episode_metadata/action_semantics"),
         "language_instruction": _text("natural language instruction"),
         "reward": _tensor("float32", (), "1 on the last step of a success, else 0"),
         "discount": _tensor("float32", (), "always 1"),
@@ -190,6 +217,8 @@ def features_to_json(features: RldsFeatures) -> dict[str, Any]:
         "is_last": _tensor("bool", (), "last step"),
         "is_terminal": _tensor("bool", (), "last step"),
     }
+    if features.signals:
+        steps["sim"] = _group({name: vector(name, size) for name, size in features.signals.items()})
     metadata = {
         key: _text("") if kind == "text" else _tensor(kind, (), "") for key, kind in sorted(features.metadata.items())
     }
@@ -201,51 +230,131 @@ def features_to_json(features: RldsFeatures) -> dict[str, Any]:
 
 
 def features_from_json(data: dict[str, Any]) -> RldsFeatures:
-    """Read the content of ``features.json``."""
-    top = data["featuresDict"]["features"]
-    observation = top["steps"]["sequence"]["feature"]["featuresDict"]["features"]["observation"]
-    images, encoding = {}, "jpeg"
-    for key, value in observation["featuresDict"]["features"].items():
-        if "image" in value:
-            height, width, _ = (int(size) for size in value["image"]["shape"]["dimensions"])
-            images[key], encoding = (height, width), value["image"]["encodingFormat"]
-    _require_state(observation["featuresDict"]["features"]["state"])
-    joints = observation["featuresDict"]["features"].get("joint_positions")
-    metadata = top["episode_metadata"]["featuresDict"]["features"]
-    kinds = {key: "text" if "text" in value else value["tensor"]["dtype"] for key, value in metadata.items()}
-    count = int(joints["tensor"]["shape"]["dimensions"][0]) if joints else 0
-    return RldsFeatures(images=images, encoding=encoding, metadata=kinds, joints=count)
+    """Read the content of ``features.json``, RoboXim's or another's.
+
+    Observations that are neither colour images nor vectors of numbers are left out.
+
+    Raises:
+        InvalidRequestError: When the steps have no action.
+    """
+    leaves = dict(_leaves(data, ""))
+    images: dict[str, tuple[int, int]] = {}
+    vectors: dict[str, int] = {}
+    signals: dict[str, int] = {}
+    encoding = ""
+    for path, leaf in leaves.items():
+        name = path.removeprefix("steps/observation/").removeprefix("steps/sim/")
+        size = _vector_size(leaf)
+        if path.startswith("steps/observation/") and _is_colour(leaf):
+            height, width, _ = (int(n) for n in leaf["image"]["shape"]["dimensions"])
+            images[name] = (height, width)
+            encoding = encoding or leaf["image"].get("encodingFormat") or "png"
+        elif path.startswith("steps/observation/") and size and "embedding" not in name:
+            vectors[name] = size
+        elif path.startswith("steps/sim/") and size:
+            signals[name] = size
+    action = {p: s for p, leaf in leaves.items() if (p + "/").startswith("steps/action/") and (s := _vector_size(leaf))}
+    if not action:
+        raise InvalidRequestError(f"the steps have no action of numbers; features: {', '.join(sorted(leaves))}")
+    metadata = {
+        p.removeprefix("episode_metadata/"): _meta_kind(leaf) for p, leaf in leaves.items() if "episode_metadata/" in p
+    }
+    return RldsFeatures(
+        images=images,
+        encoding=encoding or "jpeg",
+        metadata={key: kind for key, kind in metadata.items() if kind},
+        vectors=vectors,
+        signals=signals,
+        action=action,
+        instruction=_instruction(leaves),
+        reward="steps/reward" if _vector_size(leaves.get("steps/reward", {})) else "",
+    )
 
 
-def _require_state(feature: dict[str, Any]) -> None:
-    """Reject a state of another layout; earlier versions of RoboXim exported 8 numbers with a quaternion."""
-    shape = [int(size) for size in feature["tensor"]["shape"]["dimensions"]]
-    if shape != [STATE_SIZE]:
-        raise RecorderError(
-            f"its observation/state has shape {shape} ('{feature.get('description', '')}'), expected [{STATE_SIZE}] "
-            f"({', '.join(STATE_NAMES)}); it is of another version of RoboXim: export the bags again",
-            ErrorCode.BAG_DAMAGED,
-        )
+def _leaves(feature: dict[str, Any], path: str) -> Iterable[tuple[str, dict[str, Any]]]:
+    """Yield path and description of every feature that holds values."""
+    if "featuresDict" in feature:
+        for name, inner in feature["featuresDict"]["features"].items():
+            yield from _leaves(inner, f"{path}/{name}" if path else name)
+    elif "sequence" in feature and path == "steps":
+        yield from _leaves(feature["sequence"]["feature"], path)
+    else:
+        yield path, feature
+
+
+def _shape(leaf: dict[str, Any], kind: str) -> list[int]:
+    return [int(size) for size in leaf[kind].get("shape", {}).get("dimensions", [])]
+
+
+def _is_colour(leaf: dict[str, Any]) -> bool:
+    if "image" not in leaf or leaf["image"].get("encodingFormat", "png") not in (*ENCODINGS, ""):
+        return False
+    return leaf["image"].get("dtype", "uint8") == "uint8" and _shape(leaf, "image")[2:] == [3]
+
+
+def _vector_size(leaf: dict[str, Any]) -> int:
+    """Return the number of components of a vector or scalar of numbers; 0: it is something else."""
+    if "tensor" not in leaf or not leaf["tensor"]["dtype"].startswith(("float", "int", "uint", "bool")):
+        return 0
+    if leaf["tensor"].get("encoding", "none") not in ("none", "NONE"):
+        return 0
+    shape = _shape(leaf, "tensor")
+    return 1 if not shape else shape[0] if len(shape) == 1 else 0
+
+
+def _is_text(leaf: dict[str, Any]) -> bool:
+    return "text" in leaf or ("tensor" in leaf and leaf["tensor"]["dtype"] == "string" and not _shape(leaf, "tensor"))
+
+
+def _meta_kind(leaf: dict[str, Any]) -> str:
+    if _is_text(leaf):
+        return "text"
+    if "tensor" not in leaf or _shape(leaf, "tensor"):
+        return ""
+    dtype = str(leaf["tensor"]["dtype"])
+    return "bool" if dtype == "bool" else "float32" if dtype.startswith("float") else "int64"
+
+
+def _instruction(leaves: Mapping[str, dict[str, Any]]) -> str:
+    texts = [path for path, leaf in leaves.items() if path.startswith("steps/") and _is_text(leaf)]
+    usual = ("steps/language_instruction", "steps/observation/natural_language_instruction")
+    named = [*(path for path in usual if path in texts), *(path for path in texts if "instruction" in path)]
+    return named[0] if named else ""
 
 
 def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
-    """Turn a record of a dataset into an episode, images still encoded."""
-    example: dict[str, Any] = decode_example(payload)
-    metadata = {
-        key: example[f"episode_metadata/{key}"][0].decode() if kind == "text" else META_TYPES[kind](value[0])
-        for key, kind in features.metadata.items()
-        if len(value := example[f"episode_metadata/{key}"])
-    }
+    """Turn a record of a dataset into an episode, images still encoded.
+
+    Raises:
+        ValueError: When the record does not hold what the features say.
+    """
+    wanted = [
+        *features.action, features.instruction, features.reward,
+        *(f"episode_metadata/{key}" for key in features.metadata),
+        *(f"steps/observation/{name}" for name in (*features.images, *features.vectors)),
+        *(f"steps/sim/{name}" for name in features.signals),
+    ]  # fmt: skip
+    example: dict[str, Any] = decode_example(payload, wanted)
+
+    def numbers(path: str, size: int) -> Array:
+        if path not in example:
+            raise ValueError(f"a record lacks '{path}'")
+        return np.asarray(example[path], np.float32).reshape(-1, size)
+
+    metadata: dict[str, MetaValue] = {}
+    for key, kind in features.metadata.items():
+        value = example.get(f"episode_metadata/{key}", ())
+        if len(value):
+            metadata[key] = value[0].decode() if kind == "text" else META_TYPES[kind](value[0])
+    action = np.concatenate([numbers(path, size) for path, size in features.action.items()], axis=1)
+    instruction = example.get(features.instruction, ())
+    reward = numbers(features.reward, 1)[:, 0] if features.reward else np.zeros(len(action), np.float32)
     return RldsEpisode(
-        images={key: example[f"steps/observation/{key}"] for key in features.images},
-        state=example["steps/observation/state"].reshape(-1, STATE_SIZE),
-        action=example["steps/action"].reshape(-1, ACTION_SIZE),
-        instruction=example["steps/language_instruction"][0].decode(),
-        reward=example["steps/reward"],
-        joint_positions=(
-            example["steps/observation/joint_positions"].reshape(-1, features.joints)
-            if features.joints
-            else np.zeros((0, 0), np.float32)
-        ),
+        images={key: example.get(f"steps/observation/{key}", []) for key in features.images},
+        vectors={name: numbers(f"steps/observation/{name}", size) for name, size in features.vectors.items()},
+        signals={name: numbers(f"steps/sim/{name}", size) for name, size in features.signals.items()},
+        action=action,
+        instruction=instruction[0].decode() if len(instruction) else "",
+        reward=reward,
         metadata=metadata,
     )

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
-from roboxim_core.proprioception import STATE_NAMES, STATE_SIZE
-from roboxim_datasets.rlds.format import ACTION_SIZE, RldsFeatures
+from roboxim_datasets.dataset import Description
+from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 
 STATISTICS_FILE = "dataset_statistics.json"
-ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
 DEAD = 1e-5
 """A component whose standard deviation is below this [m, rad or opening] counts as dead."""
 
@@ -32,15 +30,17 @@ def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, A
         features: Features of their episodes.
     """
     actions, states = [], []
+    size, state = features.action_size, "steps/observation/state"
     for shard in shards:
         for payload in read_records(shard):
-            example: dict[str, Any] = decode_example(payload, ("steps/action", "steps/observation/state"))
-            actions.append(example["steps/action"].reshape(-1, ACTION_SIZE))
-            states.append(example["steps/observation/state"].reshape(-1, STATE_SIZE))
-    action, state = np.concatenate(actions), np.concatenate(states)
+            example: dict[str, Any] = decode_example(payload, ("steps/action", state))
+            actions.append(example["steps/action"].reshape(-1, size))
+            if state in example:
+                states.append(example[state].reshape(-1, features.vectors["state"]))
+    action = np.concatenate(actions)
     return {
-        "action": {**_summary(action), "mask": [True] * 6 + [False]},
-        "proprio": _summary(state),
+        "action": {**_summary(action), "mask": [True] * (size - 1) + [False]},
+        **({"proprio": _summary(np.concatenate(states))} if states else {}),
         "num_transitions": len(action),
         "num_trajectories": len(actions),
     }
@@ -72,16 +72,16 @@ def action_statistics(path: Path) -> dict[str, list[float]]:
     return statistics
 
 
-def dead_dimensions(statistics: dict[str, list[float]]) -> tuple[str, ...]:
+def dead_dimensions(statistics: dict[str, list[float]], names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the action components that (nearly) never change."""
-    return tuple(name for name, std in zip(ACTION_NAMES, statistics["std"], strict=True) if std < DEAD)
+    return tuple(name for name, std in zip(names, statistics["std"], strict=True) if std < DEAD)
 
 
 def loader_files(
-    name: str, version: str, features: RldsFeatures, semantics: ActionSemantics, statistics: dict[str, Any]
+    name: str, version: str, features: RldsFeatures, description: Description, statistics: dict[str, Any]
 ) -> dict[str, str]:
     """Return the files that help to load a dataset: name to text."""
-    keys = sorted(features.images)
+    keys, described = sorted(features.images), description.features
     wrist = next((key for key in keys if "wrist" in key), None)
     primary = "image" if "image" in keys else next(key for key in keys if key != wrist or len(keys) == 1)
     return {
@@ -90,11 +90,12 @@ def loader_files(
         "README.md": _README.format(
             name=name,
             version=version,
-            semantics=json.dumps(to_plain(semantics), indent=2),
+            semantics=json.dumps(to_plain(description.semantics), indent=2) if description.semantics else "not stated",
             episodes=statistics["num_trajectories"],
             steps=statistics["num_transitions"],
-            state_names=", ".join(f"`{component}`" for component in STATE_NAMES),
-            dead=", ".join(dead_dimensions(statistics["action"])) or "none",
+            state_names=", ".join(f"`{component}`" for component in described.vectors.get("state", ())),
+            dead=", ".join(dead_dimensions(statistics["action"], described.action)) or "none",
+            mask=f"[True] * {features.action_size - 1} + [False]",
             primary=primary,
             wrist=wrist,
         ),
@@ -137,13 +138,16 @@ A step is the observation of a tick and the action that leads to the next one:
 position [m], and its x and y axes, which are the first two columns of its rotation matrix and never jump.
 `joint_positions` are the arm's [rad], in the order of `episode_metadata/joint_names`.
 
+`sim/action_executed` is the executed action, of the same meaning as `action`: it holds the noise that was injected into
+the demonstration and that `action` corrects. Loaders ignore it.
+
 Meaning of the actions (in every episode's `episode_metadata/action_semantics` too):
 
 ```json
 {semantics}
 ```
 
-The gripper is absolute, 1 = open, 0 = closed: do not normalise it (mask `[True] * 6 + [False]`).
+The gripper is absolute, 1 = open, 0 = closed: do not normalise it (mask `{mask}`).
 `dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states.
 
 OpenVLA: `openvla_register.py`, action normalisation `BOUNDS_Q99`. Octo needs only arguments:
@@ -152,7 +156,7 @@ OpenVLA: `openvla_register.py`, action normalisation `BOUNDS_Q99`. Octo needs on
 dataset_kwargs = dict(
     name="{name}", data_dir="...", image_obs_keys={{"primary": "{primary}", "wrist": {wrist!r}}},
     proprio_obs_key="state", language_key="language_instruction",
-    action_normalization_mask=[True] * 6 + [False],
+    action_normalization_mask={mask},
 )
 ```
 """

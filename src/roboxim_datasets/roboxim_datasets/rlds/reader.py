@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_datasets.rlds.format import RldsEpisode, decode_episode, features_from_json
-from roboxim_datasets.rlds.tfrecord import read_records
+from roboxim_datasets.dataset import Dataset, Description, Features
+from roboxim_datasets.episode import Episode, ImageSize
+from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
+from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, decode_episode, features_from_json
+from roboxim_datasets.rlds.tfrecord import read_record, read_records, record_positions
+
+INFO_FILE = "dataset_info.json"
+FEATURES_FILE = "features.json"
+
+
+def find_rlds(path: Path) -> list[Path]:
+    """Return the RLDS datasets that a path is, or that the folder holds up to two levels below."""
+    patterns = (INFO_FILE, f"*/{INFO_FILE}", f"*/*/{INFO_FILE}")
+    files = sorted(file for pattern in patterns for file in path.glob(pattern))
+    hidden = [file for file in files if any(part.startswith(".") for part in file.relative_to(path).parts)]
+    return [file.parent for file in files if file not in hidden]
 
 
 class RldsReader:
-    """Reads datasets that `RldsWriter` writes."""
+    """Reads the records of a dataset, images still encoded; `RldsDataset` reads it as episodes."""
 
     def __init__(self, path: Path | str) -> None:
         """Open a dataset.
@@ -23,28 +38,35 @@ class RldsReader:
         Raises:
             RecorderError: When there is no dataset or its description is damaged.
         """
-        found = sorted(p for p in Path(path).glob("**/dataset_info.json") if ".partial" not in str(p.parent))
+        found = find_rlds(Path(path))
         if len(found) != 1:
-            raise RecorderError(_not_one(Path(path), [file.parent for file in found]))
-        self.path = found[0].parent
+            raise RecorderError(_not_one(Path(path), found))
+        self.path = found[0]
         try:
-            info = read_json_object(found[0])
-            self.features = features_from_json(read_json_object(self.path / "features.json"))
+            info = read_json_object(self.path / INFO_FILE)
+            self.features: RldsFeatures = features_from_json(read_json_object(self.path / FEATURES_FILE))
             self.name: str = info["name"]
             self.version: str = info["version"]
             self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
             """Split to the number of episodes in each of its shards."""
-        except ConfigError as error:
-            raise RecorderError(f"the dataset's description cannot be read: {error}") from None
+            kinds = {str(s.get("fileFormat", info.get("fileFormat", "tfrecord"))) for s in (info, *info["splits"])}
+        except (ConfigError, InvalidRequestError) as error:
+            raise RecorderError(f"{self.path}: the dataset's description cannot be read: {error}") from None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecorderError(f"{self.path} is not a dataset that this reader knows: {error!r}") from None
+        if kinds != {"tfrecord"}:
+            raise RecorderError(f"{self.path}: files of the kind {', '.join(sorted(kinds))}; only tfrecord is read")
 
     def count(self, split: str) -> int:
         """Count the episodes of a split; 0 when there is none of that name."""
         return sum(self.splits.get(split, []))
 
+    def shard(self, split: str, index: int) -> Path:
+        """Return a shard's file."""
+        return self.path / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(self.splits[split]):05d}"
+
     def episodes(self, split: str) -> Iterator[RldsEpisode]:
-        """Yield the episodes of a split in order, images still encoded.
+        """Yield the episodes of a split in order.
 
         Raises:
             InvalidRequestError: When there is no such split.
@@ -52,15 +74,100 @@ class RldsReader:
         """
         if split not in self.splits:
             raise InvalidRequestError(f"{self.path}: no split '{split}'; {one_of(self.splits, split)}")
-        lengths = self.splits[split]
-        for index, length in enumerate(lengths):
-            path = self.path / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(lengths):05d}"
+        for index, length in enumerate(self.splits[split]):
+            path = self.shard(split, index)
             count = 0
             for payload in _records(path):
-                yield decode_episode(payload, self.features)
+                yield self._decoded(payload, path)
                 count += 1
             if count != length:
                 raise RecorderError(f"{path} holds {count} episodes, expected {length}", ErrorCode.BAG_DAMAGED)
+
+    def record(self, split: str, index: int) -> RldsEpisode:
+        """Read one episode of a split.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+        for shard, length in enumerate(self.splits[split]):
+            if index < length:
+                path = self.shard(split, shard)
+                try:
+                    positions = self._positions(path)
+                    if len(positions) != length:
+                        raise RecorderError(
+                            f"{path} holds {len(positions)} episodes, expected {length}", ErrorCode.BAG_DAMAGED
+                        )
+                    return self._decoded(read_record(path, positions[index], index), path)
+                except OSError as error:
+                    raise _unreadable(path, error) from None
+            index -= length
+        raise InvalidRequestError(f"{self.path}: split '{split}' has no such episode; it has {self.count(split)}")
+
+    def _positions(self, path: Path) -> list[int]:
+        if path not in self._known_positions:
+            self._known_positions[path] = record_positions(path)
+        return self._known_positions[path]
+
+    @cached_property
+    def _known_positions(self) -> dict[Path, list[int]]:
+        return {}
+
+    def _decoded(self, payload: bytes, path: Path) -> RldsEpisode:
+        try:
+            return decode_episode(payload, self.features)
+        except (ValueError, UnicodeDecodeError, IndexError) as error:
+            raise RecorderError(f"{path} holds a record that cannot be read: {error}", ErrorCode.BAG_DAMAGED) from None
+
+
+class RldsDataset(Dataset):
+    """An RLDS dataset, written by RoboXim or not, as episodes."""
+
+    format = "rlds"
+
+    def __init__(self, path: Path) -> None:
+        """Open a dataset; see `RldsReader`."""
+        self.reader = RldsReader(path)
+        super().__init__(self.reader.path)
+
+    @property
+    def splits(self) -> Mapping[str, int]:
+        """Split to its number of episodes."""
+        return {split: sum(lengths) for split, lengths in self.reader.splits.items() if sum(lengths)}
+
+    def read(self, split: str, index: int) -> Episode:
+        """Read an episode of a split."""
+        return from_rlds(self.reader.record(split, index), self.reader.features)
+
+    @cached_property
+    def description(self) -> Description:
+        """What the features and the first episode say."""
+        features = self.reader.features
+        split = next(iter(self.splits), None)
+        if split is None:
+            raise RecorderError(f"{self.path} has no episodes")
+        first = self.reader.record(split, 0)
+        episode = from_rlds(first, features)
+        keys = camera_keys(first)
+        names = component_names_of(first, features)
+        return Description(
+            features=Features(
+                cameras={camera: ImageSize(height=h, width=w) for camera, (h, w) in _sizes(keys, features).items()},
+                keys=keys,
+                lossless=features.encoding == "png",
+                action=names.action,
+                vectors=names.vectors,
+                signals=names.signals,
+            ),
+            fps=episode.fps,
+            robot=episode.robot,
+            joint_names=episode.joint_names,
+            semantics=episode.semantics,
+        )
+
+
+def _sizes(keys: Mapping[str, str], features: RldsFeatures) -> dict[str, tuple[int, int]]:
+    return {camera: features.images[key] for camera, key in keys.items()}
 
 
 def _not_one(path: Path, found: list[Path]) -> str:
@@ -79,4 +186,8 @@ def _records(path: Path) -> Iterator[bytes]:
     try:
         yield from read_records(path)
     except OSError as error:
-        raise RecorderError(f"cannot read {path}: {error.strerror or error}", ErrorCode.BAG_DAMAGED) from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: OSError) -> RecorderError:
+    return RecorderError(f"cannot read {path}: {error.strerror or error}", ErrorCode.BAG_DAMAGED)

@@ -56,6 +56,49 @@ def read_records(path: Path) -> Iterator[bytes]:
             index += 1
 
 
+def record_positions(path: Path) -> list[int]:
+    """Return the position of every record of a file [B], from the lengths alone.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when a length is wrong or the file ends within a record.
+    """
+    size = path.stat().st_size
+    found: list[int] = []
+    with path.open("rb") as file:
+        at = 0
+        while at < size:
+            file.seek(at)
+            header = file.read(12)
+            if len(header) < 12 or _masked_crc(header[:8]) != struct.unpack("<I", header[8:])[0]:
+                raise _damaged(path, len(found))
+            found.append(at)
+            at += 16 + int(struct.unpack("<Q", header[:8])[0])
+    if at != size:
+        raise _damaged(path, len(found) - 1)
+    return found
+
+
+def read_record(path: Path, position: int, index: int) -> bytes:
+    """Return the payload of one record.
+
+    Args:
+        path: The file.
+        position: Position of the record [B].
+        index: Its number, for the message.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when the file ends within the record or its checksum is wrong.
+    """
+    with path.open("rb") as file:
+        file.seek(position)
+        header = file.read(12)
+        payload = file.read(struct.unpack("<Q", header[:8])[0]) if len(header) == 12 else b""
+        crc = file.read(4)
+    if len(crc) < 4 or _masked_crc(payload) != struct.unpack("<I", crc)[0]:
+        raise _damaged(path, index)
+    return payload
+
+
 def _damaged(path: Path, index: int) -> RecorderError:
     return RecorderError(f"{path}: record {index} is damaged; export the dataset again", ErrorCode.BAG_DAMAGED)
 

@@ -35,6 +35,7 @@ class RldsWriter:
         name: str,
         version: str,
         description: str,
+        names: Mapping[str, tuple[str, ...]] | None = None,
         identity: str = "",
         overwrite: bool = False,
         shard_bytes: int = 128 << 20,
@@ -47,6 +48,7 @@ class RldsWriter:
             name: Name of the dataset, lower case with underscores.
             version: ``major.minor.patch``.
             description: For ``dataset_info.json``.
+            names: Observed vector or signal to the names of its components, for ``features.json``.
             identity: Distinguishes this build from others; empty: never resumed.
             overwrite: Whether an existing dataset of this name and version is replaced at the end.
             shard_bytes: Size at which a shard is finished [B].
@@ -66,6 +68,7 @@ class RldsWriter:
                 ErrorCode.EXPORT_REFUSED,
             )
         self.features, self.name, self.version, self.description = features, name, version, description
+        self._names = dict(names or {})
         self._shard_bytes = shard_bytes
         self._partial = self.path.with_name(f".partial-{version}")
         self._journal: dict[str, Any] = {"identity": identity, "shards": {}}
@@ -123,11 +126,11 @@ class RldsWriter:
         """Return the finished shards of a split."""
         return [self._partial / shard["file"] for shard in self._journal["shards"].get(split, [])]
 
-    def complete(self, files: Mapping[str, str] | None = None) -> Path:
+    def complete(self, files: Mapping[str, str | bytes] | None = None) -> Path:
         """Finish the dataset and move it to its final place.
 
         Args:
-            files: Further text files by name, e.g. a README.
+            files: Further files by name, e.g. a README.
 
         Returns:
             The dataset's folder.
@@ -152,15 +155,15 @@ class RldsWriter:
             "description": self.description,
             "fileFormat": "tfrecord",
             "name": self.name,
-            "releaseNotes": {self.version: "Exported from RoboXim bags."},
+            "releaseNotes": {self.version: "Exported by RoboXim."},
             "splits": splits,
             "version": self.version,
         }
-        written = {"features.json": features_to_json(self.features), "dataset_info.json": info}
+        written = {"features.json": features_to_json(self.features, self._names), "dataset_info.json": info}
         for name, data in written.items():
             (self._partial / name).write_text(json.dumps(data, indent=2) + "\n")
         for name, text in (files or {}).items():
-            (self._partial / name).write_text(text)
+            (self._partial / name).write_bytes(text.encode() if isinstance(text, str) else text)
         (self._partial / "journal.json").unlink()
         if self.path.exists():
             shutil.rmtree(self.path)

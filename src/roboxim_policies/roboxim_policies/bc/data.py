@@ -5,6 +5,7 @@ Images stay uint8; everything else is small. All arrays contain the steps of all
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +13,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics
-from roboxim_core.documents import parse_json
+from roboxim_core.actions import ACTION_SIZE, ActionSemantics
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.images import resized
-from roboxim_datasets.rlds import RldsEpisode, RldsReader
-from roboxim_policies.recorded_actions import rlds_semantics
+from roboxim_core.proprioception import STATE_NAMES
+from roboxim_datasets.episode import Episode
+from roboxim_datasets.formats import open_dataset
+from roboxim_policies.recorded_actions import require_semantics
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 Images = npt.NDArray[np.uint8]
 
-IMAGE_KEYS = {"image": "workspace", "wrist_image": "wrist"}
-"""Image key of an export to camera name, for exports that do not name the camera."""
 PROPRIO_SIZE = 6
 """Number of proprioception features that the network receives, see `proprio_features`."""
 TARGET_SIZE = 5
@@ -168,7 +168,7 @@ def _targets(features: Floats, actions: Floats) -> Floats:
     return np.concatenate([position, features[following, 4:6]], axis=1).astype(np.float32)
 
 
-def load_rlds(
+def load_demonstrations(
     path: Path,
     *,
     image_sizes: Mapping[str, int] | None = None,
@@ -176,65 +176,62 @@ def load_rlds(
     limit: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Demonstrations:
-    """Read an RLDS export.
+    """Read a dataset of any registered format.
 
     Args:
-        path: Folder of the export.
+        path: The dataset.
         image_sizes: Camera name to the side of the network's input [px]; None: `default_sizes`.
         split: ``train`` or ``val``.
         limit: Largest number of episodes to read; 0: all.
         progress: Called with (episodes read, total episodes).
 
     Raises:
-        ConfigError: When a camera is not in the export, or episodes differ in their action semantics or their robot.
-        RecorderError: When the export is missing or damaged.
+        ConfigError: When there is no dataset, a camera or a component of the state is not in it, or episodes differ in
+            their action semantics or their robot.
+        InvalidRequestError: When there is no such split.
+        RecorderError: When the dataset is damaged.
     """
-    reader = RldsReader(path)
-    total = min(reader.count(split), limit or reader.count(split))
+    dataset = open_dataset(path)
+    total = min(dataset.splits.get(split, 0), limit or len(dataset))
+    cameras = dataset.features.cameras
+    sizes = dict(image_sizes or default_sizes(cameras))
+    for camera in sizes:
+        if camera not in cameras:
+            raise ConfigError(f"{path}: no camera '{camera}'; {one_of(cameras, camera)}")
     episodes: list[Demonstration] = []
     semantics: ActionSemantics | None = None
     robots: set[str] = set()
-    for index, episode in enumerate(reader.episodes(split)):
-        if index == total:
-            break
-        cameras = _cameras(episode)
-        sizes = dict(image_sizes or default_sizes(cameras))
-        for camera in sizes:
-            if camera not in cameras:
-                raise ConfigError(f"{path}: no camera '{camera}'; {one_of(cameras, camera)}")
-        said = rlds_semantics(episode)
+    for index, episode in enumerate(itertools.islice(dataset.episodes(split), total)):
+        said = require_semantics(episode, path)
         if semantics is not None:
             said.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
         semantics = said
-        robots.add(str(episode.metadata.get("robot", "")))
-        episodes.append(
-            Demonstration(
-                images={camera: _frames(episode, cameras[camera], side) for camera, side in sizes.items()},
-                proprio=episode.state,
-                actions=episode.action,
-                instruction=episode.instruction,
-            )
-        )
+        robots.add(episode.robot)
+        episodes.append(_demonstration(episode, sizes))
         progress(index + 1, total)
     if semantics is None:
         raise ConfigError(f"{path}: split '{split}' has no episodes")
+    if semantics.control.is_joint_space or semantics.dimension() != ACTION_SIZE:
+        raise ConfigError(f"{path}: bc learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
     if len(robots) > 1:
         raise ConfigError(f"{path}: episodes of several robots ({', '.join(sorted(robots))}); export each robot apart")
-    camera_sizes = {
-        camera: (reader.features.images[cameras[camera]][1], reader.features.images[cameras[camera]][0])
-        for camera in sizes
-    }
+    camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}
     return assemble(episodes, camera_sizes=camera_sizes, semantics=semantics, robot=robots.pop())
 
 
-def _cameras(episode: RldsEpisode) -> dict[str, str]:
-    """Return camera name to image key, as named in the export or else by the usual names."""
-    said = episode.metadata.get("cameras")
-    names = parse_json(said, source="episode_metadata/cameras") if isinstance(said, str) else {}
-    if not isinstance(names, dict):
-        raise ConfigError(f"episode_metadata/cameras is a {type(names).__name__}, expected a JSON object")
-    return {str(names.get(key, IMAGE_KEYS.get(key, key))): key for key in episode.images}
-
-
-def _frames(episode: RldsEpisode, key: str, side: int) -> Images:
-    return np.stack([resized(episode.frame(key, step), side, side) for step in range(len(episode))])
+def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:
+    """Read an episode, each image at the network's size."""
+    state = episode.picker(STATE_NAMES)
+    images: dict[str, list[Images]] = {camera: [] for camera in sizes}
+    proprio, actions = [], []
+    for step in episode.steps(list(sizes)):
+        for camera, side in sizes.items():
+            images[camera].append(resized(step.images[camera], side, side))
+        proprio.append(state(step))
+        actions.append(step.action)
+    return Demonstration(
+        images={camera: np.stack(frames) for camera, frames in images.items()},
+        proprio=np.stack(proprio),
+        actions=np.stack(actions),
+        instruction=episode.instruction,
+    )

@@ -1,16 +1,16 @@
 """Exports bags as datasets; one file per format."""
 
 from roboxim_recorder.export import rlds  # importing a format registers it
-from roboxim_recorder.export.registry import EXPORTERS, DatasetContents, DatasetWriter, Exporter
+from roboxim_recorder.export.registry import EXPORTERS, DatasetContents, Exporter, FormatExporter
 from roboxim_recorder.export.run import ExportReport, export_bags
 from roboxim_recorder.export.selection import Selection
 
 __all__ = [
     "EXPORTERS",
     "DatasetContents",
-    "DatasetWriter",
     "ExportReport",
     "Exporter",
+    "FormatExporter",
     "Selection",
     "export_bags",
     "rlds",

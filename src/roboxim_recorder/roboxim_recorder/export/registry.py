@@ -1,20 +1,20 @@
 """Dataset formats that bags are exported to, by name.
 
-A format is one file: a configuration (a subclass of `Selection` with the format's own fields), an `Exporter` registered
-under the format's name, and a `DatasetWriter`. `export_bags` does the rest. Another distribution adds a format through
-the entry point group ``roboxim.exporter``.
+An exporter is one file: a configuration (a subclass of `Selection` with the format's options) and an `Exporter`
+registered under the format's name. `export_bags` does the rest. Of a format of `roboxim_datasets.registry.FORMATS` the
+exporter is a `FormatExporter`. Another distribution adds one through the entry point group ``roboxim.exporter``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from roboxim_core.registry import Registry
-from roboxim_datasets.episode import Episode
+from roboxim_datasets.dataset import DatasetWriter
+from roboxim_datasets.formats import FORMATS
 from roboxim_recorder.export.selection import Selected, Selection
 
 
@@ -26,19 +26,6 @@ class DatasetContents:
     """Split to number of episodes."""
     dead_dimensions: tuple[str, ...] = ()
     """Components of the action that (nearly) never change; a policy cannot learn them."""
-
-
-class DatasetWriter(Protocol):
-    """Writes one dataset. An interruption leaves it resumable; its folder gets the final name only when it is whole."""
-
-    def resumed(self, split: str) -> int:
-        """Return how many leading episodes of a split an interrupted export has already written."""
-
-    def add(self, split: str, episode: Episode) -> None:
-        """Append an episode to a split, ``train`` or ``val``."""
-
-    def complete(self, files: Mapping[str, str]) -> None:
-        """Move the dataset to its final place, with further text files by name."""
 
 
 class Exporter(Protocol):
@@ -62,6 +49,31 @@ class Exporter(Protocol):
 
     def contents(self, path: Path) -> DatasetContents:
         """Read the content of a complete dataset."""
+
+
+class FormatExporter:
+    """Base class of the exporters to formats of `roboxim_datasets`.
+
+    A subclass names ``format`` and ``config``, whose class derives from `Selection` and from the format's options.
+    """
+
+    format: ClassVar[str]
+    config: ClassVar[type[Selection]]
+
+    def path(self, target: Path, config: Any) -> Path:
+        """Return the path of the dataset of a configuration."""
+        return FORMATS[self.format]().path(target, config)
+
+    def open(
+        self, target: Path, config: Any, selected: Selected, *, identity: str, overwrite: bool
+    ) -> AbstractContextManager[DatasetWriter]:
+        """Start a dataset, or continue an interrupted one of the same identity."""
+        made = FORMATS[self.format]()
+        return made.create(target, selected.description, config, identity=identity, overwrite=overwrite)
+
+    def contents(self, path: Path) -> DatasetContents:
+        """Read the number of episodes of a dataset."""
+        return DatasetContents(splits=dict(FORMATS[self.format]().open(path).splits))
 
 
 EXPORTERS: Registry[type[Exporter]] = Registry("exporter")

@@ -12,15 +12,14 @@ from typing import Literal
 from roboxim_core.config import to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, DatasetWriter
 from roboxim_recorder.bag_writer import disk_errors
-from roboxim_recorder.export.episodes import bag_episode
-from roboxim_recorder.export.registry import EXPORTERS, DatasetWriter, Exporter
-from roboxim_recorder.export.selection import Selected, Selection, select, splits
+from roboxim_recorder.export.episodes import exported_episode
+from roboxim_recorder.export.registry import EXPORTERS, Exporter
+from roboxim_recorder.export.selection import Selected, Selection, by_split, select
 from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
-EXPORT_FILE = "export.json"
-"""File beside every dataset with the source and the settings of its export."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,15 +98,15 @@ def export_bags(
 
 def _write_episodes(writer: DatasetWriter, selected: Selected, config: Selection, progress: Progress) -> int:
     """Add every episode that an interrupted export has not written; return the number that it had written."""
-    skip = {split: writer.resumed(split) for split in ("train", "val")}
-    resumed, total = sum(skip.values()), len(selected.sources)
-    parts = splits(total, config.val_fraction)
-    for done, (source, split) in enumerate(zip(selected.sources, parts, strict=True), start=1):
-        if skip[split]:
-            skip[split] -= 1
-        else:
-            writer.add(split, bag_episode(source, selected.joint_names))
+    resumed, total = sum(writer.resumed(split) for split in SPLITS), len(selected.sources)
+    done = resumed
+    if done:
         progress(done, total)
+    for split, sources in by_split(selected.sources, config).items():
+        for source in sources[writer.resumed(split) :]:
+            writer.add(split, exported_episode(source, selected))
+            done += 1
+            progress(done, total)
     return resumed
 
 

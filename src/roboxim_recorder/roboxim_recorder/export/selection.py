@@ -9,7 +9,9 @@ from pathlib import Path
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_datasets.episode import ImageSize
+from roboxim_core.proprioception import STATE_FIELDS, ProprioField, component_names
+from roboxim_datasets.dataset import SPLITS, Description, Features
+from roboxim_datasets.episode import EXECUTED, ImageSize
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.run_bags import RunBags
@@ -83,10 +85,38 @@ class Selected:
     joint_names: tuple[str, ...]
     """Arm joints of the robot, in the order of their positions."""
 
+    vectors: dict[str, tuple[ProprioField, ...]]
+    """Observed vector of the dataset to the fields that it consists of."""
+
     @property
     def robot(self) -> str:
         """Id of the robot model."""
         return self.sources[0].info.scene.robot.model
+
+    @property
+    def description(self) -> Description:
+        """Description of the dataset."""
+        action = self.semantics.component_names(self.joint_names)
+        skills = tuple(sorted({source.info.task.skill for source in self.sources}))
+        return Description(
+            features=Features(
+                cameras=self.sizes,
+                keys=self.keys,
+                action=action,
+                vectors={name: component_names(fields, self.joint_names) for name, fields in self.vectors.items()},
+                signals={EXECUTED: action},
+            ),
+            fps=self.semantics.rate_hz,
+            robot=self.robot,
+            joint_names=self.joint_names,
+            semantics=self.semantics,
+            skills=skills,
+            text=(
+                f"{len(self.sources)} simulated episodes recorded with RoboXim; robot: {self.robot}; skills: "
+                f"{', '.join(skills)}; {self.semantics.rate_hz:g} Hz; actions: {self.semantics.control} in "
+                f"{self.semantics.frame}, {self.semantics.rotation}, gripper {self.semantics.gripper}."
+            ),
+        )
 
 
 def select(bags: RunBags, selection: Selection) -> Selected:
@@ -133,6 +163,7 @@ def select(bags: RunBags, selection: Selection) -> Selected:
         sizes=_sizes(sources, keys, selection),
         semantics=_semantics(sources),
         joint_names=_joint_names(sources[0]),
+        vectors={"state": STATE_FIELDS, "joint_positions": (ProprioField.JOINT_POSITIONS,)},
     )
 
 
@@ -233,3 +264,9 @@ def splits(count: int, fraction: float) -> list[str]:
     if fraction > 0 and count > 1 and "val" not in names:
         names[-1] = "val"
     return names
+
+
+def by_split(sources: Sequence[Source], selection: Selection) -> dict[str, list[Source]]:
+    """Return each split's bags, in order."""
+    names = splits(len(sources), selection.val_fraction)
+    return {split: [s for s, name in zip(sources, names, strict=True) if name == split] for split in SPLITS}

@@ -1,0 +1,175 @@
+"""A dataset as plain values, independent of its format: what readers return and writers take.
+
+`Dataset` is lazy: it knows the number of episodes and what their steps consist of, and reads an episode when asked.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
+from roboxim_datasets.episode import Episode, ImageSize
+
+EXPORT_FILE = "export.json"
+"""File beside every dataset with the source and the settings of its export."""
+SPLITS = ("train", "val")
+"""Splits that RoboXim writes, in this order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """What the steps of a dataset consist of, the same for all of its episodes."""
+
+    cameras: Mapping[str, ImageSize]
+    """Camera to the size of its images."""
+    keys: Mapping[str, str]
+    """Camera to the key of its images in the dataset, e.g. ``image``."""
+    lossless: bool = False
+    """Whether the images that come back are those that were written, pixel by pixel."""
+    depth: tuple[str, ...] = ()
+    """Cameras that have depth images."""
+    segmentation: tuple[str, ...] = ()
+    """Cameras that have segmentation images."""
+    action: tuple[str, ...]
+    """Names of the action's components."""
+    vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Observed vector to the names of its components; trainers read ``state`` by default."""
+    signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Vector that no trainer reads (``sim.``...) to the names of its components; `episode.EXECUTED` is among them if
+    the executed actions are stored."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What is known of a dataset before its episodes are read; writers take one, readers return one."""
+
+    features: Features
+    """What the steps consist of."""
+    fps: float = 0.0
+    """Steps per second; 0: the dataset does not say."""
+    robot: str = ""
+    """Id of the robot model; empty: the dataset does not say."""
+    joint_names: tuple[str, ...] = ()
+    """Arm joints in the order of joint vectors; empty: the dataset does not say."""
+    semantics: ActionSemantics | None = None
+    """Meaning of the actions; None: the dataset does not say."""
+    text: str = ""
+    """Description in a sentence."""
+    skills: tuple[str, ...] = ()
+    """Skills of the episodes; empty: the dataset does not say."""
+
+
+class Dataset(ABC):
+    """A dataset that is being read. Episodes are numbered through the splits, in the order of `splits`.
+
+    Non-obvious: an episode reads its steps from the files each time; it fails if they have changed by then.
+    """
+
+    format: str
+    """Registered name of the format."""
+    version: str = ""
+    """Version of the format, if it has versions."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a dataset.
+
+        Args:
+            path: Its folder, or its file.
+        """
+        self.path = path
+
+    @property
+    @abstractmethod
+    def splits(self) -> Mapping[str, int]:
+        """Split to its number of episodes."""
+
+    @property
+    @abstractmethod
+    def description(self) -> Description:
+        """What is known of the dataset before its episodes are read."""
+
+    @abstractmethod
+    def read(self, split: str, index: int) -> Episode:
+        """Read an episode of a split.
+
+        Args:
+            split: One of `splits`.
+            index: Number in the split, from 0, within its range.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+
+    @property
+    def features(self) -> Features:
+        """What the steps consist of."""
+        return self.description.features
+
+    def __len__(self) -> int:
+        """Count the episodes of all splits."""
+        return sum(self.splits.values())
+
+    def episode(self, index: int) -> Episode:
+        """Read an episode by its number through all splits.
+
+        Raises:
+            InvalidRequestError: When there is no such episode.
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+        return self.read(*self.place(index))
+
+    def place(self, index: int) -> tuple[str, int]:
+        """Return the split of an episode and its number there.
+
+        Raises:
+            InvalidRequestError: When there is no such episode.
+        """
+        at = index
+        for split, count in self.splits.items():
+            if 0 <= at < count:
+                return split, at
+            at -= count
+        shown = ", then ".join(f"{count} in '{split}'" for split, count in self.splits.items())
+        raise InvalidRequestError(f"{self.path}: no episode {index}; there are {len(self)}, from 0: {shown}")
+
+    def episodes(self, split: str | None = None) -> Iterator[Episode]:
+        """Yield the episodes of a split in order; None: of all splits.
+
+        Raises:
+            InvalidRequestError: When there is no such split.
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+        if split is not None and split not in self.splits:
+            raise InvalidRequestError(f"{self.path}: no split '{split}'; {one_of(self.splits, split)}")
+        for name in self.splits if split is None else (split,):
+            for index in range(self.splits[name]):
+                yield self.read(name, index)
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """How the dataset was made: the content of ``export.json``; empty if there is none."""
+        folder = self.path if self.path.is_dir() else self.path.parent
+        try:
+            return read_json_object(folder / EXPORT_FILE)
+        except ConfigError:
+            return {}
+
+
+class DatasetWriter(Protocol):
+    """Writes one dataset. An interruption leaves it resumable; its folder gets the final name only when it is whole."""
+
+    def resumed(self, split: str) -> int:
+        """Return how many leading episodes of a split an interrupted call has already written."""
+
+    def add(self, split: str, episode: Episode) -> None:
+        """Append an episode to a split. Callers add the splits one after another, in the order of `SPLITS`."""
+
+    def complete(self, files: Mapping[str, str | bytes]) -> None:
+        """Move the dataset to its final place, with further files by name."""
