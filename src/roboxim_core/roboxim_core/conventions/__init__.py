@@ -12,14 +12,13 @@ from roboxim_core.conventions.convention import (
     Request,
     decode_actions,
     from_actions,
-    gripper_decoder,
     joined_answer,
     load_convention,
     observe,
     to_actions,
 )
 from roboxim_core.conventions.frames import Frames
-from roboxim_core.conventions.gripper import GripperDecoder, GripperKind, GripperOutput
+from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import Normalisation, NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
@@ -32,8 +31,6 @@ __all__ = [
     "Convention",
     "Ensemble",
     "Frames",
-    "GripperDecoder",
-    "GripperKind",
     "GripperOutput",
     "ImageInput",
     "Layout",
@@ -47,7 +44,6 @@ __all__ = [
     "StatePart",
     "decode_actions",
     "from_actions",
-    "gripper_decoder",
     "joined_answer",
     "load_convention",
     "observe",

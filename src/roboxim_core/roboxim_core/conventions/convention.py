@@ -12,8 +12,8 @@ for such a policy is written, so what is trained is what is evaluated.
 
 Non-obvious: in a chunk of deltas to the *measured* state, action k is added to the state measured at tick k, which is
 not known when the chunk arrives. A policy therefore declares `Convention.semantics` and returns decoded actions; the
-episode loop converts each one at its own tick. `to_actions` and `from_actions` take one context per action for the same
-reason.
+episode loop converts each one at its own tick. `to_actions` and `from_actions` take the state before every action
+(`ArmTrack`) for the same reason.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ import numpy.typing as npt
 
 from roboxim_core import limits
 from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
+from roboxim_core.actions.gripper import GripperSwitch
+from roboxim_core.actions.rows import ArmTrack, convert_rows
 from roboxim_core.config import from_plain, load_yaml, named_config
 from roboxim_core.conventions.frames import Frames
-from roboxim_core.conventions.gripper import GripperDecoder
 from roboxim_core.conventions.images import ImageInput
 from roboxim_core.conventions.outputs import ActionOutput
 from roboxim_core.conventions.states import ArmReadings, StateInput
@@ -297,98 +298,90 @@ def joined_answer(convention: Convention, answer: Mapping[str, npt.ArrayLike]) -
     return np.concatenate(parts, axis=1)
 
 
-def decode_actions(convention: Convention, raw: npt.ArrayLike, gripper: GripperDecoder | None = None) -> Floats:
-    """Return actions of the meaning `Convention.semantics`, with gripper 1 = open.
+def decode_actions(convention: Convention, raw: npt.ArrayLike) -> Floats:
+    """Return actions of the meaning `Convention.semantics`; a policy that declares it returns these.
 
     Args:
         convention: The convention.
-        raw: The policy's numbers, shape (n, D) or (D,), in the order in which they are executed.
-        gripper: Decoder of the running episode (`gripper_decoder`); give it every executed action once. None: of an
-            episode that begins with these actions and an open gripper.
+        raw: The policy's numbers, shape (n, D) or (D,).
 
     Returns:
-        float64, shape (n, D').
+        float64, shape (n, D'). The last component is the opening that the gripper's number demands, 1 = open; the
+        episode loop applies `GripperOutput.rule` to the actions that it executes.
 
     Raises:
         InvalidRequestError: With code ``INVALID_ACTION`` on a wrong shape, or numbers without meaning.
     """
-    return convention.action.decode(raw, convention.frames, gripper or gripper_decoder(convention))
-
-
-def gripper_decoder(convention: Convention, opening: float = 1.0) -> GripperDecoder:
-    """Return the decoder of the gripper for one episode.
-
-    Args:
-        convention: The convention.
-        opening: Commanded opening at the start, 1 = open.
-    """
-    return GripperDecoder(convention.action.gripper, opening)
+    return convention.action.decode(raw, convention.frames)
 
 
 def to_actions(
     convention: Convention,
     raw: npt.ArrayLike,
-    context: ActionContext | Sequence[ActionContext],
-    gripper: GripperDecoder | None = None,
+    track: ArmTrack | ActionContext,
+    gripper: GripperSwitch | None = None,
 ) -> Floats:
-    """Return actions of the meaning `Convention.run_semantics`.
+    """Return actions of the meaning `Convention.run_semantics`, as the simulator executes them.
 
     Args:
         convention: The convention.
         raw: The policy's numbers, shape (n, D) or (D,).
-        context: State of the arm before each action; or before the first one alone, if each next state is the commanded
-            one (then deltas to the measured state are refused from the second action on).
-        gripper: As for `decode_actions`.
+        track: State of the arm before each action; or before the first one alone, if each next state is the commanded
+            one (deltas to the measured state are then refused from the second action on).
+        gripper: State of the gripper's rule in the running episode; None: the rule begins with these actions and an
+            open gripper.
 
     Returns:
         float64, shape (n, 7), or (n, joints + 1) in joint space.
 
     Raises:
-        InvalidRequestError: As `decode_actions`, or when the context lacks a field.
+        InvalidRequestError: As `decode_actions`, or when the track lacks a field.
     """
-    return _converted(decode_actions(convention, raw, gripper), context, convention.semantics, convention.run_semantics)
+    rows = decode_actions(convention, raw)
+    switch = gripper or GripperSwitch(convention.action.gripper.rule)
+    rows[:, -1] = [switch.step(float(opening)) for opening in rows[:, -1]]
+    return _converted(rows, track, convention.semantics, convention.run_semantics)
 
 
 def from_actions(
     convention: Convention,
     actions: npt.ArrayLike,
-    context: ActionContext | Sequence[ActionContext],
+    track: ArmTrack | ActionContext,
     *,
     source: ActionSemantics | None = None,
-    opening: float = 1.0,
 ) -> Floats:
-    """Return the policy's numbers that mean given actions; the inverse of `to_actions`.
+    """Return the policy's numbers that mean given actions, e.g. of a whole episode; the inverse of `to_actions`.
+
+    A number outside of what the policy can say (``input_range``) is returned as it is: it shows that the convention
+    cannot express the action.
 
     Args:
         convention: The convention.
         actions: Shape (n, D) or (D,).
-        context: As for `to_actions`. Between end effector and joint space it must contain the kinematics.
+        track: As for `to_actions`. Between end effector and joint space it must contain the kinematics, or the joints
+            after each action.
         source: Meaning of the actions; None: `Convention.run_semantics`. Its rate must be the convention's.
-        opening: Commanded opening of the gripper before the first action.
 
     Returns:
         float64, shape (n, `ActionOutput.raw_size`).
 
     Raises:
-        InvalidRequestError: When the context lacks a field, or a pose cannot be reached.
+        InvalidRequestError: When the track lacks a field, or a pose cannot be reached.
         EvaluationError: With code ``SEMANTICS_MISMATCH`` when the rates differ.
     """
     rows = np.atleast_2d(np.asarray(actions, dtype=float))
-    rows = _converted(rows, context, source or convention.run_semantics, convention.semantics)
-    return convention.action.encode(rows, convention.frames, opening)
+    rows = _converted(rows, track, source or convention.run_semantics, convention.semantics)
+    return convention.action.encode(rows, convention.frames)
 
 
 def _converted(
-    rows: Floats, context: ActionContext | Sequence[ActionContext], source: ActionSemantics, target: ActionSemantics
+    rows: Floats, track: ArmTrack | ActionContext, source: ActionSemantics, target: ActionSemantics
 ) -> Floats:
     if not source.differing(target):
         return rows
-    transform = ActionTransform.between(source, target)
-    if isinstance(context, ActionContext):
-        return transform.apply_chunk(rows, context)
-    if len(context) != len(rows):
-        raise InvalidRequestError(f"{len(rows)} actions need as many contexts, or one; got {len(context)}")
-    return np.stack([transform.apply(row, before) for row, before in zip(rows, context, strict=True)])
+    if isinstance(track, ArmTrack):
+        return convert_rows(rows, source, target, track)
+    return ActionTransform.between(source, target).apply_chunk(rows, track)
 
 
 __all__ = [
@@ -399,7 +392,6 @@ __all__ = [
     "Request",
     "decode_actions",
     "from_actions",
-    "gripper_decoder",
     "joined_answer",
     "load_convention",
     "observe",

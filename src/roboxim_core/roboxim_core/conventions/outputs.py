@@ -13,7 +13,7 @@ import numpy.typing as npt
 from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics, ControlMode, DeltaBase, ReferenceFrame
 from roboxim_core.conventions.frames import Frames
-from roboxim_core.conventions.gripper import GripperDecoder, GripperOutput
+from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.normalisation import Normalisation
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.rotations import (
@@ -125,13 +125,12 @@ class ActionOutput:
         """Number of components of the policy's action."""
         return self.size or self.natural_size
 
-    def decode(self, raw: npt.ArrayLike, frames: Frames, gripper: GripperDecoder) -> Floats:
+    def decode(self, raw: npt.ArrayLike, frames: Frames) -> Floats:
         """Return actions in RoboXim's units and axes.
 
         Args:
             raw: The policy's numbers, shape (n, `raw_size`).
             frames: The convention's frames.
-            gripper: Decoder of the gripper; remembers the last decision.
 
         Returns:
             float64, shape (n, `natural_size`), of the meaning `semantics`, gripper 1 = open.
@@ -163,9 +162,9 @@ class ActionOutput:
             motion = motion * self.joint_scale
         else:
             motion = self._turned_in(motion * self._scales(), frames)
-        return np.concatenate([motion, gripper.openings(numbers)[:, None]], axis=1)
+        return np.column_stack([motion, self.gripper.decode(numbers)])
 
-    def encode(self, rows: npt.ArrayLike, frames: Frames, opening: float = 1.0) -> Floats:
+    def encode(self, rows: npt.ArrayLike, frames: Frames) -> Floats:
         """Return the policy's numbers for actions in RoboXim's units; the inverse of `decode`.
 
         A number outside ``input_range`` is not clipped: it shows that the convention cannot express the action.
@@ -173,7 +172,6 @@ class ActionOutput:
         Args:
             rows: Shape (n, `natural_size`), of the meaning `semantics`.
             frames: The convention's frames.
-            opening: Commanded opening before the first action, 1 = open.
 
         Returns:
             float64, shape (n, `raw_size`); unused components are 0.
@@ -183,7 +181,7 @@ class ActionOutput:
             motion = values[:, :-1] / self.joint_scale
         else:
             motion = self._turned_out(values[:, :-1], frames) / self._scales()
-        numbers = self.gripper.encode(values[:, -1], opening)
+        numbers = self.gripper.encode(values[:, -1])
         raw = np.zeros((len(values), self.raw_size))
         raw[:, list(self.order or range(self.natural_size))] = np.column_stack([motion, numbers])
         return self.normalisation.apply(raw) if self.normalisation else raw
