@@ -70,5 +70,12 @@ def test_damaged_bag_is_named_and_repaired(runtime, graph, tmp_path):
     with pytest.raises(RoboximError, match="1 of 2 bags are damaged") as error:
         roboxim("bag", "check", bag, damaged)
     assert error.value.code == ErrorCode.BAG_DAMAGED
-    assert "damaged.repaired" in roboxim("bag", "repair", damaged)
-    assert (tmp_path / "damaged.repaired").is_dir()
+    assert "is damaged: all 23 ticks, failure" in roboxim("bag", "info", damaged)
+    result = CliRunner().invoke(group, ["bag", "repair", str(damaged), str(tmp_path / "out")])
+    assert (result.exit_code, "all 23 ticks" in result.stdout) == (0, True), result.stdout
+    repaired = tmp_path / "out" / f"{bag.name}.repaired"
+    assert "whole, 23 ticks" in roboxim("bag", "check", repaired)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert CliRunner().invoke(group, ["bag", "repair", str(damaged)]).exit_code == 1
+    file.write_bytes(b"")
+    assert CliRunner().invoke(group, ["bag", "repair", str(damaged)]).exit_code == 2

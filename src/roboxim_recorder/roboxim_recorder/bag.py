@@ -26,8 +26,8 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
-from roboxim_recorder.cdr import MessageLayout
-from roboxim_recorder.schemas import MessageSchema, message_layout, typestore
+from roboxim_recorder.decoding import Decoder
+from roboxim_recorder.schemas import MessageSchema
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
 
 T = TypeVar("T")
@@ -137,12 +137,16 @@ class BagReader:
             counts = summary.statistics.channel_message_counts
             self.counts = {c.topic: counts.get(c.id, 0) for c in summary.channels.values()}
             """Topic to number of messages."""
-            self.types = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
-            """Topic to message type."""
             self.type_hashes = {c.topic: c.metadata.get("topic_type_hash", "") for c in summary.channels.values()}
             """Topic to the hash of its message type."""
-            self._schemas = {schema.name: _schema(schema) for schema in summary.schemas.values()}
-            self._store = typestore(self._schemas.values())
+            schemas = {schema.id: _schema(schema) for schema in summary.schemas.values()}
+            self.decoder = Decoder({c.topic: schemas[c.schema_id] for c in summary.channels.values()})
+            """Decodes its messages."""
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Topic to message type."""
+        return self.decoder.types
 
     @cached_property
     def info(self) -> EpisodeInfo:
@@ -158,7 +162,7 @@ class BagReader:
         """How the episode ended.
 
         Raises:
-            RecorderError: With code ``BAG_DAMAGED``; a repaired bag has no result.
+            RecorderError: With code ``BAG_DAMAGED``.
         """
         return self._only(topics.RESULT, EpisodeResult)
 
@@ -188,9 +192,8 @@ class BagReader:
                 raise InvalidRequestError(f"bag {self.path} has no topic '{name}'; {one_of(self.types, name)}")
         with damage(self.path), self.file.open("rb") as stream:
             reader = SeekingReader(stream, validate_crcs=True)
-            for schema, channel, message in reader.iter_messages(topics=names):
-                assert schema is not None
-                yield channel.topic, message.log_time, self._store.deserialize_cdr(message.data, schema.name)
+            for _, channel, message in reader.iter_messages(topics=names):
+                yield channel.topic, message.log_time, self.decoder.decode(channel.topic, message.data)
 
     def raw(self) -> Iterator[tuple[str, bytes]]:
         """Yield topic and serialised message of everything in the order of recording.
@@ -209,16 +212,7 @@ class BagReader:
             RecorderError: With code ``BAG_DAMAGED``.
         """
         with damage(self.path):
-            return self._store.deserialize_cdr(cdr, self.types[topic])
-
-    def layout(self, topic: str) -> MessageLayout:
-        """Return how a topic's messages lie in CDR.
-
-        Raises:
-            RecorderError: With code ``BAG_DAMAGED``.
-        """
-        with damage(self.path):
-            return message_layout(self._schemas[self.types[topic]])
+            return self.decoder.decode(topic, cdr)
 
     def ticks(self, cameras: Sequence[str] | None = None) -> Iterator[BagTick]:
         """Yield the ticks in order.

@@ -29,6 +29,10 @@ METADATA = "roboxim"
 """Name of the MCAP metadata record."""
 METADATA_FILE = "metadata.yaml"
 FORMAT_VERSION = "2"
+REPAIRED = ".repaired"
+"""Ending of the folder of a repaired bag."""
+REPAIRED_KEY = "repaired"
+"""Key of the metadata record of a repaired bag, with the value ``true``."""
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 

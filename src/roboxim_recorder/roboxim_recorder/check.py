@@ -7,29 +7,23 @@ folder and file, the metadata record, the first message (`EpisodeInfo`), every t
 from __future__ import annotations
 
 import mmap
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import RoboximError
-from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, damage, mcap_file
-from roboxim_recorder.bag_writer import FORMAT_VERSION, bag_description, mcap_name
-from roboxim_recorder.cdr import CleanMessage, MessageLayout
+from roboxim_recorder.bag_writer import FORMAT_VERSION, REPAIRED, REPAIRED_KEY, bag_description, mcap_name
 from roboxim_recorder.container import container_problems, metadata_problems
 from roboxim_recorder.recording import outcome_metadata
-from roboxim_recorder.repair import REPAIRED
-from roboxim_ros.conversions import from_msg, stamp_to_ns
-
-T = TypeVar("T")
+from roboxim_recorder.ticks import TickCheck
+from roboxim_ros.conversions import from_msg
 
 MOST_PROBLEMS = 50
 """Further problems of a bag are only counted."""
@@ -47,6 +41,8 @@ class BagReport:
     """Whole ticks read."""
     outcome: str = ""
     """``success``, ``failure`` or ``error``; empty when not readable."""
+    reason: str = ""
+    """Why it is not a success."""
     problems: tuple[str, ...] = ()
     """What is wrong; empty: the bag is whole."""
 
@@ -71,7 +67,7 @@ def check_bag(path: Path | str) -> BagReport:
     check = None
     try:
         file = mcap_file(path)
-        problems += _checksum_problems(file)
+        problems += checksum_problems(file)
         if not problems:
             check = _BagCheck(BagReader(file))
             problems += check.problems()
@@ -84,11 +80,17 @@ def check_bag(path: Path | str) -> BagReport:
         episode_id=check.info.episode_id if check and check.info else "",
         ticks=check.ticks if check else 0,
         outcome=check.result.outcome if check and check.result else "",
+        reason=check.result.reason if check and check.result else "",
         problems=tuple(problems),
     )
 
 
-def _checksum_problems(file: Path) -> list[str]:
+def checksum_problems(file: Path) -> list[str]:
+    """Return what is wrong with the checksums of an MCAP file; no message is decoded.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it cannot be read.
+    """
     with damage(file), file.open("rb") as stream:
         if not file.stat().st_size:
             return ["its MCAP file is empty"]
@@ -101,16 +103,18 @@ class _BagCheck:
 
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
-        self._layouts: dict[str, MessageLayout] = {}
-        self._tick: dict[str, CleanMessage] = {}
+        self._check: TickCheck | None = None
         self._counts: Counter[str] = Counter()
         self._span_ns: tuple[int, int] | None = None
-        self._last_hash = ""
-        self._steps = 0
-        self._ended = False
-        self.info: EpisodeInfo | None = None
         self.result: EpisodeResult | None = None
-        self.ticks = 0
+
+    @property
+    def info(self) -> EpisodeInfo | None:
+        return self._check.info if self._check else None
+
+    @property
+    def ticks(self) -> int:
+        return self._check.ticks if self._check else 0
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong."""
@@ -125,104 +129,34 @@ class _BagCheck:
         self._counts[topic] += 1
         first, last = self._span_ns or (message.log_time, message.log_time)
         self._span_ns = min(first, message.log_time), max(last, message.log_time)
-        if self._ended:
+        if self.result is not None:
             yield f"a message on {topic} follows the episode's result"
-        if self.info is None:
-            yield from self._begin(topic, message)
+        if self._check is None:
+            if topic != topics.INFO:
+                yield f"its first message is on {topic}, expected {topics.INFO}"
+            self._check = TickCheck(self._reader.decoder, self._reader.info)
+            yield from self._check.topic_problems()
         elif topic == topics.INFO:
             yield f"it has more than one message on {topics.INFO}"
         elif topic == topics.RESULT:
-            self.result, self._ended = self._value(topic, message.data, EpisodeResult), True
-        elif topic in self._expected:
-            yield from self._tick_message(topic, message)
-
-    def _begin(self, topic: str, message: Message) -> Iterator[str]:
-        if topic != topics.INFO:
-            yield f"its first message is on {topic}, expected {topics.INFO}"
-        self.info = self._reader.info
-        self._expected = topics.scene_topics(self.info.scene)
-        for name, kind in {**topics.OWN, **self._expected}.items():
-            found = self._reader.types.get(name)
-            if found != kind:
-                yield f"topic {name} is {f'of type {found}' if found else 'missing'}, expected {kind}"
-
-    def _value(self, topic: str, cdr: bytes, cls: type[T]) -> T:
-        value: T = from_msg(self._reader.decode(topic, cdr), cls)
-        return value
-
-    def _tick_message(self, topic: str, message: Message) -> Iterator[str]:
-        if topic in self._tick:
-            yield f"tick {self.ticks} has two messages on {topic}"
-        if topic not in self._layouts:
-            self._layouts[topic] = self._reader.layout(topic)
-        clean = self._tick[topic] = self._layouts[topic].clean(message.data)
-        stamp = clean.stamp_ns()
-        if not message.log_time == message.publish_time == (message.log_time if stamp is None else stamp):
-            yield f"tick {self.ticks}: a message on {topic} is stamped {stamp} ns, recorded at {message.log_time} ns"
-        if topic == topics.STEP:  # the last message of every tick
-            yield from self._tick_problems(message.log_time)
-            self._tick = {}
-            self.ticks += 1
-
-    def _tick_problems(self, stamp_ns: int) -> Iterator[str]:
-        assert self.info is not None
-        seq, tick = self.ticks, self._tick
-        missing = [name for name in (topics.NOTICE, topics.STATE) if name not in tick]
-        if missing:
-            yield f"tick {seq} lacks {', '.join(missing)}"
-            return
-        step = self._value(topics.STEP, bytes(tick[topics.STEP].data), EpisodeStep)
-        state = self._value(topics.STATE, bytes(tick[topics.STATE].data), StateRecord)
-        notice = self._reader.decode(topics.NOTICE, bytes(tick[topics.NOTICE].data))
-        if not seq == step.seq == state.seq == notice.seq:
-            yield (
-                f"tick {seq} has the notice of tick {notice.seq}, the state of tick {state.seq} and the step of tick "
-                f"{step.seq}"
-            )
-        others = {step.episode_id, state.episode_id, notice.episode_id} - {self.info.episode_id}
-        if others:
-            yield f"tick {seq} is of another episode: {', '.join(map(repr, sorted(others)))}"
-        if not stamp_ns == stamp_to_ns(notice.stamp) == seq * self.info.scene.tick_ns:
-            yield f"tick {seq} is stamped {stamp_ns} ns, expected {seq * self.info.scene.tick_ns}"
-        wanted = dict(zip(map(topics.absolute, notice.topics), map(int, notice.image_crc32), strict=True))
-        there = tick.keys() - {topics.NOTICE, topics.STEP}
-        if missing := sorted(wanted.keys() - there):
-            yield f"tick {seq} lacks {', '.join(missing)}"
-        if extra := sorted(there - wanted.keys()):
-            yield f"tick {seq} has messages that its notice does not name: {', '.join(extra)}"
-        for topic, crc32 in wanted.items():
-            if crc32 and topic in tick and zlib.crc32(tick[topic].bytes_of("data")) != crc32:
-                yield f"tick {seq}: the image on {topic} is not the one that its notice names"
-        self._last_hash = state.state_hash
-        self._steps += step.phase == "act"
+            self.result = from_msg(self._reader.decode(topic, message.data), EpisodeResult)
+        elif topic in self._check.expected:
+            yield from self._check.message(topic, message)
 
     def _end_problems(self) -> Iterator[str]:
-        """Yield where the result differs from the messages."""
-        info, result, reader = self.info, self.result, self._reader
-        if self._tick:
-            yield f"it ends within tick {self.ticks}: {', '.join(sorted(self._tick))}"
-        if info is None or result is None:
-            what = topics.RESULT if info else topics.INFO
+        """Yield where the result and the metadata record differ from the messages."""
+        check, result = self._check, self.result
+        if check is not None:
+            yield from check.end_problems()
+        if check is None or result is None:
+            what = topics.RESULT if check else topics.INFO
             yield f"it has no message on {what}: its recording was interrupted"
             return
-        expected = {
-            "episode_id": info.episode_id,
-            "index": info.index,
-            "attempt": info.attempt,
-            "last_seq": self.ticks - 1,
-            "steps": self._steps,
-            "instruction": info.task.instruction,
-            "skill": info.task.skill,
-            "final_state_hash": self._last_hash,
-        }
-        for name, value in expected.items():
-            found = getattr(result, name)
-            if found != value:
-                yield f"its result has {name} {found!r}, expected {value!r}"
-        if result.bag and Path(result.bag).name != info.episode_id:
-            yield f"its result is that of the bag {result.bag}"
+        yield from check.result_problems(result)
+        info, found = check.info, self._reader.metadata
         wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **outcome_metadata(info, result)}
-        found = reader.metadata
+        if found.get(REPAIRED_KEY) == "true":
+            wanted[REPAIRED_KEY] = "true"
         for key in sorted(wanted.keys() | found.keys()):
             if wanted.get(key) != found.get(key):
                 yield f"its metadata record has {key} {found.get(key)!r}, expected {wanted.get(key)!r}"
@@ -232,7 +166,7 @@ class _BagCheck:
         if self.info is None:
             return
         file, name = self._reader.file.absolute(), self.info.episode_id
-        if self._reader.metadata.get("repaired") == "true":
+        if self._reader.metadata.get(REPAIRED_KEY) == "true":
             name += REPAIRED
         if file.parent.name != name:
             yield f"its folder is named {file.parent.name}, but it holds episode '{self.info.episode_id}'"

@@ -9,18 +9,22 @@ from pathlib import Path
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeResult
-from roboxim_recorder import topics
-from roboxim_recorder.bag import BagReader
-from roboxim_recorder.bag_writer import PLACES
+from roboxim_core.errors import RecorderError
+from roboxim_recorder.bag import BagReader, mcap_file
+from roboxim_recorder.bag_writer import PLACES, REPAIRED_KEY
+from roboxim_recorder.check import checksum_problems
+from roboxim_recorder.repair import survey_bag
 from roboxim_recorder.run_bags import list_bags
 
 
 def bag_info(path: Path | str) -> str:
-    """Return a readable description of a bag.
+    """Return a readable description of a bag: of a damaged one its state in one line.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED``.
+        ConfigError: When the path is not a bag.
     """
+    if _is_damaged(path):
+        return f"{path} is damaged: {survey_bag(path).text}; 'roboxim bag repair' saves what it can"
     reader = BagReader(path)
     info = reader.info
     seconds = (len(reader) - 1) * info.scene.tick_ns / 1e9
@@ -30,6 +34,7 @@ def bag_info(path: Path | str) -> str:
         f"instruction   {info.task.instruction}",
         f"task          {info.task.skill}: " + ", ".join(f"{r}={o.entity}" for r, o in info.task.objects.items()),
         f"outcome       {_outcome(reader)}",
+        *([f"repaired      {reader.result.message or 'nothing was lost'}"] if REPAIRED_KEY in reader.metadata else []),
         f"ticks         {len(reader)} ({seconds:g} s at {info.scene.control_rate_hz:g} Hz)",
         f"robot         {info.scene.robot.model}",
         "actor         "
@@ -46,9 +51,19 @@ def bag_info(path: Path | str) -> str:
     return "\n".join(lines)
 
 
+def _is_damaged(path: Path | str) -> bool:
+    """Whether a bag's checksums are wrong, or its info or result is lost; its ticks are not decoded."""
+    try:
+        if checksum_problems(mcap_file(path)):
+            return True
+        reader = BagReader(path)
+        _ = reader.info, reader.result
+        return False
+    except RecorderError:
+        return True
+
+
 def _outcome(reader: BagReader) -> str:
-    if not reader.counts.get(topics.RESULT):
-        return "interrupted, no result"
     result = reader.result
     return _named(result) + (f" ({result.reason})" if result.reason else "")
 
@@ -81,6 +96,8 @@ class DatasetSummary:
     """Robot to number of kept bags; a good dataset has one."""
     semantics: tuple[ActionSemantics, ...]
     """Action semantics that occur; a good dataset has one."""
+    damaged: tuple[Path, ...] = ()
+    """Kept bags that are damaged; they are in no other count."""
 
     @property
     def text(self) -> str:
@@ -92,13 +109,15 @@ class DatasetSummary:
         return "\n".join(
             [
                 f"folder        {self.path}",
-                f"episodes      {self.episodes} kept ({listed(self.outcomes)}), {self.set_apart} set apart",
+                f"episodes      {self.episodes} kept ({listed(self.outcomes)}), {self.set_apart} set apart"
+                + (f", {len(self.damaged)} damaged" if self.damaged else ""),
                 f"ticks         {self.ticks}",
                 f"size          {self.size_bytes / 2**20:.1f} MiB",
                 f"failures      {listed(self.reasons)}",
                 f"instructions  {listed(self.instructions)}",
                 f"robots        {listed(self.robots)}",
                 f"semantics     {len(self.semantics)} kind(s)",
+                *(f"damaged       {path}: {survey_bag(path).text}" for path in self.damaged),
             ]
         )
 
@@ -107,7 +126,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
     """Summarise a run's folder or a folder of bags.
 
     Raises:
-        RecorderError: When there are no bags, or one is damaged.
+        RecorderError: When there are no bags, or one that was set apart is damaged.
     """
     bags = list_bags(path)
     outcomes: Counter[str] = Counter()
@@ -116,7 +135,8 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
     robots: Counter[str] = Counter()
     semantics: dict[ActionSemantics, None] = {}
     ticks = size = 0
-    for bag in bags:
+    damaged = tuple(bag for bag in bags if _is_damaged(bag))
+    for bag in (bag for bag in bags if bag not in damaged):
         reader = BagReader(bag)
         outcomes[_named(reader.result)] += 1
         instructions[reader.info.task.instruction] += 1
@@ -130,7 +150,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
         reasons.update(_reason(BagReader(file).result))
     return DatasetSummary(
         path=Path(path),
-        episodes=len(bags),
+        episodes=len(bags) - len(damaged),
         set_apart=len(apart),
         ticks=ticks,
         size_bytes=size,
@@ -139,6 +159,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
         instructions=dict(instructions.most_common()),
         robots=dict(robots.most_common()),
         semantics=tuple(semantics),
+        damaged=damaged,
     )
 
 

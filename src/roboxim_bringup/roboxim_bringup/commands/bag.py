@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -64,11 +65,31 @@ def check(paths: tuple[Path, ...]) -> None:
 
 @command.command("repair")
 @click.argument("path", type=_bag)
-def repair(path: Path) -> None:
-    """Save the readable part of a damaged bag as a new bag beside it."""
+@click.argument("out", type=click.Path(file_okay=False, path_type=Path), required=False)
+@click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")
+def repair(path: Path, out: Path | None, judge: bool) -> None:
+    """Save the whole ticks of a damaged bag, up to the first gap, as a new bag in OUT.
+
+    By default OUT is the folder that the bag lies in. The new bag is called EPISODE.repaired. The original is only
+    read. An episode whose result is lost is an error (outcome_unknown), so that no export takes it for a success.
+
+    The exit code is 0 when nothing is lost, 1 when ticks or the result are lost, 2 when nothing can be saved.
+    """
     from roboxim_recorder.repair import repair_bag
 
-    click.echo(f"saved {repair_bag(path)}")
+    if judge:
+        from roboxim_bringup.runs.reexecution import rejudge
+
+        report = repair_bag(path, out, rejudge=rejudge)
+    else:
+        report = repair_bag(path, out)
+    click.echo(f"{path}: {report.text}")
+    for reason in report.reasons:
+        click.echo(f"  {reason}")
+    if report.target is not None:
+        click.echo(f"saved {report.target}")
+    if code := {"whole": 0, "lossy": 1, "nothing": 2}[report.state]:
+        sys.exit(code)
 
 
 @command.command("play")

@@ -14,6 +14,7 @@ from roboxim_datasets.dataset import SPLITS, Description, Features
 from roboxim_datasets.episode import EXECUTED, ImageSize
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 from roboxim_recorder.bag import BagReader
+from roboxim_recorder.bag_writer import REPAIRED
 from roboxim_recorder.run_bags import RunBags
 
 RESERVED = {"state", "joint_positions"}
@@ -170,8 +171,8 @@ def select(bags: RunBags, selection: Selection) -> Selected:
 def _source(path: Path, bags: RunBags) -> Source:
     reader = BagReader(path)
     info, result = reader.info, reader.result
-    line = bags.results.get(path.name)
-    expected = (path.name, path.name) if line is None else (path.name, path.name, line.outcome, line.final_state_hash)
+    line, name = bags.results.get(path.name), path.name.removesuffix(REPAIRED)
+    expected = (name, name) if line is None else (name, name, line.outcome, line.final_state_hash)
     found = (info.episode_id, result.episode_id, result.outcome, result.final_state_hash)[: len(expected)]
     if found != expected:
         raise RecorderError(

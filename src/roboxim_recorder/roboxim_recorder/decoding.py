@@ -1,0 +1,55 @@
+"""Decodes the messages of a bag with the definitions that the bag holds; no ROS is needed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_recorder.cdr import MessageLayout
+from roboxim_recorder.schemas import MessageSchema, message_layout, typestore
+
+
+class Decoder:
+    """Decodes the messages of a bag's topics; `bag.damage` converts what a message of another type raises."""
+
+    def __init__(self, schemas: Mapping[str, MessageSchema]) -> None:
+        """Prepare to decode.
+
+        Args:
+            schemas: Topic to schema.
+        """
+        self._schemas = dict(schemas)
+        self._store = typestore(self._schemas.values())
+        self.types = {topic: schema.name for topic, schema in self._schemas.items()}
+        """Topic to message type."""
+
+    def decode(self, topic: str, cdr: bytes) -> Any:
+        """Decode a message of a topic."""
+        return self._store.deserialize_cdr(cdr, self.types[topic])
+
+    def layout(self, topic: str) -> MessageLayout:
+        """Return how a topic's messages lie in CDR."""
+        return message_layout(self._schemas[topic])
+
+    def encode_result(self, topic: str, result: EpisodeResult) -> bytes:
+        """Serialise an episode's result as a message of a topic."""
+        message = self._fill(self.types[topic], dataclasses.asdict(result))
+        return bytes(self._store.serialize_cdr(message, self.types[topic]))
+
+    def _fill(self, name: str, values: Mapping[str, Any]) -> Any:
+        """Return a message with the values of a dataclass of the same field names; see `roboxim_ros.conversions`."""
+        filled = {}
+        for field, (node, kind) in self._store.fielddefs[name][1]:
+            value = values[field]
+            if node == Nodetype.NAME:
+                value = self._fill(str(kind), value)
+            elif node == Nodetype.SEQUENCE:  # a dict of numbers is an array of pairs
+                pair = str(kind[0][1])
+                (key, _), (number, _) = self._store.fielddefs[pair][1]
+                value = [self._store.types[pair](**{key: k, number: float(v)}) for k, v in value.items()]
+            filled[field] = value
+        return self._store.types[name](**filled)
