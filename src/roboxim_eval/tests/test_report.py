@@ -27,8 +27,14 @@ def test_wilson_interval_agrees_with_published_values():
     # Newcombe (1998), table I, method 3: 81 of 263 and 0 of 20.
     rate = success_rate(81, 263)
     assert (rate.low, rate.high) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    rate = success_rate(0, 20)
-    assert (rate.low, rate.high) == pytest.approx((0.0, 0.1611), abs=1e-4)
+
+
+def test_the_interval_of_no_success_is_not_too_narrow():
+    # Clopper and Pearson (statsmodels 0.15: proportion_confint(0, 20, method="beta")); Wilson's would be 0 to 0.161
+    rates = success_rate(0, 20), success_rate(20, 20)
+    assert [(rate.low, rate.high) for rate in rates] == [
+        pytest.approx((0.0, 0.168433), abs=1e-6), pytest.approx((0.831567, 1.0), abs=1e-6),
+    ]  # fmt: skip
 
 
 def test_impossible_counts_are_refused():

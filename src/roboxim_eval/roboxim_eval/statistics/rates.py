@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from scipy.stats import binomtest
 
@@ -41,7 +42,10 @@ class SuccessRate:
 
 
 def success_rate(successes: int, episodes: int) -> SuccessRate:
-    """Return a success rate with the Wilson score interval at 95 %.
+    """Return a success rate with its interval at 95 %.
+
+    The interval is Wilson's score interval. If no episode or every episode succeeded it has one side alone, and its
+    bound is Clopper's and Pearson's at 97.5 %: Wilson's interval is too narrow there.
 
     Args:
         successes: Episodes that succeeded.
@@ -51,13 +55,14 @@ def success_rate(successes: int, episodes: int) -> SuccessRate:
         InvalidRequestError: If a count is negative, or there are more successes than episodes.
 
     Source:
-        Wilson (1927), as `scipy.stats.binomtest` computes it.
+        Wilson (1927) and Clopper and Pearson (1934), as `scipy.stats.binomtest` computes them.
     """
     if not 0 <= successes <= episodes:
         raise InvalidRequestError(f"needs 0 <= successes <= episodes, got {successes} of {episodes}")
     if episodes == 0:
         return SuccessRate(successes=0, episodes=0, low=0.0, high=1.0)
-    interval = binomtest(successes, episodes).proportion_ci(confidence_level=0.95, method="wilson")
+    method: Literal["exact", "wilson"] = "exact" if successes in (0, episodes) else "wilson"
+    interval = binomtest(successes, episodes).proportion_ci(confidence_level=0.95, method=method)
     return SuccessRate(successes=successes, episodes=episodes, low=float(interval.low), high=float(interval.high))
 
 

@@ -1,0 +1,33 @@
+"""Statistics of evaluations and experiments.
+
+Two questions are never mixed:
+
+- Q1, about checkpoints: is this checkpoint better than that one? The scenes are the sample (`paired`, `sequential`).
+- Q2, about training conditions: does a condition change the success? The trainings are the sample (`replicates`).
+
+Modules by subject: `rates` (one policy), `paired` (two policies), `replicates` (two training conditions), `scores`
+(held-out cells), `verdicts` (sentences), `multiple` (several comparisons), `sequential` (stopping early), `power`
+(planning).
+"""
+
+from roboxim_eval.statistics.rates import (
+    SuccessRate,
+    error_line,
+    error_reasons,
+    failure_reasons,
+    is_measured,
+    rate_of,
+    rates_by,
+    success_rate,
+)
+
+__all__ = [
+    "SuccessRate",
+    "error_line",
+    "error_reasons",
+    "failure_reasons",
+    "is_measured",
+    "rate_of",
+    "rates_by",
+    "success_rate",
+]

@@ -1,0 +1,150 @@
+"""Comparison of two policies: on the same scenes (exact McNemar) and on different ones (Boschloo).
+
+This answers Q1 alone, whether *this checkpoint* is better than that one. It says nothing about the training conditions
+of the checkpoints, see `roboxim_eval.statistics.replicates`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from scipy.stats import binomtest, boschloo_exact
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.statistics.rates import SuccessRate, success_rate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A difference of two success rates, first minus second, with its 95 % interval."""
+
+    value: float
+    """The difference, -1..1."""
+    low: float
+    """Lower bound."""
+    high: float
+    """Upper bound."""
+    p_value: float
+    """Probability of a difference at least as large if both were equal, two-sided."""
+
+    def __str__(self) -> str:
+        """Format in points, e.g. ``-7.4 points (-15.0 to +0.2)``."""
+        return f"{100 * self.value:+.1f} points ({100 * self.low:+.1f} to {100 * self.high:+.1f})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairs:
+    """Outcomes of two policies on the same scenes."""
+
+    both: int
+    """Scenes that both solved."""
+    first: int
+    """Scenes that the first alone solved."""
+    second: int
+    """Scenes that the second alone solved."""
+    neither: int
+    """Scenes that neither solved."""
+
+    def __post_init__(self) -> None:
+        """Check the counts.
+
+        Raises:
+            InvalidRequestError: If one is negative.
+        """
+        if min(self.both, self.first, self.second, self.neither) < 0:
+            raise InvalidRequestError(f"counts of pairs must be >= 0, got {self}")
+
+    @property
+    def scenes(self) -> int:
+        """Number of scenes."""
+        return self.both + self.first + self.second + self.neither
+
+    @property
+    def rates(self) -> tuple[SuccessRate, SuccessRate]:
+        """Success rate of the first and of the second policy."""
+        return success_rate(self.both + self.first, self.scenes), success_rate(self.both + self.second, self.scenes)
+
+    @staticmethod
+    def of(outcomes: Iterable[tuple[bool, bool]]) -> Pairs:
+        """Count the outcomes of the first and the second policy on each scene."""
+        counts = {(True, True): 0, (True, False): 0, (False, True): 0, (False, False): 0}
+        for first, second in outcomes:
+            counts[bool(first), bool(second)] += 1
+        return Pairs(
+            both=counts[True, True], first=counts[True, False], second=counts[False, True],
+            neither=counts[False, False],
+        )  # fmt: skip
+
+    def __add__(self, other: Pairs) -> Pairs:
+        """Return the counts of both sets of scenes together."""
+        return Pairs(
+            both=self.both + other.both, first=self.first + other.first, second=self.second + other.second,
+            neither=self.neither + other.neither,
+        )  # fmt: skip
+
+
+def paired_difference(pairs: Pairs) -> Difference:
+    """Compare two policies on the same scenes: exact McNemar test, Newcombe's interval.
+
+    Raises:
+        InvalidRequestError: If there are no scenes.
+
+    Source:
+        Newcombe (1998), Statistics in Medicine 17, 2635-2650, method 10 (score intervals, continuity-corrected
+        correlation).
+    """
+    if not pairs.scenes:
+        raise InvalidRequestError("a comparison needs at least one scene that both policies met, got none")
+    one, two = pairs.rates
+    phi = _correlation(pairs)
+    below, above = one.rate - one.low, two.high - two.rate
+    above_first, below_second = one.high - one.rate, two.rate - two.low
+    value = one.rate - two.rate
+    discordant = pairs.first + pairs.second
+    return Difference(
+        value=value,
+        low=value - _root(below, above, phi),
+        high=value + _root(below_second, above_first, phi),
+        p_value=float(binomtest(pairs.first, discordant).pvalue) if discordant else 1.0,
+    )
+
+
+def _correlation(pairs: Pairs) -> float:
+    """Return the continuity-corrected phi coefficient of the outcomes."""
+    a, b, c, d = pairs.both, pairs.first, pairs.second, pairs.neither
+    margins = (a + b) * (c + d) * (a + c) * (b + d)
+    if not margins:
+        return 0.0
+    product = a * d - b * c
+    return (max(product - pairs.scenes / 2, 0.0) if product > 0 else float(product)) / math.sqrt(margins)
+
+
+def _root(first: float, second: float, phi: float) -> float:
+    return math.sqrt(max(0.0, first**2 - 2 * phi * first * second + second**2))
+
+
+def independent_difference(first: SuccessRate, second: SuccessRate) -> Difference:
+    """Compare two policies on different scenes: Boschloo's exact test, Newcombe's interval.
+
+    Raises:
+        InvalidRequestError: If one has no episodes.
+
+    Source:
+        Boschloo (1970), as `scipy.stats.boschloo_exact` computes it; Newcombe (1998), Statistics in Medicine 17,
+        873-890, method 10.
+    """
+    if not first.episodes or not second.episodes:
+        raise InvalidRequestError("a comparison needs episodes of both policies, got none of one")
+    value = first.rate - second.rate
+    table = [
+        [first.successes, second.successes],
+        [first.episodes - first.successes, second.episodes - second.successes],
+    ]
+    return Difference(
+        value=value,
+        low=value - math.hypot(first.rate - first.low, second.high - second.rate),
+        high=value + math.hypot(first.high - first.rate, second.rate - second.low),
+        p_value=float(boschloo_exact(table).pvalue) if value else 1.0,
+    )

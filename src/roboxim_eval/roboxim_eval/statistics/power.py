@@ -1,0 +1,118 @@
+"""Planning: which difference a design can find, and with which chance.
+
+The model: a training's success rate deviates from that of its recipe by ``training_spread`` (standard deviation), and
+its rollouts deviate from its rate by chance. Scenes differ in difficulty (standard deviation ``SCENE_SPREAD`` on the
+logit), and both conditions meet the same scenes, so that difficulty cancels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.poses import Array
+
+TRAINING_SPREAD = 0.046
+"""Assumed standard deviation of a recipe's success rate between trainings, at a rate of 0.8; constant on the logit."""
+SPREAD_AT = 0.8
+"""Success rate at which spreads of trainings are stated."""
+SCENE_SPREAD = 1.5
+"""Assumed standard deviation of the scenes' difficulty, on the logit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """Size of a comparison."""
+
+    replicates: int
+    """Trainings of each condition."""
+    scenes: int
+    """Rollouts of each training that the comparison counts; the same scenes in both conditions."""
+    training_spread: float = TRAINING_SPREAD
+    """Standard deviation of a recipe's success rate between trainings at a rate of 0.8, 0..1."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidRequestError: If one is too small.
+        """
+        if self.replicates < 1 or self.scenes < 1 or self.training_spread < 0:
+            raise InvalidRequestError(f"needs replicates >= 1, scenes >= 1 and training_spread >= 0, got {self}")
+
+
+def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -> float:
+    """Return the chance to find a difference of two conditions' success rates.
+
+    Three or more replicates: Student's t over them (Q2). Fewer: the paired test of one checkpoint (Q1), without the
+    spread of trainings.
+
+    Args:
+        design: Size of the comparison.
+        first: Success rate of the first condition, 0..1.
+        second: Success rate of the second one, 0..1.
+        alpha: Probability of a false alarm, two-sided.
+    """
+    rollouts = (_within(first) + _within(second)) / design.scenes
+    if design.replicates < 3:
+        apart = max(0.0, abs(first - second) - 1 / design.scenes)  # the exact test is discrete
+        lead = apart / math.sqrt(rollouts) if rollouts else math.inf
+        return float(norm.sf(norm.ppf(1 - alpha / 2) - lead) + norm.cdf(-norm.ppf(1 - alpha / 2) - lead))
+    trainings = design.training_spread**2 * (_logit_scale(first) ** 2 + _logit_scale(second) ** 2)
+    if not trainings + rollouts:
+        return 1.0 if first != second else alpha
+    lead = abs(first - second) / math.sqrt((trainings + rollouts) / design.replicates)
+    freedom = design.replicates - 1
+    limits = student.ppf(1 - alpha / 2, freedom) * _sample_spreads(freedom)
+    return float(np.mean(norm.sf(limits - lead) + norm.cdf(-limits - lead)))
+
+
+def detectable(design: Design, rate: float = 0.8, *, chance: float = 0.8, alpha: float = 0.05) -> float | None:
+    """Return the smallest drop from a success rate that a design finds with a chance, 0..1; none: not even to 0.
+
+    Args:
+        design: Size of the comparison.
+        rate: Success rate of the better condition, 0..1.
+        chance: Chance to find the drop.
+        alpha: Probability of a false alarm, two-sided.
+    """
+
+    def missing(drop: float) -> float:
+        return power(design, rate, rate - drop, alpha=alpha) - chance
+
+    return float(brentq(missing, 1e-6, rate)) if missing(rate) > 0 else None
+
+
+def _logit_scale(rate: float) -> float:
+    """Return the slope of the success rate over its logit, relative to that at `SPREAD_AT`."""
+    return rate * (1 - rate) / (SPREAD_AT * (1 - SPREAD_AT))
+
+
+@lru_cache(maxsize=64)
+def _sample_spreads(freedom: int) -> Array:
+    """Return equally likely standard deviations of a sample, relative to the true one."""
+    spreads: Array = np.sqrt(chi2.ppf((np.arange(2000) + 0.5) / 2000, freedom) / freedom)
+    return spreads
+
+
+@lru_cache(maxsize=1024)
+def _within(rate: float) -> float:
+    """Return the mean variance of one rollout given its scene: scenes differ in difficulty."""
+    if not 0 < rate < 1:
+        return 0.0
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    weights = weights / weights.sum()
+
+    def mean_rate(middle: float) -> float:
+        return float(weights @ (1 / (1 + np.exp(-(middle + SCENE_SPREAD * nodes)))))
+
+    middle = brentq(lambda m: mean_rate(m) - rate, -40, 40)
+    chances = 1 / (1 + np.exp(-(middle + SCENE_SPREAD * nodes)))
+    return float(weights @ (chances * (1 - chances)))

@@ -1,0 +1,231 @@
+"""Comparison of two training conditions over replicates (Q2).
+
+Success rates of the *same* recipe differ between trainings, by several points. Rollouts of one training therefore say
+nothing about the recipe, however many there are: a pooled McNemar test finds differences between equal conditions in a
+quarter of all experiments. The trainings are the sample here: one difference of success rates for each replicate, and
+Student's t over them.
+
+The interval is never narrower than that of the rollouts alone (Newcombe's). A few replicates can agree by chance, for
+example when both conditions always succeed; the sample's spread is then too small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.poses import Array
+from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.rates import SuccessRate, success_rate
+from roboxim_eval.statistics.tables import Arm, require_same_replicates
+
+MANY = 10**9
+"""Degrees of freedom at which Student's t is the normal distribution."""
+NORMAL = float(norm.ppf(0.975))
+LEAST_REPLICATES = 3
+"""Number of trainings below which nothing is said about a training condition."""
+
+
+@lru_cache(maxsize=4096)
+def _t_limit(probability: float, freedom: int) -> float:
+    """Return a quantile of Student's t, which SciPy takes a while to compute."""
+    return float(student.ppf(probability, freedom))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """An estimate with its two-sided interval."""
+
+    value: float
+    """The estimate."""
+    low: float
+    """Lower bound; -inf: unbounded."""
+    high: float
+    """Upper bound; inf: unbounded."""
+
+    def __str__(self) -> str:
+        """Format, e.g. ``0.72 (0.58 to 0.89)``."""
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionDifference:
+    """Difference of two training conditions, first minus second."""
+
+    differences: tuple[float, ...]
+    """Difference of each replicate, -1..1."""
+    rollouts: tuple[SuccessRate, SuccessRate]
+    """Successes of all replicates together, for the rollouts' share of the uncertainty."""
+    pairs: Pairs | None = None
+    """Outcomes of all replicates on the same scenes, which narrow the rollouts' share; none: the scenes differ."""
+
+    @property
+    def replicates(self) -> int:
+        """Number of replicates."""
+        return len(self.differences)
+
+    @property
+    def value(self) -> float:
+        """Mean difference."""
+        return float(np.mean(self.differences))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of a replicate's difference; 0 for one replicate."""
+        return float(np.std(self.differences, ddof=1)) if self.replicates > 1 else 0.0
+
+    def interval(self, confidence: float = 0.95) -> Interval:
+        """Return the interval of the mean difference at a confidence level; unbounded for one replicate."""
+        if self.replicates < 2:
+            return Interval(value=self.value, low=-math.inf, high=math.inf)
+        half = _t_limit((1 + confidence) / 2, self.replicates - 1) * self.spread / math.sqrt(self.replicates)
+        below, above = self._rollouts_alone(confidence)
+        return Interval(
+            value=self.value, low=max(-1.0, self.value - max(half, below)), high=min(1.0, self.value + max(half, above))
+        )
+
+    def _rollouts_alone(self, confidence: float) -> tuple[float, float]:
+        """Return how far the interval of the rollouts alone extends below and above the difference."""
+        first, second = self.rollouts
+        scale = _t_limit((1 + confidence) / 2, MANY) / NORMAL
+        if self.pairs is not None and self.pairs.scenes:
+            paired = paired_difference(self.pairs)
+            return scale * (paired.value - paired.low), scale * (paired.high - paired.value)
+        below = math.hypot(first.rate - first.low, second.high - second.rate)
+        above = math.hypot(first.high - first.rate, second.rate - second.low)
+        return scale * below, scale * above
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided probability of a mean difference at least as large between equal conditions; 1 for one replicate.
+
+        It is the error probability at which the interval begins to include 0: the larger one of the t test over
+        replicates and of the rollouts' test.
+        """
+        if self.replicates < 2 or not self.value:
+            return 1.0
+        error = self.spread / math.sqrt(self.replicates)
+        by_trainings = 2 * student.sf(abs(self.value) / error, self.replicates - 1) if error else 0.0
+        half = self._rollouts_alone(0.95)[0 if self.value > 0 else 1]
+        by_rollouts = 2 * norm.sf(abs(self.value) / half * NORMAL) if half else 0.0
+        return float(max(by_trainings, by_rollouts))
+
+
+def condition_difference(first: Arm, second: Arm, pairs: Sequence[Pairs] = ()) -> ConditionDifference:
+    """Compare two conditions over the cells that both met.
+
+    Args:
+        first: Outcomes of the first condition.
+        second: Outcomes of the second one, replicate by replicate with the same cells and scenes.
+        pairs: Outcomes of each replicate on the scenes that both met; empty: the scenes differ.
+
+    Raises:
+        InvalidRequestError: If replicates or cells differ.
+    """
+    require_same_replicates(first, second)
+    if set(first.cells) != set(second.cells):
+        odd = ", ".join(sorted(set(first.cells) ^ set(second.cells)))
+        raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
+    differences = first.rates - second.rates
+    return ConditionDifference(
+        differences=tuple(float(d) for d in differences),
+        rollouts=(_pooled(first), _pooled(second)),
+        pairs=sum(pairs[1:], start=pairs[0]) if pairs else None,
+    )
+
+
+def _pooled(arm: Arm) -> SuccessRate:
+    count = arm.pooled
+    return success_rate(count.successes, count.episodes)
+
+
+def condition_rate(arm: Arm) -> Interval:
+    """Return the success rate of a condition: t over its trainings, never narrower than that of the rollouts alone."""
+    pooled, rates = _pooled(arm), arm.rates
+    below, above = pooled.rate - pooled.low, pooled.high - pooled.rate
+    if len(rates) > 1:
+        half = _t_limit(0.975, len(rates) - 1) * float(np.std(rates, ddof=1)) / math.sqrt(len(rates))
+        below, above = max(below, half), max(above, half)
+    return Interval(value=arm.rate, low=max(0.0, arm.rate - below), high=min(1.0, arm.rate + above))
+
+
+def condition_ratio(first: Arm, second: Arm) -> Interval:
+    """Return the ratio of two conditions' success rates: of the means over trainings, never a mean of ratios.
+
+    The logarithm of the ratio has Student's t interval with R - 1 degrees of freedom. Its standard error comes from the
+    delta method over replicates: the spread of first_r / mean(first) - second_r / mean(second). It is never below the
+    standard error of the rollouts alone. The ratio is not clipped at 1.
+
+    Returns:
+        The ratio. Unbounded above, and 0 below, for one replicate or if the second condition never succeeds.
+
+    Raises:
+        InvalidRequestError: If the replicates differ in number.
+    """
+    replicates = require_same_replicates(first, second)
+    u, s = first.rates, second.rates
+    if not s.mean():
+        return Interval(value=math.inf if u.mean() else math.nan, low=0.0, high=math.inf)
+    ratio = float(u.mean() / s.mean())
+    if replicates < 2:
+        return Interval(value=ratio, low=0.0, high=math.inf)
+    if not u.mean():  # no logarithm: the largest rate of the first that 0 successes are compatible with
+        return Interval(value=0.0, low=0.0, high=condition_rate(first).high / float(s.mean()))
+    deviation = u / u.mean() - s / s.mean()
+    among = _t_limit(0.975, replicates - 1) * float(np.std(deviation, ddof=1)) / math.sqrt(replicates)
+    rollouts = NORMAL * math.hypot(_relative_error(first, u), _relative_error(second, s))
+    factor = math.exp(max(among, rollouts))
+    return Interval(value=ratio, low=ratio / factor, high=ratio * factor)
+
+
+def _relative_error(arm: Arm, rates: Array) -> float:
+    """Return the standard error of a rate from its rollouts alone, relative to the rate."""
+    variance = [
+        count.successes / count.episodes * (1 - count.successes / count.episodes) / count.episodes
+        for replicate in arm.replicates
+        for count in replicate.values()
+        if count.episodes
+    ]
+    return math.sqrt(sum(variance)) / len(variance) / float(rates.mean())
+
+
+def more_trainings(difference: ConditionDifference, margin: float, *, most: int = 10_000) -> int | None:
+    """Return about how many more trainings an arm would decide a margin: 80 % power at 5 %, two-sided.
+
+    Args:
+        difference: The difference so far.
+        margin: Difference to detect, 0..1.
+        most: Number of trainings above which none is returned.
+
+    Returns:
+        Number in addition to the present ones; none if one replicate does not tell, or if it is beyond ``most``.
+    """
+    if difference.replicates < 2 or margin <= 0:
+        return None
+    first, second = difference.rollouts
+    episodes = (first.episodes + second.episodes) / 2 / difference.replicates
+    spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 is chance
+    least = math.ceil(((NORMAL + _t_limit(0.8, MANY)) * spread / margin) ** 2)
+    for replicates in range(max(2, difference.replicates, least), most + 1):
+        needed = _t_limit(0.975, replicates - 1) + _t_limit(0.8, replicates - 1)
+        if needed * spread / math.sqrt(replicates) <= margin:
+            return replicates - difference.replicates
+    return None
+
+
+__all__ = [
+    "LEAST_REPLICATES",
+    "ConditionDifference",
+    "Interval",
+    "condition_difference",
+    "condition_rate",
+    "condition_ratio",
+    "more_trainings",
+]

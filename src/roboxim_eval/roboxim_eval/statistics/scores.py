@@ -1,0 +1,232 @@
+"""Scores of an experiment with held-out cells: how well a policy combines what it has seen apart.
+
+With u the success rate of the leave-out condition in held-out cells, s that of the baseline, b that of the leave-out
+condition without words (``blind``), and u_seen, s_seen the rates in cells that both have seen:
+
+============  =================  ===============================================================================
+score         formula            guards against
+============  =================  ===============================================================================
+absolute      u                  a good ratio of two bad policies; it ranks models
+gap           s - u              the blow-up of a ratio; the primary test
+relative      u / s              nothing by itself, so it never stands alone; refused if the baseline is too weak
+words         u - b              a policy that only looks
+substitution  see below          memorised pairs
+competence    u_seen - s_seen    different numbers of demonstrations a cell; a weakened baseline
+============  =================  ===============================================================================
+
+Substitution is the share of failed held-out episodes that satisfied another instruction of the training.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from roboxim_eval.statistics.paired import Pairs
+from roboxim_eval.statistics.rates import SuccessRate, success_rate
+from roboxim_eval.statistics.replicates import (
+    LEAST_REPLICATES,
+    ConditionDifference,
+    Interval,
+    condition_difference,
+    condition_rate,
+    condition_ratio,
+)
+from roboxim_eval.statistics.tables import Arm
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relative:
+    """The ratio u / s, or the reason why it is refused. It is never clipped at 1."""
+
+    ratio: Interval | None
+    """The ratio with its 95 % interval; none: refused."""
+    refused: str = ""
+    """Why no ratio is stated; empty: it is."""
+
+    def __str__(self) -> str:
+        """Format the ratio, or the reason."""
+        return f"refused: {self.refused}" if self.ratio is None else str(self.ratio)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Substitution:
+    """Failed held-out episodes that satisfied another instruction of the training."""
+
+    rate: SuccessRate
+    """Their share of the failed held-out episodes."""
+    worst: str = ""
+    """The most frequent one in words, e.g. ``pick_up target=cube -> place_on target=cube (41 of 60)``; empty: none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """All scores of a leave-out condition against its baseline."""
+
+    absolute: Interval
+    """u, the success rate in held-out cells."""
+    baseline: Interval
+    """s, that of the baseline in the same cells."""
+    gap: ConditionDifference
+    """s - u."""
+    relative: Relative
+    """u / s."""
+    words: ConditionDifference | None = None
+    """u - b; none: no blind condition was evaluated."""
+    competence: ConditionDifference | None = None
+    """u_seen - s_seen; none: no seen cells were evaluated."""
+    substitution: Substitution | None = None
+    """Memorised pairs; none: no bags were judged again."""
+    warnings: tuple[str, ...] = ()
+    """What weakens the scores, in sentences."""
+
+
+def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refuse_below: float = 0.10) -> Relative:
+    """Return u / s, or refuse it.
+
+    It is refused if the lower bound of s is below ``refuse_below``, or if s is not above b: a baseline that fails, or
+    that a policy without words equals, is no measure of knowledge.
+
+    Args:
+        unseen: The leave-out condition in held-out cells.
+        baseline: The baseline in the same cells.
+        blind: The leave-out condition without words in these cells; none: not evaluated.
+        refuse_below: Least lower bound of the baseline's success rate, 0..1.
+
+    Raises:
+        InvalidRequestError: If the replicates differ in number.
+    """
+    s = condition_rate(baseline)
+    if s.low < refuse_below:
+        return Relative(
+            ratio=None,
+            refused=f"the baseline may succeed in as little as {100 * s.low:.0f} % of these episodes (limit: "
+            f"{100 * refuse_below:.0f} %); a ratio to it means nothing",
+        )
+    if blind is not None and not (s_over_b := condition_difference(baseline, blind)).interval().low > 0:
+        return Relative(
+            ratio=None,
+            refused="the baseline is not shown to be better than a policy without words "
+            f"({100 * s_over_b.interval().low:+.0f} to {100 * s_over_b.interval().high:+.0f} points)",
+        )
+    return Relative(ratio=condition_ratio(unseen, baseline))
+
+
+def substitutions(failed: Iterable[tuple[str, Collection[str]]]) -> Substitution:
+    """Count the failed held-out episodes that satisfied an instruction of the training.
+
+    Args:
+        failed: For each failed held-out episode its cell, and the seen cells whose instructions its bag satisfies.
+    """
+    failed = [(cell, tuple(satisfied)) for cell, satisfied in failed]
+    found = Counter((cell, sorted(satisfied)[0]) for cell, satisfied in failed if satisfied)
+    worst = ""
+    if found:
+        (cell, instead), count = found.most_common(1)[0]
+        worst = f"{cell} -> {instead} ({count} of {sum(c == cell for c, _ in failed)} failures)"
+    return Substitution(rate=success_rate(sum(found.values()), len(failed)), worst=worst)
+
+
+def scores(
+    leave_out: Arm,
+    baseline: Arm,
+    *,
+    unseen: Collection[str],
+    blind: Arm | None = None,
+    failed: Iterable[tuple[str, Collection[str]]] | None = None,
+    pairs: Sequence[Pairs] = (),
+    refuse_below: float = 0.10,
+) -> Scores:
+    """Return all scores.
+
+    Args:
+        leave_out: Outcomes of the leave-out condition, in held-out cells and, if evaluated, in seen ones.
+        baseline: Outcomes of the baseline, in the same cells.
+        unseen: The held-out cells.
+        blind: Outcomes of the leave-out condition's checkpoints without words in held-out cells; none: not evaluated.
+        failed: See `substitutions`; none: no bags were judged again.
+        pairs: Outcomes of baseline (first) and leave-out (second) in held-out cells, for each replicate.
+        refuse_below: See `relative_score`.
+
+    Raises:
+        InvalidRequestError: If a held-out cell was not met by an arm, or the replicates differ in number.
+    """
+    unseen = tuple(unseen)
+    u, s = leave_out.within(unseen), baseline.within(unseen)
+    b = None if blind is None else blind.within(unseen)
+    seen = tuple(cell for cell in leave_out.cells if cell not in unseen and cell in baseline.cells)
+    words = None if b is None else condition_difference(u, b)
+    competence = None
+    if seen:
+        competence = condition_difference(leave_out.within(seen), baseline.within(seen))
+    return Scores(
+        absolute=condition_rate(u),
+        baseline=condition_rate(s),
+        gap=condition_difference(s, u, pairs),
+        relative=relative_score(u, s, b, refuse_below=refuse_below),
+        words=words,
+        competence=competence,
+        substitution=None if failed is None else substitutions(failed),
+        warnings=tuple(_warnings(words, competence)),
+    )
+
+
+def _warnings(words: ConditionDifference | None, competence: ConditionDifference | None) -> Iterable[str]:
+    if words is None:
+        yield "No policy without words was evaluated, so the scene alone may explain the success."
+    elif not words.interval().low > 0:
+        yield (
+            "This experiment needs no words here: without the instruction the same checkpoints are not shown to be "
+            f"worse ({_points(words.interval())})."
+        )
+    if competence is not None and competence.replicates >= LEAST_REPLICATES and competence.p_value <= 0.05:
+        better = "the leave-out condition" if competence.value > 0 else "the baseline"
+        yield (
+            f"Competence differs: in cells that both have seen {better} is better ({_points(competence.interval())}), "
+            "so the gap is not due to the held-out cells alone."
+        )
+
+
+def _points(interval: Interval) -> str:
+    return f"{100 * interval.low:+.0f} to {100 * interval.high:+.0f} points"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DimensionScore:
+    """Score of a dimension, e.g. ``object``: the mean over the experiments that vary it."""
+
+    absolute: float
+    """Mean success rate in held-out cells."""
+    relative: float | None
+    """Mean ratio to the baseline; none: refused in an experiment."""
+    experiments: tuple[str, ...]
+    """The experiments that vary the dimension."""
+    refused: tuple[str, ...] = ()
+    """Experiments whose ratio was refused, so that there is no mean."""
+
+
+def dimension_scores(
+    experiments: Mapping[str, tuple[Collection[str], float, float | None]],
+) -> dict[str, DimensionScore]:
+    """Return the benchmark's scores by dimension, as section 6.3 of the thesis defines them.
+
+    Args:
+        experiments: Name to the dimensions that it varies, its absolute score, and its relative one; none: refused.
+    """
+    found = {}
+    for dimension in dict.fromkeys(name for names, _, _ in experiments.values() for name in names):
+        mine = {
+            name: (absolute, relative)
+            for name, (names, absolute, relative) in experiments.items()
+            if dimension in names
+        }
+        refused = tuple(name for name, (_, relative) in mine.items() if relative is None)
+        ratios = [relative for _, relative in mine.values() if relative is not None]
+        found[dimension] = DimensionScore(
+            absolute=sum(absolute for absolute, _ in mine.values()) / len(mine),
+            relative=None if refused else sum(ratios) / len(ratios),
+            experiments=tuple(mine),
+            refused=refused,
+        )
+    return found

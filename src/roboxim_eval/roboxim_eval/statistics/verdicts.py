@@ -1,0 +1,133 @@
+"""Verdicts of comparisons: one of four, with its sentence.
+
+``lower`` and ``higher``: the 95 % interval excludes 0. ``as_good``: two one-sided tests at 5 % each show a difference
+within the margin. ``cannot_tell``: none of these; the sentence says what is compatible with the data, and how many more
+trainings would decide the margin. An absence of evidence is never called "no difference".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, Interval, more_trainings
+
+Kind = Literal["lower", "higher", "as_good", "cannot_tell"]
+Question = Literal["checkpoint", "condition"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Result of a comparison in words."""
+
+    kind: Kind
+    """One of the four verdicts."""
+    question: Question
+    """``checkpoint`` (Q1: these trained policies) or ``condition`` (Q2: the training condition)."""
+    difference: Interval
+    """Difference of the success rates, first minus second, with its 95 % interval."""
+    p_value: float
+    """Two-sided probability of such a difference if both were equal; adjusted where several comparisons are made."""
+    sentence: str
+    """The verdict in one sentence."""
+
+
+def condition_verdict(
+    first: str, second: str, difference: ConditionDifference, *, margin: float = 0.10, p_value: float | None = None
+) -> Verdict:
+    """Compare two training conditions (Q2).
+
+    Args:
+        first: Name of the first condition, for the sentence.
+        second: Name of the second condition.
+        difference: Difference over at least three replicates.
+        margin: Largest difference that counts as equally good, 0..1.
+        p_value: Adjusted p value, where several comparisons are made; none: the difference's own.
+    """
+    interval = difference.interval()
+    own = difference.p_value if p_value is None else p_value
+    many = f"{difference.replicates} trainings each"
+    if difference.replicates < LEAST_REPLICATES:
+        sentence = (
+            f"Cannot tell whether {first} is better or worse than {second} as a way to train: {many} do not show how "
+            f"much trainings differ; at least {LEAST_REPLICATES} are needed."
+        )
+        return Verdict(kind="cannot_tell", question="condition", difference=interval, p_value=1.0, sentence=sentence)
+    narrow = difference.interval(confidence=0.90)
+    within = -margin < narrow.low and narrow.high < margin
+    if own <= 0.05 and (interval.low > 0 or interval.high < 0):
+        kind: Kind = "lower" if interval.high < 0 else "higher"
+        points = _points(interval)
+        sentence = f"{first} is {kind} than {second} by {points}, over {many}"
+        sentence += f"; the difference is within the margin of {100 * margin:.0f} points." if within else "."
+    elif within:
+        kind = "as_good"
+        sentence = (
+            f"{first} is as good as {second} within {100 * margin:.0f} points: the difference is "
+            f"{_signed(interval)}, over {many}."
+        )
+    else:
+        kind = "cannot_tell"
+        more = more_trainings(difference, margin)
+        needed = {None: "", 0: "; more scenes for each training would decide"}.get(
+            more, f"; about {more} more trainings each would decide {100 * margin:.0f} points"
+        )
+        sentence = (
+            f"Cannot tell whether {first} differs from {second}: {100 * interval.low:+.0f} to "
+            f"{100 * interval.high:+.0f} points are compatible with {many}{needed}."
+        )
+    return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
+
+
+def checkpoint_verdict(
+    first: str, second: str, pairs: Pairs, *, margin: float = 0.10, p_value: float | None = None
+) -> Verdict:
+    """Compare two checkpoints on the same scenes (Q1).
+
+    Args:
+        first: Name of the first checkpoint, for the sentence.
+        second: Name of the second checkpoint.
+        pairs: Outcomes of both on each scene.
+        margin: Largest difference that counts as equally good, 0..1.
+        p_value: Adjusted p value, where several comparisons are made; none: that of the exact McNemar test.
+
+    Raises:
+        InvalidRequestError: If there are no scenes.
+    """
+    found = paired_difference(pairs)
+    own = found.p_value if p_value is None else p_value
+    interval = Interval(value=found.value, low=found.low, high=found.high)
+    scale = 1.6449 / 1.9600
+    within = found.value - scale * (found.value - found.low) > -margin
+    within = within and found.value + scale * (found.high - found.value) < margin
+    where = f"on {pairs.scenes} scenes that both met"
+    kind: Kind
+    if own <= 0.05:
+        kind = "lower" if found.value < 0 else "higher"
+        sentence = f"This checkpoint of {first} is {kind} than this one of {second} by {_points(interval)}, {where}."
+    elif within:
+        kind = "as_good"
+        sentence = (
+            f"This checkpoint of {first} is as good as this one of {second} within {100 * margin:.0f} points: the "
+            f"difference is {_signed(interval)}, {where}."
+        )
+    else:
+        kind = "cannot_tell"
+        sentence = (
+            f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: "
+            f"{100 * interval.low:+.0f} to {100 * interval.high:+.0f} points are compatible, {where}."
+        )
+    return Verdict(
+        kind=kind, question="checkpoint", difference=interval, p_value=own,
+        sentence=f"{sentence} One training says nothing about the way to train.",
+    )  # fmt: skip
+
+
+def _points(interval: Interval) -> str:
+    ends = sorted((abs(interval.low), abs(interval.high)))
+    return f"{100 * abs(interval.value):.0f} points ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})"
+
+
+def _signed(interval: Interval) -> str:
+    return f"{100 * interval.value:+.0f} points ({100 * interval.low:+.0f} to {100 * interval.high:+.0f})"
