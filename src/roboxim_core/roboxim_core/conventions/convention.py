@@ -352,8 +352,7 @@ def from_actions(
 ) -> Floats:
     """Return the policy's numbers that mean given actions, e.g. of a whole episode; the inverse of `to_actions`.
 
-    A number outside of what the policy can say (``input_range``) is returned as it is: it shows that the convention
-    cannot express the action.
+    A number outside of its range is returned as it is: it shows that the convention cannot express the action.
 
     Args:
         convention: The convention.

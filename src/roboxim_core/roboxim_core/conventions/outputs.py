@@ -30,6 +30,7 @@ _SCALABLE = (
     RotationRepresentation.EULER_XYZ_INTRINSIC,
     RotationRepresentation.ROTATION_VECTOR,
 )
+_RANGES = ("translation_range", "rotation_range", "joint_range")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +59,12 @@ class ActionOutput:
     """Components of the policy's action, if more than the used ones; 0: as many."""
     order: tuple[int, ...] = ()
     """Index, in the policy's action, of each component in the natural order; empty: the natural order."""
-    input_range: tuple[float, ...] = ()
-    """Lowest and highest number of motion and rotation; others are clipped to it before scaling. Empty: no clipping."""
+    translation_range: tuple[float, ...] = ()
+    """Lowest and highest number of a translation; others are clipped to it before scaling. Empty: no clipping."""
+    rotation_range: tuple[float, ...] = ()
+    """Lowest and highest number of a rotation, likewise; for Euler angles and rotation vectors."""
+    joint_range: tuple[float, ...] = ()
+    """Lowest and highest number of a joint, likewise."""
     translation_scale_m: float = 1.0
     """Metres of a translation of 1."""
     rotation_scale_rad: float = 1.0
@@ -79,7 +84,7 @@ class ActionOutput:
         Raises:
             InvalidRequestError: Naming the field.
         """
-        for name in ("keys", "order", "input_range"):
+        for name in ("keys", "order", *_RANGES):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         meaning = self.semantics(10.0)  # checks control, frame, rotation, delta base and limits
         object.__setattr__(self, "frame", meaning.frame)
@@ -99,8 +104,12 @@ class ActionOutput:
                 raise InvalidRequestError(f"{name} must not be 0")
         if self.rotation_scale_rad != 1.0 and self.rotation not in _SCALABLE:
             raise InvalidRequestError(f"rotation_scale_rad must be 1 with rotation '{self.rotation}'")
-        if self.input_range and not (len(self.input_range) == 2 and self.input_range[0] < self.input_range[1]):
-            raise InvalidRequestError(f"input_range must be two numbers, low and high, got {list(self.input_range)}")
+        for name in _RANGES:
+            bounds = getattr(self, name)
+            if bounds and not (len(bounds) == 2 and bounds[0] < bounds[1]):
+                raise InvalidRequestError(f"{name} must be two numbers, low and high, got {list(bounds)}")
+        if self.rotation_range and self.rotation not in _SCALABLE:
+            raise InvalidRequestError(f"rotation_range must be left out with rotation '{self.rotation}'")
         if self.normalisation and len(self.normalisation.first) not in (0, size):
             raise InvalidRequestError(
                 f"normalisation has {len(self.normalisation.first)} components, an action has {size}"
@@ -156,18 +165,17 @@ class ActionOutput:
             rows = self.normalisation.invert(rows)
         rows = rows[:, list(self.order)] if self.order else rows[:, : self.natural_size]
         motion, numbers = rows[:, :-1], rows[:, -1]
-        if self.input_range:
-            motion = np.clip(motion, self.input_range[0], self.input_range[1])
         if self.control.is_joint_space:
-            motion = motion * self.joint_scale
+            motion = _clipped(motion, self.joint_range) * self.joint_scale
         else:
-            motion = self._turned_in(motion * self._scales(), frames)
+            parts = [_clipped(motion[:, :3], self.translation_range), _clipped(motion[:, 3:], self.rotation_range)]
+            motion = self._turned_in(np.concatenate(parts, axis=1) * self._scales(), frames)
         return np.column_stack([motion, self.gripper.decode(numbers)])
 
     def encode(self, rows: npt.ArrayLike, frames: Frames) -> Floats:
         """Return the policy's numbers for actions in RoboXim's units; the inverse of `decode`.
 
-        A number outside ``input_range`` is not clipped: it shows that the convention cannot express the action.
+        A number outside of its range is not clipped: it shows that the convention cannot express the action.
 
         Args:
             rows: Shape (n, `natural_size`), of the meaning `semantics`.
@@ -221,3 +229,7 @@ class ActionOutput:
             turned = frames.turns_out(decode_rows(rotations, self.rotation), tool=self._in_tool)
             rotations = encode_rows(turned, self.rotation, IDENTITY_ROTATION)
         return np.concatenate([positions, rotations], axis=1)
+
+
+def _clipped(numbers: Floats, bounds: tuple[float, ...]) -> Floats:
+    return np.clip(numbers, bounds[0], bounds[1]) if bounds else numbers
