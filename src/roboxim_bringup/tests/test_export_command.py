@@ -23,8 +23,8 @@ class ToyConfig(Selection):
     """Title of the ``toy``."""
     codec: Literal["h264", "av1"] = "h264"
     """Video codec."""
-    depth: bool = False
-    """Whether depth is exported."""
+    masks: bool = False
+    """Whether masks are exported."""
 
 
 class ToyExporter:
@@ -41,7 +41,7 @@ def test_a_registered_format_is_a_command_with_its_own_options(monkeypatch, tmp_
     assert "Export toys." in listed
     assert "rlds" in listed
     text = " ".join(runner.invoke(command, ["toy", "--help"]).output.split())
-    for words in ("--title", "Title of the toy.", "[h264|av1]", "--depth / --no-depth", "--skip-missing", "--camera"):
+    for words in ("--title", "Title of the toy.", "[h264|av1]", "--masks / --no-masks", "--skip-missing", "--camera"):
         assert words in text, words
     refused = runner.invoke(command, ["toy", str(tmp_path), str(tmp_path), "--codec", "vp9"])
     assert refused.exit_code == 2

@@ -39,6 +39,8 @@ class FakeEpisode:
     outcome: str = "success"
     instruction: str = "Pick up the red cube"
     robot: str = "panda"
+    color: str = "red"
+    cell: str = ""
 
     @property
     def scene(self) -> SceneSpec:
@@ -47,10 +49,11 @@ class FakeEpisode:
 
     @property
     def info(self) -> EpisodeInfo:
-        target = PhysicalObject(entity="target", model="cube", name="cube", modifiers={"color": "red"})
+        target = PhysicalObject(entity="target", model="cube", name="cube", modifiers={"color": self.color})
+        drawn = {"cell": self.cell} if self.cell else {}
         return EpisodeInfo(
             episode_id=f"demo-0-{self.index:05d}-0", run_seed=3, purpose="demo", index=self.index, attempt=0,
-            task=TaskSpec(skill="pick_up", objects={"target": target}, instruction=self.instruction),
+            task=TaskSpec(skill="pick_up", objects={"target": target}, instruction=self.instruction, drawn=drawn),
             scene=self.scene, semantics=ActionSemantics(), actor="expert", renderer="raster (test)",
             versions={"roboxim": "0.1.0"}, recorded={"lights": "[]"},
         )  # fmt: skip

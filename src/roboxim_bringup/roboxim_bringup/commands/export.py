@@ -50,22 +50,59 @@ def _common() -> list[click.Parameter]:
     """Return the arguments and options that all formats share."""
     path = click.Path(path_type=Path)
     return [
-        click.Argument(["source"], type=path),
+        click.Argument(["source"], type=path, nargs=-1, required=True, metavar="RUN..."),
         click.Argument(["target"], type=path),
         click.Option(
-            ["--camera", "cameras"], multiple=True, metavar="CAMERA=KEY",
-            help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
-        ),
-        click.Option(
-            ["--size"], default="as-configured", help="Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."
-        ),
-        click.Option(
-            ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
+            ["--where"], multiple=True, metavar="CONDITION",
+            help="Export episodes that meet a condition: KEY=VALUE[,VALUE...], KEY!=VALUE, KEY<NUMBER. Keys: skill, "
+            "object, target, target.color, camera, outcome, steps, cell, drawn.NAME, ... May be repeated.",
         ),
         click.Option(["--all", "everything"], is_flag=True, help="Include episodes that did not succeed."),
         click.Option(
             ["--keep-recovered"], is_flag=True,
             help="Include episodes that needed a second attempt, e.g. a second grasp."
+        ),
+        click.Option(
+            ["--per-cell"], type=click.IntRange(0), default=0,
+            help="Number of episodes of each cell of the mix (else skill), after all filters; 0: all."
+        ),
+        click.Option(["--uneven"], is_flag=True, help="Allow cells with different numbers of episodes."),
+        click.Option(
+            ["--split"], default="", metavar="train=90,val=10",
+            help="Numbers of episodes of the splits train, val and test; 0: the rest. Default: --val-fraction."
+        ),
+        click.Option(
+            ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
+        ),
+        click.Option(
+            ["--convention"], default="", metavar="NAME",
+            help="Convention (name or YAML file) that says images, state, actions and rate, e.g. libero; see 'roboxim "
+            "policy conventions'.",
+        ),
+        click.Option(
+            ["--cameras", "--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
+            help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
+        ),
+        click.Option(
+            ["--size"], default="as-configured", help="Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."
+        ),
+        click.Option(["--depth"], multiple=True, metavar="CAMERA", help="Camera whose depth images are exported."),
+        click.Option(
+            ["--segmentation"], multiple=True, metavar="CAMERA", help="Camera whose segmentation images are exported."
+        ),
+        click.Option(
+            ["--rate", "rate_hz"], type=click.FloatRange(0), default=0.0,
+            help="Steps per second; must divide the recorded rate. Default: as recorded."
+        ),
+        click.Option(
+            ["--actions"], default="", metavar="WORDS",
+            help="Meaning of the actions, e.g. end_effector_absolute,rotation_6d or joint_position,"
+            "absolute_open_0_closed_1. Default: as recorded.",
+        ),
+        click.Option(
+            ["--state"], default="", metavar="FIELDS",
+            help="Fields of the state, e.g. tcp_position,tcp_quaternion_xyzw,gripper_opening. "
+            "Default: tcp_position,tcp_rotation_6d,gripper_opening.",
         ),
         click.Option(
             ["--skip-missing"], is_flag=True, help="Export the remaining bags when bags of the run are missing."
@@ -75,35 +112,65 @@ def _common() -> list[click.Parameter]:
 
 
 def _export(
-    name: str, own: dict[str, Any], source: Path, target: Path, cameras: tuple[str, ...], size: str,
-    val_fraction: float, everything: bool, keep_recovered: bool, skip_missing: bool, overwrite: bool,
+    name: str, own: dict[str, Any], source: tuple[Path, ...], target: Path, cameras: tuple[str, ...], size: str,
+    split: str, everything: bool, keep_recovered: bool, overwrite: bool, **common: Any,
 ) -> None:  # fmt: skip
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.export import export_dataset
-    from roboxim_core.errors import ConfigError
     from roboxim_recorder.export import EXPORTERS
 
-    for word in cameras:
-        if "=" not in word:
-            raise ConfigError(f"--camera is CAMERA=KEY, e.g. workspace=image, got '{word}'")
     width, height = parse_size(size)
     config = EXPORTERS[name]().config(
-        cameras=dict(word.split("=", 1) for word in cameras), image_width=width, image_height=height,
-        val_fraction=val_fraction, only_successful=not everything, keep_recovered=keep_recovered or everything,
-        skip_missing=skip_missing, **own,
+        cameras=_camera_keys(cameras), image_width=width, image_height=height, split=parse_counts("--split", split),
+        only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
     )  # fmt: skip
     with EventPrinter() as printer:
         report = export_dataset(name, source, target, config, overwrite=overwrite, on_event=printer)
+    _print_report(report)
+    if name == "rlds":
+        click.echo(f"next: roboxim train bc {target}")
+
+
+def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:
+    """Return camera to image key."""
+    from roboxim_datasets.rlds.episodes import USUAL_KEYS
+
+    found = {}
+    for word in (part for given in words for part in given.split(",")):
+        camera, _, key = word.partition("=")
+        found[camera] = key or USUAL_KEYS.get(camera, camera)
+    return found
+
+
+def parse_counts(option: str, text: str) -> dict[str, int]:
+    """Parse ``train=90,val=10``.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    from roboxim_core.errors import ConfigError
+
+    found = {}
+    for part in filter(None, text.split(",")):
+        name, _, count = part.partition("=")
+        if not count.strip().isdecimal():
+            raise ConfigError(f"{option} is NAME=COUNT,..., e.g. train=90,val=10; got '{text}'")
+        found[name.strip()] = int(count)
+    return found
+
+
+def _print_report(report: Any) -> None:
     splits = ", ".join(
         f"{count} {'episode' if count == 1 else 'episodes'} in {s}" for s, count in report.splits.items()
     )
     click.echo(f"{report.path}: {splits}, {report.steps} steps")
+    for split, cells in report.cells.items():
+        if len(cells) > 1:
+            click.echo(f"  {split}: " + ", ".join(f"{count} of {cell}" for cell, count in cells.items()))
     for reason, count in report.left_out.items():
         click.echo(f"  left out: {count} ({reason})")
     for bag in (*report.missing, *report.unexpected):
         click.echo(f"    {bag} {'is missing' if bag in report.missing else 'has no line in results.jsonl'}")
     if report.dead_dimensions:
         click.echo(f"  (nearly) constant components of the action, not learnable: {', '.join(report.dead_dimensions)}")
-    if name == "rlds":
-        click.echo(f"next: roboxim train bc {target}")

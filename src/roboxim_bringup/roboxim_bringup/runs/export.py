@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from roboxim_bringup.executors import Cancellation, CancelledError
@@ -23,7 +24,7 @@ __all__ = ["ExportConfig", "ExportReport", "export_dataset", "export_rlds", "unf
 
 def export_dataset(
     name: str,
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: Selection | None = None,
     *,
@@ -31,13 +32,13 @@ def export_dataset(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> ExportReport:
-    """Export the bags of a run as a dataset.
+    """Export the bags of runs as a dataset.
 
     The same call continues an interrupted export. An existing dataset of the same bags and configuration is kept.
 
     Args:
         name: Registered format, e.g. ``rlds``.
-        source: A run's folder, a folder of bags, or one bag.
+        source: A run's folder, a folder of bags, or one bag; or several of them.
         target: Folder to write the dataset into.
         config: Configuration of the format's class; none: the defaults.
         overwrite: Replace an existing dataset.
@@ -52,8 +53,8 @@ def export_dataset(
             or when the dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it cannot be written.
     """
     checked_path(target)
-    note = unfinished(Path(source))
-    if note:
+    sources = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
+    for note in filter(None, map(unfinished, sources)):
         on_event(Notice(text=f"{note}; later episodes need another export with --overwrite or overwrite=True"))
 
     def progress(done: int, total: int) -> None:
@@ -64,14 +65,14 @@ def export_dataset(
     with telling_interruption(on_event, lambda: "the same call or command continues the export"):
         on_event(StageStarted(title="exporting", total=1, unit="episodes"))
         report = export_bags(
-            name, source, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
+            name, sources, target, config, if_exists="overwrite" if overwrite else "keep", progress=progress
         )
         on_event(StageFinished())
     return report
 
 
 def export_rlds(
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: ExportConfig | None = None,
     *,

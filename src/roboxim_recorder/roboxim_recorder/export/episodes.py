@@ -1,56 +1,34 @@
-"""A bag as an `Episode`."""
+"""A bag as an `Episode`: as it was recorded (`bag_episode`), or as an export writes it (`exported_episode`)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from roboxim_core.actions import ActionSemantics, ControlMode
+from roboxim_core.actions.rows import ArmTrack, convert_rows
 from roboxim_core.config import to_json
 from roboxim_core.errors import ErrorCode, RecorderError
-from roboxim_core.images import resized
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
-from roboxim_datasets.episode import Episode, Floats, ImageSize, RGBImage, Step, Wanted
+from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.state import StateRecord
+from roboxim_datasets.episode import Episode, Floats, ImageSize, MetaValue, Step, Wanted
 from roboxim_recorder.bag import BagReader, BagTick
-from roboxim_recorder.export.selection import Selected, Source
+from roboxim_recorder.export.content import Content
+from roboxim_recorder.export.selection import Source
 
 SNAP = 1e-5
-"""Smaller deltas [m or rad] become 0: normalised, the noise of a dead dimension would look like an action."""
+"""Smaller motions [m, rad or rad/s] become 0: normalised, the noise of a dead dimension would look like an action."""
 PROPRIO_FIELDS = (*STATE_FIELDS, ProprioField.JOINT_POSITIONS, ProprioField.JOINT_VELOCITIES)
 """Proprioception that an episode of a bag has."""
-
-
-def exported_episode(source: Source, selected: Selected) -> Episode:
-    """Return a bag's episode as an export writes it.
-
-    Args:
-        source: The bag.
-        selected: What the export consists of.
-    """
-    raw = bag_episode(source, selected.joint_names)
-    description = selected.description
-
-    def read(wanted: Wanted) -> Iterator[Step]:
-        for step in raw.read(wanted):
-            yield replace(
-                step,
-                images={camera: _fitting(image, selected.sizes[camera]) for camera, image in step.images.items()},
-                proprio={
-                    name: np.concatenate([step.proprio[field] for field in fields])
-                    for name, fields in selected.vectors.items()
-                },
-            )
-
-    return replace(raw, cameras=selected.sizes, vectors=description.features.vectors, read=read)
-
-
-def _fitting(image: RGBImage, size: ImageSize) -> RGBImage:
-    return resized(image, size.height, size.width)
+Rows = npt.NDArray[np.float64]
 
 
 def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
-    """Return a bag's episode without the settling ticks at its end.
+    """Return a bag's episode as it was recorded, without the settling ticks at its end.
 
     A step pairs the observation of tick k with the action that leads to tick k + 1, as an imitator should output it
     (``action_label``: without the noise that was injected).
@@ -59,73 +37,211 @@ def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
         source: The bag.
         joint_names: Arm joints of its robot, in the order of their positions.
     """
-    info, result = source.info, source.result
-    success = result.outcome == "success"
+    info = source.info
 
     def read(wanted: Wanted) -> Iterator[Step]:
-        observed: BagTick | None = None
-        index = 0
-        for tick in BagReader(source.path).ticks(cameras=_cameras(wanted)):
-            if observed is not None:
-                if tick.step.phase != "act":
-                    break
-                solved = success and index == result.steps - 1
-                yield _step(index, observed, tick, success=solved, source=source, wanted=wanted)
-                index += 1
-                if index == result.steps:
-                    return
-            observed = tick
-        raise RecorderError(
-            f"bag {source.path} has {index} actions, its result says {result.steps}; check it", ErrorCode.BAG_DAMAGED
-        )
+        for index, (observed, following) in enumerate(_actions_of(source, wanted)):
+            measured = Proprioception.of(observed.state, info.scene.robot.pose)
+            yield Step(
+                index=index,
+                images={camera: observed.images[camera] for camera in wanted.cameras},
+                depth={camera: observed.depth[camera] for camera in wanted.depth},
+                segmentation={camera: observed.segmentation[camera] for camera in wanted.segmentation},
+                proprio={str(field): measured.vector((field,)) for field in PROPRIO_FIELDS},
+                action=_snapped(np.array(following.step.action_label), info.semantics).astype(np.float32),
+                action_executed=np.array(following.step.action_executed, np.float32),
+                reward=float(_solved(source) and index == source.result.steps - 1),
+            )
 
     return Episode(
         episode_id=info.episode_id,
-        length=result.steps,
+        length=source.result.steps,
         instruction=info.task.instruction,
         semantics=info.semantics,
         cameras={c.name: ImageSize(height=c.height, width=c.width) for c in info.scene.cameras},
-        success=success,
+        success=_solved(source),
         robot=info.scene.robot.model,
         joint_names=joint_names,
         fps=info.semantics.rate_hz,
         vectors={str(field): component_names((field,), joint_names) for field in PROPRIO_FIELDS},
         depth=tuple(c.name for c in info.scene.cameras if c.depth),
         segmentation=tuple(c.name for c in info.scene.cameras if c.segmentation),
-        metadata={
-            "file_path": f"{source.path.parent.name}/{source.path.name}",
-            "run_seed": info.run_seed,
-            "index": info.index,
-            "attempt": info.attempt,
-            "skill": info.task.skill,
-            "actor": info.actor,
-            "task": to_json(info.task),
-            "final_state_hash": result.final_state_hash,
-        },
+        metadata=_metadata(source),
         read=read,
     )
 
 
-def _cameras(wanted: Wanted) -> list[str]:
-    return sorted({*wanted.cameras, *wanted.depth, *wanted.segmentation})
+def exported_episode(source: Source, content: Content) -> Episode:
+    """Return a bag's episode as an export writes it.
 
+    With a lower rate, step i holds the observation of tick k = i * ``every`` and the action that leads to tick
+    k + ``every``; its target is the one that the last of these ticks commanded, so no rounding accumulates.
 
-def _step(index: int, observed: BagTick, following: BagTick, *, success: bool, source: Source, wanted: Wanted) -> Step:
-    measured = Proprioception.of(observed.state, source.info.scene.robot.pose)
-    return Step(
-        index=index,
-        images={camera: observed.images[camera] for camera in wanted.cameras},
-        depth={camera: observed.depth[camera] for camera in wanted.depth},
-        segmentation={camera: observed.segmentation[camera] for camera in wanted.segmentation},
-        proprio={str(field): measured.vector((field,)) for field in PROPRIO_FIELDS},
-        action=_label(following.step.action_label),
-        action_executed=np.array(following.step.action_executed, np.float32),
-        reward=float(success),
+    Args:
+        source: The bag.
+        content: What the export consists of.
+    """
+    length = -(-source.result.steps // content.every)
+    description = content.describe((source,))
+
+    def read(wanted: Wanted) -> Iterator[Step]:
+        actions = _converted(source, content) if content.converts else None
+        for index, (observed, following) in enumerate(_actions_of(source, wanted)):
+            at, rest = divmod(index, content.every)
+            if rest:
+                continue
+            measured = Proprioception.of(observed.state, source.info.scene.robot.pose)
+            if actions is None:
+                label = _snapped(np.array(following.step.action_label), content.recorded).astype(np.float32)
+                executed = np.array(following.step.action_executed, np.float32)
+            else:
+                label, executed = actions.labels[at], actions.executed[at]
+            yield Step(
+                index=at,
+                images={camera: content.picture(camera, observed.images[camera]) for camera in wanted.cameras},
+                depth={c: content.flat(c, observed.depth[c]) for c in wanted.depth},
+                segmentation={c: content.flat(c, observed.segmentation[c]) for c in wanted.segmentation},
+                proprio={name: make(measured) for name, make in content.vectors.items()},
+                action=label,
+                action_executed=executed,
+                reward=float(_solved(source) and at == length - 1),
+            )
+
+    return Episode(
+        episode_id=source.info.episode_id,
+        length=length,
+        instruction=source.info.task.instruction,
+        semantics=content.semantics,
+        cameras=content.sizes,
+        success=_solved(source),
+        robot=content.robot,
+        joint_names=content.joint_names,
+        fps=description.fps,
+        vectors=content.names,
+        depth=content.depth,
+        segmentation=content.segmentation,
+        metadata=_metadata(source),
+        read=read,
     )
 
 
-def _label(values: Sequence[float]) -> Floats:
-    action = np.array(values, np.float32)
-    deltas = action[:6]
-    deltas[np.abs(deltas) < SNAP] = 0.0
-    return action
+def _solved(source: Source) -> bool:
+    return source.result.outcome == "success"
+
+
+def _metadata(source: Source) -> Mapping[str, MetaValue]:
+    info = source.info
+    return {
+        "file_path": f"{source.path.parent.name}/{source.path.name}",
+        "run_seed": info.run_seed,
+        "index": info.index,
+        "attempt": info.attempt,
+        "skill": info.task.skill,
+        "actor": info.actor,
+        "task": to_json(info.task),
+        "final_state_hash": source.result.final_state_hash,
+    }
+
+
+def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTick]]:
+    """Yield the tick before and the tick after each action.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when the bag has fewer actions than its result says.
+    """
+    cameras = sorted({*wanted.cameras, *wanted.depth, *wanted.segmentation})
+    observed: BagTick | None = None
+    count = 0
+    for tick in BagReader(source.path).ticks(cameras=cameras):
+        if observed is not None:
+            if tick.step.phase != "act":
+                break
+            yield observed, tick
+            count += 1
+            if count == source.result.steps:
+                return
+        observed = tick
+    raise RecorderError(
+        f"bag {source.path} has {count} actions, its result says {source.result.steps}; check it",
+        ErrorCode.BAG_DAMAGED,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Actions:
+    """Exported actions of an episode, float32, shape (T, D)."""
+
+    labels: Floats
+    executed: Floats
+
+
+def _converted(source: Source, content: Content) -> _Actions:
+    """Return the actions of a bag in the exported meaning."""
+    pairs = list(_actions_of(source, Wanted()))
+    count, every = len(pairs), content.every
+    first = np.arange(0, count, every)
+    last = np.minimum(first + every, count) - 1
+    states = [observed.state for observed, _ in pairs]
+    labels, executed = (
+        np.array([getattr(following.step, name) for _, following in pairs], np.float32)
+        for name in ("action_label", "action_executed")
+    )
+    after = np.array([following.state.robot.joint_commands for _, following in pairs], float)
+    unknown = np.where((labels == executed).all(axis=1)[:, None], after, np.nan)  # noise replaced the label there
+    tracks = _Tracks(states, first, last, source, content)
+    label_rows = _snapped(tracks.convert(_snapped(labels, content.recorded), unknown), content.actions)
+    executed_rows = tracks.convert(executed.astype(float), after)
+    if content.named:
+        action, frames = content.convention.action, content.convention.frames
+        plain = replace(action, normalisation=None)  # trainers normalise by the dataset's own statistics
+        label_rows, executed_rows = (plain.encode(rows, frames) for rows in (label_rows, executed_rows))
+    return _Actions(labels=label_rows.astype(np.float32), executed=executed_rows.astype(np.float32))
+
+
+class _Tracks:
+    """State of the arm at the first and at the last tick of each exported step."""
+
+    def __init__(
+        self, states: Sequence[StateRecord], first: npt.NDArray[np.int64], last: npt.NDArray[np.int64],
+        source: Source, content: Content,
+    ) -> None:  # fmt: skip
+        base = source.info.scene.robot.pose
+        self._content, self._last = content, last
+        self._first_track = ArmTrack.of([states[i] for i in first], base, content.kinematics)
+        self._last_track = ArmTrack.of([states[i] for i in last], base, content.kinematics)
+
+    def convert(self, rows: Rows, joints_after: Rows) -> Rows:
+        """Convert recorded actions: the target of the last tick of a step, relative to the state before its first.
+
+        Args:
+            rows: Recorded actions of all ticks.
+            joints_after: Commanded joints after each tick; NaN where they are not those that the action commands.
+        """
+        recorded, wanted = self._content.recorded, self._content.actions
+        track = replace(self._last_track, joints_after=joints_after[self._last])
+        if self._content.every == 1:
+            return convert_rows(rows[self._last], recorded, wanted, track)
+        target = _absolute(wanted)
+        targets = convert_rows(rows[self._last], recorded, replace(target, rate_hz=recorded.rate_hz), track)
+        return convert_rows(targets, target, wanted, self._first_track)
+
+
+def _absolute(semantics: ActionSemantics) -> ActionSemantics:
+    """Return the absolute meaning in the same space, without loss."""
+    if semantics.control.is_joint_space:
+        return replace(semantics, control=ControlMode.JOINT_POSITION)
+    return replace(
+        semantics,
+        control=ControlMode.END_EFFECTOR_ABSOLUTE,
+        frame="robot_base",  # type: ignore[arg-type]  # text becomes the enumeration
+        rotation=RotationRepresentation.QUATERNION_XYZW,
+    )
+
+
+def _snapped(rows: npt.ArrayLike, semantics: ActionSemantics) -> Rows:
+    """Return actions with tiny relative motions set to 0; shape (..., D)."""
+    values = np.array(rows, float)
+    if semantics.control.is_relative:
+        motion = values[..., :-1]
+        motion[np.abs(motion) < SNAP] = 0.0
+    return values

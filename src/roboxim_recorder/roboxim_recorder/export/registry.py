@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from roboxim_core.registry import Registry
-from roboxim_datasets.dataset import DatasetWriter
+from roboxim_datasets.dataset import DatasetWriter, Description
 from roboxim_datasets.formats import FORMATS
-from roboxim_recorder.export.selection import Selected, Selection
+from roboxim_recorder.export.selection import Selection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Exporter(Protocol):
         """Return the path of the dataset of a configuration."""
 
     def open(
-        self, target: Path, config: Any, selected: Selected, *, identity: str, overwrite: bool
+        self, target: Path, config: Any, description: Description, *, identity: str, overwrite: bool
     ) -> AbstractContextManager[DatasetWriter]:
         """Start a dataset, or continue an interrupted one of the same identity.
 
@@ -65,11 +65,11 @@ class FormatExporter:
         return FORMATS[self.format]().path(target, config)
 
     def open(
-        self, target: Path, config: Any, selected: Selected, *, identity: str, overwrite: bool
+        self, target: Path, config: Any, description: Description, *, identity: str, overwrite: bool
     ) -> AbstractContextManager[DatasetWriter]:
         """Start a dataset, or continue an interrupted one of the same identity."""
         made = FORMATS[self.format]()
-        return made.create(target, selected.description, config, identity=identity, overwrite=overwrite)
+        return made.create(target, description, config, identity=identity, overwrite=overwrite)
 
     def contents(self, path: Path) -> DatasetContents:
         """Read the number of episodes of a dataset."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -43,7 +44,7 @@ class RldsExporter(FormatExporter):
 
 
 def export_rlds(
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: ExportConfig | None = None,
     *,

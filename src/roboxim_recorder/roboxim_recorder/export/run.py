@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from roboxim_core.config import to_json, to_plain
+from roboxim_core.config import digest, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
-from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, DatasetWriter
+from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter
 from roboxim_recorder.bag_writer import disk_errors
+from roboxim_recorder.export.content import Content, content_of
+from roboxim_recorder.export.convention_file import CONVENTION_FILE, convention_text
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS, Exporter
-from roboxim_recorder.export.selection import Selected, Selection, by_split, select
+from roboxim_recorder.export.selection import Chosen, Selection, choose
 from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
@@ -42,25 +44,27 @@ class ExportReport:
     """Missing bags that the run's results name, relative to the run."""
     unexpected: tuple[Path, ...] = ()
     """Bags that no result of the run names; they are not exported."""
+    cells: dict[str, dict[str, int]] = field(default_factory=dict)
+    """Split to cell to number of episodes; a cell is that of the task's mix, else the skill."""
 
 
 def export_bags(
     name: str,
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: Selection | None = None,
     *,
     if_exists: Literal["refuse", "overwrite", "keep"] = "refuse",
     progress: Progress = lambda done, total: None,
 ) -> ExportReport:
-    """Export a run's folder, a folder of bags or one bag.
+    """Export runs' folders, folders of bags or bags.
 
     An interrupted export continues where it stopped; the dataset gets its final name only when it is whole. Equal bags
     and configuration give equal bytes.
 
     Args:
         name: Registered format, e.g. ``rlds``.
-        source: Path of the bags; bags in ``set_apart`` are ignored.
+        source: Path of the bags, or several paths; bags in ``set_apart`` are ignored.
         target: Folder that the dataset is written into.
         config: Configuration, of the format's class; None: the defaults.
         if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
@@ -77,46 +81,63 @@ def export_bags(
     config = config if config is not None else exporter.config()
     if not isinstance(config, exporter.config):
         raise ConfigError(f"exporter '{name}' takes a {exporter.config.__name__}, got a {type(config).__name__}")
-    selected = select(run_bags(source), config)
-    identity = _identity(name, selected, config)
-    path, total = exporter.path(Path(target), config), len(selected.sources)
+    paths = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
+    chosen = choose([run_bags(path) for path in paths], config)
+    content = content_of(chosen.sources, config)
+    identity = _identity(name, chosen, content, config)
+    path, total = exporter.path(Path(target), config), len(chosen.sources)
     resumed = total
     if if_exists == "keep" and _exported_identity(path) == identity:
         progress(total, total)
     else:
+        description = content.describe(chosen.sources)
+        overwrite = if_exists == "overwrite"
         with (
             disk_errors(path),
-            exporter.open(
-                Path(target), config, selected, identity=identity, overwrite=if_exists == "overwrite"
-            ) as writer,
+            exporter.open(Path(target), config, description, identity=identity, overwrite=overwrite) as writer,
         ):
-            resumed = _write_episodes(writer, selected, config, progress)
-            facts = {"format": name, "identity": identity, "config": to_plain(config), "left_out": selected.left_out}
-            writer.complete({EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n"})
-    return _report(exporter, path, selected, resumed)
+            resumed = _write_episodes(writer, chosen, content, progress)
+            facts = {
+                "format": name,
+                "identity": identity,
+                "config": to_plain(config),
+                "runs": [path.parent.name if path.name == "episodes" else path.name for path in paths],
+                "left_out": chosen.left_out,
+                "cells": chosen.cells,
+            }
+            texts = {
+                EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n",
+                CONVENTION_FILE: convention_text(content.convention),
+            }
+            writer.complete(texts)
+    return _report(exporter, path, chosen, content, resumed)
 
 
-def _write_episodes(writer: DatasetWriter, selected: Selected, config: Selection, progress: Progress) -> int:
+def _write_episodes(writer: DatasetWriter, chosen: Chosen, content: Content, progress: Progress) -> int:
     """Add every episode that an interrupted export has not written; return the number that it had written."""
-    resumed, total = sum(writer.resumed(split) for split in SPLITS), len(selected.sources)
+    skip = {split: writer.resumed(split) for split in chosen.splits}
+    resumed, total = sum(skip.values()), len(chosen.sources)
     done = resumed
     if done:
         progress(done, total)
-    for split, sources in by_split(selected.sources, config).items():
-        for source in sources[writer.resumed(split) :]:
-            writer.add(split, exported_episode(source, selected))
+    for split, sources in chosen.splits.items():
+        for source in sources[skip[split] :]:
+            writer.add(split, exported_episode(source, content))
             done += 1
             progress(done, total)
     return resumed
 
 
-def _identity(name: str, selected: Selected, config: Selection) -> str:
+def _identity(name: str, chosen: Chosen, content: Content, config: Selection) -> str:
     """Return a hash of everything that the exported bytes depend on."""
-    digest = hashlib.blake2b(f"{name} {to_json(config)}".encode(), digest_size=16)
-    for source in selected.sources:
-        result = source.result
-        digest.update(f"{result.episode_id} {result.last_seq} {result.final_state_hash}\n".encode())
-    return digest.hexdigest()
+    found = hashlib.blake2b(f"{name} {to_json(config)} {digest(content.convention)}".encode(), digest_size=16)
+    for split, sources in chosen.splits.items():
+        for source in sources:
+            result, cameras = source.result, digest(source.info.scene.cameras)
+            found.update(
+                f"{split} {result.episode_id} {result.last_seq} {result.final_state_hash} {cameras}\n".encode()
+            )
+    return found.hexdigest()
 
 
 def _exported_identity(path: Path) -> str:
@@ -126,15 +147,16 @@ def _exported_identity(path: Path) -> str:
         return ""
 
 
-def _report(exporter: Exporter, path: Path, selected: Selected, resumed: int) -> ExportReport:
+def _report(exporter: Exporter, path: Path, chosen: Chosen, content: Content, resumed: int) -> ExportReport:
     contents = exporter.contents(path)
     return ExportReport(
         path=path,
         splits=contents.splits,
-        steps=sum(source.result.steps for source in selected.sources),
-        left_out=selected.left_out,
+        steps=sum(-(-source.result.steps // content.every) for source in chosen.sources),
+        left_out=chosen.left_out,
         dead_dimensions=contents.dead_dimensions,
         resumed=resumed,
-        missing=selected.missing,
-        unexpected=selected.unexpected,
+        missing=chosen.missing,
+        unexpected=chosen.unexpected,
+        cells=chosen.cells,
     )

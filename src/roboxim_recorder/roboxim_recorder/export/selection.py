@@ -1,29 +1,30 @@
-"""Which bags an export takes, and whether they fit together: the same for every format."""
+"""Which bags an export takes: the same for every format. `roboxim_recorder.export.fit` checks that they fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_core.proprioception import STATE_FIELDS, ProprioField, component_names
-from roboxim_datasets.dataset import SPLITS, Description, Features
-from roboxim_datasets.episode import EXECUTED, ImageSize
-from roboxim_datasets.rlds.episodes import USUAL_KEYS
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import REPAIRED
+from roboxim_recorder.export.where import Condition, cell_of, facts_of, require_known
 from roboxim_recorder.run_bags import RunBags
 
-RESERVED = {"state", "joint_positions"}
-"""Names of observations that no image key may have."""
+SPLIT_NAMES = ("train", "val", "test")
+"""Splits that an export can have, in this order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
-    """What goes into an export; a format's own configuration is a subclass with the format's fields."""
+    """What goes into an export; a format's own configuration is a subclass with the format's fields.
+
+    Filters apply in the order of the fields ``only_successful``, ``keep_recovered``, ``where``, ``per_cell``,
+    ``split``.
+    """
 
     cameras: dict[str, str] = field(default_factory=dict)
     """Camera to image key; empty: every camera, ``workspace`` as ``image`` and ``wrist`` as ``wrist_image``."""
@@ -31,25 +32,73 @@ class Selection:
     """Height to resize images to [px]; 0: as recorded."""
     image_width: int = 0
     """Width to resize images to [px]; 0: as recorded."""
+    depth: tuple[str, ...] = ()
+    """Cameras whose depth images are exported."""
+    segmentation: tuple[str, ...] = ()
+    """Cameras whose segmentation images are exported."""
     val_fraction: float = 0.05
     """Fraction of the episodes in the split ``val``, spread evenly; at least one of two or more episodes."""
+    split: dict[str, int] = field(default_factory=dict)
+    """Split (``train``, ``val``, ``test``) to its number of episodes, instead of ``val_fraction``; 0: the remaining
+    ones, for one split at most. Without such a split further episodes are left out."""
     only_successful: bool = True
-    """Whether to leave out episodes that did not succeed."""
+    """Whether to leave out episodes that did not succeed; conditions on ``outcome`` and ``reason`` replace it."""
     keep_recovered: bool = False
-    """Whether to export episodes in which the actor had to try again, e.g. needed a second grasp."""
+    """Whether to export episodes in which the actor had to try again, e.g. needed a second grasp; a condition on
+    ``recovered`` replaces it."""
+    where: tuple[str, ...] = ()
+    """Conditions that every episode meets, e.g. ``skill=pick_up``; see `roboxim_recorder.export.where`."""
+    per_cell: int = 0
+    """Number of episodes of each cell, the first ones that pass the filters; 0: all. A cell is that of the task's mix,
+    else the skill."""
+    uneven: bool = False
+    """Whether cells of a mix may have different numbers of episodes; otherwise such an export is refused."""
     skip_missing: bool = False
     """Whether to export the other bags when some that the run's results name are missing; otherwise an error."""
+    rate_hz: float = 0.0
+    """Steps per second; must divide the recorded rate. 0: as recorded."""
+    actions: str = ""
+    """Meaning of the exported actions: values of `ActionSemantics`, separated by commas, e.g.
+    ``end_effector_absolute,rotation_6d`` or ``control=joint_position``. Empty: as recorded."""
+    state: str = ""
+    """Fields of ``state``, separated by commas, of `roboxim_core.proprioception.ProprioField`; empty: position and 6D
+    rotation of the tool centre point, and the opening."""
+    convention: str = ""
+    """Name or YAML file of a convention (``config/conventions``), which says images, state, actions and rate; empty:
+    the fields above do."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a fraction or size out of range.
+            InvalidRequestError: On a value out of range, or options that exclude each other.
         """
         if not 0.0 <= self.val_fraction < 1.0:
             raise InvalidRequestError(f"val_fraction must be in 0..1 (1 excluded), got {self.val_fraction}")
         if (self.image_height > 0) != (self.image_width > 0) or min(self.image_height, self.image_width) < 0:
             raise InvalidRequestError("give image_height and image_width both, or neither")
+        for name in self.split:
+            if name not in SPLIT_NAMES:
+                raise InvalidRequestError(f"unknown split '{name}'; {one_of(SPLIT_NAMES, name)}")
+        if self.split and (min(self.split.values()) < 0 or list(self.split.values()).count(0) > 1):
+            raise InvalidRequestError(
+                f"split needs counts of at least 0, with one 0 (the rest) at most; got {self.split}"
+            )
+        if self.per_cell < 0:
+            raise InvalidRequestError(f"per_cell must be at least 0, got {self.per_cell}")
+        if self.rate_hz < 0:
+            raise InvalidRequestError(f"rate_hz must be at least 0, got {self.rate_hz}")
+        for text in self.where:
+            Condition.parse(text)
+        said = {
+            "cameras": self.cameras, "image_width": self.image_width, "actions": self.actions, "state": self.state,
+            "rate_hz": self.rate_hz,
+        }  # fmt: skip
+        if self.convention and (twice := [name for name, value in said.items() if value]):
+            raise InvalidRequestError(
+                f"the convention '{self.convention}' says images, state, actions and rate; leave out "
+                f"{', '.join(twice)}, or write a convention of your own"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,108 +112,68 @@ class Source:
     result: EpisodeResult
     """How the episode ended."""
 
+    @property
+    def cell(self) -> str:
+        """Cell of the episode."""
+        return cell_of(self.info)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Selected:
-    """Bags that fit together."""
+class Chosen:
+    """Bags to export, and what became of the others."""
 
-    sources: tuple[Source, ...]
-    """The bags to export, sorted by index."""
+    splits: dict[str, tuple[Source, ...]]
+    """Split to its bags, in order."""
     left_out: dict[str, int]
     """Reason to number of bags left out for that reason."""
     missing: tuple[str, ...]
-    """Missing bags that the run's results name, relative to the run."""
+    """Missing bags that the runs' results name."""
     unexpected: tuple[Path, ...]
-    """Bags that no result of the run names; they are not exported."""
-    keys: dict[str, str]
-    """Camera to image key."""
-    sizes: dict[str, ImageSize]
-    """Camera to the size of its images in the export."""
-    semantics: ActionSemantics
-    """Meaning of the actions."""
-
-    joint_names: tuple[str, ...]
-    """Arm joints of the robot, in the order of their positions."""
-
-    vectors: dict[str, tuple[ProprioField, ...]]
-    """Observed vector of the dataset to the fields that it consists of."""
+    """Bags that no result of the runs names; they are not exported."""
 
     @property
-    def robot(self) -> str:
-        """Id of the robot model."""
-        return self.sources[0].info.scene.robot.model
+    def sources(self) -> tuple[Source, ...]:
+        """The bags of all splits."""
+        return tuple(source for sources in self.splits.values() for source in sources)
 
     @property
-    def description(self) -> Description:
-        """Description of the dataset."""
-        action = self.semantics.component_names(self.joint_names)
-        skills = tuple(sorted({source.info.task.skill for source in self.sources}))
-        return Description(
-            features=Features(
-                cameras=self.sizes,
-                keys=self.keys,
-                action=action,
-                vectors={name: component_names(fields, self.joint_names) for name, fields in self.vectors.items()},
-                signals={EXECUTED: action},
-            ),
-            fps=self.semantics.rate_hz,
-            robot=self.robot,
-            joint_names=self.joint_names,
-            semantics=self.semantics,
-            skills=skills,
-            text=(
-                f"{len(self.sources)} simulated episodes recorded with RoboXim; robot: {self.robot}; skills: "
-                f"{', '.join(skills)}; {self.semantics.rate_hz:g} Hz; actions: {self.semantics.control} in "
-                f"{self.semantics.frame}, {self.semantics.rotation}, gripper {self.semantics.gripper}."
-            ),
-        )
+    def cells(self) -> dict[str, dict[str, int]]:
+        """Split to cell to number of episodes."""
+        return {split: dict(sorted(Counter(s.cell for s in found).items())) for split, found in self.splits.items()}
 
 
-def select(bags: RunBags, selection: Selection) -> Selected:
-    """Choose the bags to export.
+def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
+    """Choose the bags of runs to export.
 
     Raises:
-        InvalidRequestError: On a camera that a bag does not have.
-        RecorderError: ``EXPORT_REFUSED`` when bags are missing, none can be exported, or they do not fit together;
-            ``BAG_DAMAGED`` naming a bag that cannot be read, or that holds another episode than it should.
+        InvalidRequestError: On a condition that no episode can meet, or counts that exceed the episodes.
+        RecorderError: ``EXPORT_REFUSED`` when bags are missing, none can be exported, an episode occurs twice, or the
+            cells of a mix have different numbers of episodes; ``BAG_DAMAGED`` naming a bag that cannot be read, or that
+            holds another episode than it should.
     """
-    if bags.missing and not selection.skip_missing:
-        raise RecorderError(
-            f"{bags.missing_text}; restore {'them' if len(bags.missing) > 1 else 'it'}, or export the others "
-            "(--skip-missing or skip_missing=True)",
-            ErrorCode.EXPORT_REFUSED,
-        )
-    sources: list[Source] = []
-    left_out: dict[str, int] = {}
-    for path in bags.paths:
-        source = _source(path, bags)
-        reason = _refusal(source.result, selection)
-        if reason:
-            left_out[reason] = left_out.get(reason, 0) + 1
-        else:
-            sources.append(source)
-    for reason, count in (("no_bag", len(bags.missing)), ("no_result", len(bags.unexpected))):
-        if count:
-            left_out[reason] = count
-    if not sources:
-        raise RecorderError(
-            f"none of the {len(bags.paths)} bags can be exported ({left_out}); record successful episodes, or ask for "
-            "all",
-            ErrorCode.EXPORT_REFUSED,
-        )
-    sources.sort(key=lambda s: (s.info.purpose, s.info.run_seed, s.info.index, s.info.attempt))
-    keys = _keys(sources, selection)
-    _require_one_robot(sources)
-    return Selected(
-        sources=tuple(sources),
-        left_out=left_out,
-        missing=bags.missing,
-        unexpected=bags.unexpected,
-        keys=keys,
-        sizes=_sizes(sources, keys, selection),
-        semantics=_semantics(sources),
-        joint_names=_joint_names(sources[0]),
-        vectors={"state": STATE_FIELDS, "joint_positions": (ProprioField.JOINT_POSITIONS,)},
+    missing = [bag for run in runs for bag in run.missing]
+    for run in runs:
+        if run.missing and not selection.skip_missing:
+            raise _refused(
+                f"{run.missing_text}; restore {'them' if len(run.missing) > 1 else 'it'}, or export the others "
+                "(--skip-missing or skip_missing=True)"
+            )
+    found: list[Source] = []
+    for run in runs:
+        sources = [_source(path, run) for path in run.paths]
+        found += sorted(sources, key=lambda s: (s.info.purpose, s.info.run_seed, s.info.index, s.info.attempt))
+    _require_unique(found)
+    left_out: Counter[str] = Counter()
+    kept = _filtered(found, selection, left_out)
+    kept = _per_cell(kept, selection, left_out)
+    splits = _split(kept, selection, left_out)
+    unexpected = tuple(bag for run in runs for bag in run.unexpected)
+    left_out.update({"no_bag": len(missing), "no_result": len(unexpected)})
+    return Chosen(
+        splits=splits,
+        left_out={reason: count for reason, count in left_out.items() if count},
+        missing=tuple(missing),
+        unexpected=unexpected,
     )
 
 
@@ -183,77 +192,101 @@ def _source(path: Path, bags: RunBags) -> Source:
     return Source(path=path, info=info, result=result)
 
 
-def _refusal(result: EpisodeResult, selection: Selection) -> str:
-    """Return why an episode is left out; empty: it is not."""
-    if selection.only_successful and result.outcome != "success":
+def _require_unique(sources: Sequence[Source]) -> None:
+    """Refuse an episode that occurs twice, e.g. in two runs of one seed."""
+    seen: dict[tuple[str, str, object], Source] = {}
+    for source in sources:
+        key = (source.info.episode_id, source.result.final_state_hash, source.info.scene.cameras)
+        if key in seen:
+            raise _refused(f"{seen[key].path} and {source.path} hold the same episode; give each run once")
+        seen[key] = source
+
+
+def _filtered(sources: Sequence[Source], selection: Selection, left_out: Counter[str]) -> list[Source]:
+    conditions = [Condition.parse(text) for text in selection.where]
+    facts = [facts_of(source.info, source.result) for source in sources]
+    require_known(conditions, facts)
+    named = {condition.key for condition in conditions}
+    kept = []
+    for source, known in zip(sources, facts, strict=True):
+        reason = _refusal(source.result, selection, named)
+        if not reason:
+            failed = [
+                text for text, condition in zip(selection.where, conditions, strict=True) if not condition.holds(known)
+            ]
+            reason = f"not {failed[0]}" if failed else ""
+        if reason:
+            left_out[reason] += 1
+        else:
+            kept.append(source)
+    if not kept:
+        raise _refused(
+            f"none of the {len(sources)} bags can be exported ({dict(left_out)}); record successful episodes, or ask "
+            "for all"
+        )
+    return kept
+
+
+def _refusal(result: EpisodeResult, selection: Selection, named: set[str]) -> str:
+    """Return why an episode is left out, conditions aside; empty: it is not."""
+    if selection.only_successful and not named & {"outcome", "reason"} and result.outcome != "success":
         return result.reason or result.outcome
-    if result.recovered and not selection.keep_recovered:
+    if result.recovered and not selection.keep_recovered and "recovered" not in named:
         return "recovered"
     return "" if result.steps else "no_action"
 
 
-def _keys(sources: Sequence[Source], selection: Selection) -> dict[str, str]:
-    """Return camera to image key; every bag must have the cameras."""
-    first = [camera.name for camera in sources[0].info.scene.cameras]
-    keys = selection.cameras or {name: USUAL_KEYS.get(name, name) for name in first}
-    if len(set(keys.values())) < len(keys) or RESERVED & set(keys.values()):
-        raise InvalidRequestError(
-            f"every camera needs a unique image key other than {' and '.join(sorted(RESERVED))}; got {keys}"
-        )
-    for source in sources:
-        have = [camera.name for camera in source.info.scene.cameras]
-        for name in keys:
-            if name not in have:
-                raise InvalidRequestError(f"bag {source.path} has no camera '{name}'; {one_of(have, name)}")
-    return dict(keys)
-
-
-def _sizes(sources: Sequence[Source], keys: dict[str, str], selection: Selection) -> dict[str, ImageSize]:
-    """Return camera to the size of its images in the export."""
-    if selection.image_height:
-        size = ImageSize(height=selection.image_height, width=selection.image_width)
-        return dict.fromkeys(keys, size)
-    sizes: dict[str, ImageSize] = {}
-    for source in sources:
-        for camera in source.info.scene.cameras:
-            size = ImageSize(height=camera.height, width=camera.width)
-            if camera.name in keys and sizes.setdefault(camera.name, size) != size:
-                raise RecorderError(
-                    f"bag {source.path}: camera '{camera.name}' has images of {size.width} x {size.height} px, earlier "
-                    f"bags {sizes[camera.name].width} x {sizes[camera.name].height}; give image_height and image_width "
-                    "to resize them all",
-                    ErrorCode.EXPORT_REFUSED,
-                )
-    return {name: sizes[name] for name in keys}
-
-
-def _semantics(sources: Sequence[Source]) -> ActionSemantics:
-    semantics = sources[0].info.semantics
-    for source in sources:
-        if source.info.semantics != semantics:
-            raise RecorderError(
-                f"bag {source.path}: its actions mean something else than those of {sources[0].path} "
-                f"({source.info.semantics} against {semantics}); export them apart",
-                ErrorCode.EXPORT_REFUSED,
+def _per_cell(sources: list[Source], selection: Selection, left_out: Counter[str]) -> list[Source]:
+    """Take the wanted number of episodes of each cell; refuse cells with fewer, or with different numbers."""
+    counts = Counter(source.cell for source in sources)
+    listed = ", ".join(f"{cell}: {count}" for cell, count in sorted(counts.items()))
+    if not selection.per_cell:
+        if len(set(counts.values())) > 1 and not selection.uneven:
+            raise _refused(
+                f"the cells have different numbers of episodes ({listed}); take as many of each "
+                f"(--per-cell {min(counts.values())}), record more, or export them all (--uneven)"
             )
-    return semantics
-
-
-def _joint_names(source: Source) -> tuple[str, ...]:
-    first = next(iter(BagReader(source.path).ticks(cameras=[])))
-    return first.state.robot.joint_names
-
-
-def _require_one_robot(sources: Sequence[Source]) -> None:
-    bags: dict[str, list[Path]] = {}
-    for source in sources:
-        bags.setdefault(source.info.scene.robot.model, []).append(source.path)
-    if len(bags) > 1:
-        counts = ", ".join(f"{len(paths)} of {robot} (e.g. {paths[0].name})" for robot, paths in sorted(bags.items()))
-        raise RecorderError(
-            f"the bags are of several robots: {counts}; export each from a separate folder",
-            ErrorCode.EXPORT_REFUSED,
+        return sources
+    short = {cell: count for cell, count in sorted(counts.items()) if count < selection.per_cell}
+    if short:
+        raise _refused(
+            f"per_cell is {selection.per_cell}, but these cells have fewer episodes after all filters: "
+            + ", ".join(f"{cell}: {count}" for cell, count in short.items())
         )
+    taken: Counter[str] = Counter()
+    kept = []
+    for source in sources:
+        taken[source.cell] += 1
+        if taken[source.cell] <= selection.per_cell:
+            kept.append(source)
+        else:
+            left_out["more than per_cell"] += 1
+    return kept
+
+
+def _split(sources: Sequence[Source], selection: Selection, left_out: Counter[str]) -> dict[str, tuple[Source, ...]]:
+    """Return each split's bags; the smaller splits are spread evenly over the cells and over the order of recording."""
+    if not selection.split:
+        names = splits(len(sources), selection.val_fraction)
+    else:
+        names = _counted(len(sources), selection.split)
+        left_out["more than split"] += names.count("")
+    order = sorted(range(len(sources)), key=lambda index: sources[index].cell)  # stable: by cell, then by order
+    name_of = dict(zip(order, names, strict=True))
+    found = {split: [s for i, s in enumerate(sources) if name_of[i] == split] for split in SPLIT_NAMES}
+    return {split: tuple(group) for split, group in found.items() if group}
+
+
+def _counted(total: int, wanted: Mapping[str, int]) -> list[str]:
+    """Return a split for each of ``total`` episodes so that each has its number; empty: left out."""
+    fixed = sum(wanted.values())
+    if fixed > total or (fixed == total and 0 in wanted.values()):
+        raise _refused(f"split wants {dict(wanted)}, but {total} episodes pass the filters")
+    counts = {name: count for name, count in wanted.items() if count}
+    counts[next((name for name, count in wanted.items() if not count), "")] = total - fixed
+    # The n-th episode of a split stands at the middle of the n-th of equal parts of the whole order.
+    places = [((at + 0.5) / count, name) for name, count in counts.items() for at in range(count)]
+    return [name for _, name in sorted(places, key=lambda place: place[0])]
 
 
 def splits(count: int, fraction: float) -> list[str]:
@@ -267,7 +300,5 @@ def splits(count: int, fraction: float) -> list[str]:
     return names
 
 
-def by_split(sources: Sequence[Source], selection: Selection) -> dict[str, list[Source]]:
-    """Return each split's bags, in order."""
-    names = splits(len(sources), selection.val_fraction)
-    return {split: [s for s, name in zip(sources, names, strict=True) if name == split] for split in SPLITS}
+def _refused(message: str) -> RecorderError:
+    return RecorderError(message, ErrorCode.EXPORT_REFUSED)

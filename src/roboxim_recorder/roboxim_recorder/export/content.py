@@ -1,0 +1,365 @@
+"""What an export's steps consist of: images, observed vectors, actions and rate, from the options or a convention.
+
+Either way the content has a `Convention`, which is written beside the dataset as ``convention.yaml``: a policy that was
+trained on the dataset is evaluated by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.actions import ActionSemantics, ControlMode, GripperConvention, Kinematics
+from roboxim_core.conventions import (
+    ActionOutput,
+    ArmReadings,
+    Chunking,
+    Convention,
+    GripperOutput,
+    ImageInput,
+    Layout,
+    StateField,
+    StateInput,
+    StatePart,
+    load_convention,
+)
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
+from roboxim_core.rotations import RotationRepresentation
+from roboxim_datasets.dataset import Description, Features
+from roboxim_datasets.episode import EXECUTED, Floats, ImageSize, RGBImage
+from roboxim_datasets.rlds.episodes import USUAL_KEYS
+from roboxim_recorder.export.fit import camera_sizes, joint_names_of, one_robot, one_semantics
+from roboxim_recorder.export.selection import Selection, Source
+
+PREFIX = "observation/"
+"""Prefix of the request keys of observations; a dataset's keys do without it."""
+_PARTS: Mapping[ProprioField, StatePart] = {
+    ProprioField.TCP_POSITION: StatePart(field=StateField.TCP_POSITION),
+    ProprioField.TCP_ROTATION_6D: StatePart(field=StateField.TCP_ROTATION, rotation=RotationRepresentation.ROTATION_6D),
+    ProprioField.TCP_QUATERNION_XYZW: StatePart(
+        field=StateField.TCP_ROTATION, rotation=RotationRepresentation.QUATERNION_XYZW
+    ),
+    ProprioField.TCP_EULER_XYZ: StatePart(
+        field=StateField.TCP_ROTATION, rotation=RotationRepresentation.EULER_XYZ_EXTRINSIC
+    ),
+    ProprioField.JOINT_POSITIONS: StatePart(field=StateField.JOINT_POSITIONS),
+    ProprioField.JOINT_VELOCITIES: StatePart(field=StateField.JOINT_VELOCITIES),
+    ProprioField.GRIPPER_OPENING: StatePart(field=StateField.GRIPPER),
+}
+
+
+Flat = TypeVar("Flat", npt.NDArray[np.float32], npt.NDArray[np.uint16])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Content:
+    """What the steps of an export consist of."""
+
+    convention: Convention
+    """Meaning of images, state and actions; its rate is the export's."""
+    named: bool
+    """Whether the user named the convention; otherwise it was made from the options."""
+    recorded: ActionSemantics
+    """Meaning of the recorded actions."""
+    actions: ActionSemantics
+    """Meaning of the exported actions in RoboXim's units, before a named convention scales and orders them."""
+    every: int
+    """Recorded ticks per exported step."""
+    robot: str
+    """Id of the robot model."""
+    joint_names: tuple[str, ...]
+    """Arm joints of the robot."""
+    keys: Mapping[str, str]
+    """Camera to image key."""
+    sizes: Mapping[str, ImageSize]
+    """Camera to the size of its exported images."""
+    depth: tuple[str, ...] = ()
+    """Cameras whose depth images are exported."""
+    segmentation: tuple[str, ...] = ()
+    """Cameras whose segmentation images are exported."""
+    names: Mapping[str, tuple[str, ...]]
+    """Observed vector to the names of its components."""
+    vectors: Mapping[str, Callable[[Proprioception], Floats]]
+    """Observed vector to the function that makes it."""
+
+    @property
+    def converts(self) -> bool:
+        """Whether the exported actions differ from the recorded ones."""
+        return self.named or self.every > 1 or bool(self.actions.differing(self.recorded))
+
+    @property
+    def semantics(self) -> ActionSemantics | None:
+        """Meaning of the exported numbers; None: only the convention says it (it scales or orders them)."""
+        return _plain_semantics(self.convention, self.actions) if self.named else self.actions
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the exported action's components."""
+        natural = self.actions.component_names(self.joint_names)
+        output = self.convention.action
+        if not self.named:
+            return natural
+        names = ["unused"] * output.raw_size
+        for place, name in zip(output.order or range(len(natural)), natural, strict=True):
+            names[place] = name
+        return tuple(names)
+
+    @cached_property
+    def kinematics(self) -> Kinematics | None:
+        """The robot's kinematics, if actions change between joint space and end effector."""
+        if self.actions.control.is_joint_space == self.recorded.control.is_joint_space:
+            return None
+        return ArmKinematics(ModelLibrary().robot(self.robot))
+
+    @cached_property
+    def _images(self) -> dict[str, ImageInput]:
+        """Camera to how its images are prepared for training: without what is done to a camera's image at test time."""
+        return {
+            image.camera: replace(image, crop_area=1.0, jpeg_quality=0, layout=Layout.HWC)
+            for image in self.convention.images
+        }
+
+    def picture(self, camera: str, image: RGBImage) -> RGBImage:
+        """Return a camera's image as it is exported."""
+        return self._images[camera].prepare(image)
+
+    def flat(self, camera: str, image: Flat) -> Flat:
+        """Return a depth or segmentation image at the size of its camera's images, by the nearest pixels."""
+        size = self.sizes[camera]
+        if image.shape == (size.height, size.width):
+            return image
+        return np.asarray(
+            cv2.resize(image, (size.width, size.height), interpolation=cv2.INTER_NEAREST_EXACT), image.dtype
+        )
+
+    def describe(self, sources: Sequence[Source]) -> Description:
+        """Return the description of a dataset of these bags."""
+        skills = tuple(sorted({source.info.task.skill for source in sources}))
+        said, action = self.semantics, self.action_names
+        meaning = f"{self.actions.control} in {self.actions.frame}, {self.actions.rotation}"
+        gripper = f", gripper {said.gripper}" if said else f", in the units of convention '{self.convention.name}'"
+        return Description(
+            features=Features(
+                cameras=self.sizes, keys=self.keys, depth=self.depth, segmentation=self.segmentation, action=action,
+                vectors=self.names, signals={EXECUTED: action},
+            ),
+            fps=self.convention.rate_hz,
+            robot=self.robot,
+            joint_names=self.joint_names,
+            semantics=said,
+            skills=skills,
+            text=(
+                f"{len(sources)} simulated episodes recorded with RoboXim; robot: {self.robot}; skills: "
+                f"{', '.join(skills)}; {self.convention.rate_hz:g} Hz; actions: {meaning}{gripper}."
+            ),
+        )  # fmt: skip
+
+
+def content_of(sources: Sequence[Source], selection: Selection) -> Content:
+    """Return what an export of bags consists of.
+
+    Raises:
+        ConfigError: When there is no such convention.
+        InvalidRequestError: On a camera, field or action that there is not, or that does not fit the recording.
+        RecorderError: ``EXPORT_REFUSED`` when the bags do not fit together, or not to the rate.
+    """
+    if selection.convention:
+        content = _by_named_convention(sources, load_convention(selection.convention))
+    else:
+        content = _by_options(sources, selection)
+    if len(set(content.keys.values())) < len(content.keys) or content.names.keys() & set(content.keys.values()):
+        raise InvalidRequestError(
+            f"every camera needs a unique image key other than {' and '.join(sorted(content.names))}; got "
+            f"{dict(content.keys)}"
+        )
+    for kind in ("depth", "segmentation"):
+        _require_images(sources, kind, getattr(selection, kind), content.keys)
+    return replace(content, depth=selection.depth, segmentation=selection.segmentation)
+
+
+def _by_named_convention(sources: Sequence[Source], named: Convention) -> Content:
+    robot, recorded, joints = one_robot(sources), one_semantics(sources), joint_names_of(sources[0])
+    convention = replace(named, rate_hz=named.rate_hz or recorded.rate_hz)
+    if named.action.control.is_joint_space and named.action.joints != len(joints):
+        raise InvalidRequestError(
+            f"convention '{named.name}' commands {named.action.joints} joints, robot '{robot}' has {len(joints)}"
+        )
+    keys = {image.camera: _last(image.key) for image in named.images}
+    if len(keys) < len(named.images):
+        raise InvalidRequestError(f"convention '{named.name}' names a camera twice; a dataset holds it once")
+    camera_sizes(sources, tuple(keys), resized=True)
+    return Content(
+        convention=convention, named=True, recorded=recorded, actions=convention.semantics,
+        every=_ticks_per_step(recorded.rate_hz, convention.rate_hz), robot=robot, joint_names=joints, keys=keys,
+        sizes={image.camera: ImageSize(height=image.height, width=image.width) for image in named.images},
+        names={_last(state.key): state.names(joints) for state in named.states},
+        vectors={_last(state.key): _by_convention(state, convention) for state in named.states},
+    )  # fmt: skip
+
+
+def _by_options(sources: Sequence[Source], selection: Selection) -> Content:
+    robot, recorded, joints = one_robot(sources), one_semantics(sources), joint_names_of(sources[0])
+    every = _ticks_per_step(recorded.rate_hz, selection.rate_hz or recorded.rate_hz)
+    slower = replace(
+        recorded,
+        rate_hz=recorded.rate_hz / every,
+        max_translation_m=recorded.max_translation_m * every,
+        max_rotation_rad=recorded.max_rotation_rad * every,
+    )
+    actions = _semantics_of(selection.actions, slower)
+    keys = _image_keys(sources[0], selection)
+    recorded_sizes = camera_sizes(sources, tuple(keys), resized=bool(selection.image_width))
+    one = ImageSize(height=selection.image_height, width=selection.image_width)
+    sizes = dict.fromkeys(keys, one) if selection.image_width else recorded_sizes
+    fields = {"state": _fields(selection.state), "joint_positions": (ProprioField.JOINT_POSITIONS,)}
+    return Content(
+        convention=_made_convention(keys, sizes, recorded_sizes, fields, actions, len(joints)), named=False,
+        recorded=recorded, actions=actions, every=every, robot=robot, joint_names=joints, keys=keys, sizes=sizes,
+        names={name: component_names(parts, joints) for name, parts in fields.items()},
+        vectors={name: _by_fields(parts) for name, parts in fields.items()},
+    )  # fmt: skip
+
+
+def _ticks_per_step(recorded_hz: float, wanted_hz: float) -> int:
+    every = recorded_hz / wanted_hz
+    if every < 1 or abs(every - round(every)) > 1e-9:
+        raise RecorderError(
+            f"the bags were recorded at {recorded_hz:g} Hz, which is no whole multiple of {wanted_hz:g} Hz; record at "
+            "such a rate (rate_hz of the task), or export at a rate that divides the recorded one",
+            ErrorCode.EXPORT_REFUSED,
+        )
+    return round(every)
+
+
+def _semantics_of(text: str, base: ActionSemantics) -> ActionSemantics:
+    """Return the meaning that ``actions`` names; fields that it does not name are those of ``base``.
+
+    Raises:
+        InvalidRequestError: On an unknown word, or words that exclude each other.
+    """
+    kinds: dict[str, type[StrEnum]] = {
+        name: type(getattr(base, name)) for name in ("control", "frame", "rotation", "gripper", "delta_base")
+    }
+    words = {str(value): name for name, kind in kinds.items() for value in kind if value != "none"}
+    changes: dict[str, str] = {}
+    for word in filter(None, (part.strip() for part in text.split(","))):
+        key, equals, value = word.partition("=")
+        if equals and key not in kinds:
+            raise InvalidRequestError(f"actions: unknown field '{key}'; {one_of(kinds, key)}")
+        if not equals and word not in words:
+            raise InvalidRequestError(
+                f"actions: unknown word '{word}'; {one_of(words, word)}; words: {', '.join(words)}"
+            )
+        name = key if equals else words[word]
+        if changes.setdefault(name, value if equals else word) != (value if equals else word):
+            raise InvalidRequestError(f"actions: '{text}' gives {name} twice")
+    if changes.get("control", base.control) != base.control:
+        fresh = ActionSemantics()
+        restart = {name: getattr(fresh, name) for name in ("frame", "rotation", "delta_base")}
+        base_fields = {n: v for n, v in restart.items() if n not in changes and getattr(base, n) == "none"}
+        changes = {**base_fields, **changes}
+    try:
+        return replace(base, **changes)  # type: ignore[arg-type]  # text becomes the enumeration
+    except InvalidRequestError as error:
+        raise InvalidRequestError(f"actions: {error}") from None
+
+
+def _fields(text: str) -> tuple[ProprioField, ...]:
+    if not text:
+        return STATE_FIELDS
+    try:
+        return tuple(ProprioField(part.strip()) for part in text.split(","))
+    except ValueError as error:
+        raise InvalidRequestError(f"state: {error}") from None
+
+
+def _last(key: str) -> str:
+    """Return the name in a dataset of what a convention's request calls ``key``."""
+    return key.rpartition("/")[2]
+
+
+def _by_fields(fields: Sequence[ProprioField]) -> Callable[[Proprioception], Floats]:
+    return lambda measured: measured.vector(fields)
+
+
+def _by_convention(state: StateInput, convention: Convention) -> Callable[[Proprioception], Floats]:
+    frames = convention.frames
+    return lambda measured: np.asarray(state.rows(ArmReadings.of([measured]), frames)[0], np.float32)
+
+
+def _image_keys(source: Source, selection: Selection) -> dict[str, str]:
+    """Return camera to image key."""
+    have = [camera.name for camera in source.info.scene.cameras]
+    return dict(selection.cameras or {name: USUAL_KEYS.get(name, name) for name in have})
+
+
+def _require_images(sources: Sequence[Source], kind: str, wanted: Sequence[str], keys: Mapping[str, str]) -> None:
+    """Refuse depth or segmentation images of a camera that is not exported or that lacks them in a bag."""
+    for name in wanted:
+        if name not in keys:
+            raise InvalidRequestError(f"{kind}: camera '{name}' is not exported; {one_of(keys, name)}")
+        for source in sources:
+            camera = next(c for c in source.info.scene.cameras if c.name == name)
+            if not getattr(camera, kind):
+                raise InvalidRequestError(
+                    f"bag {source.path} has no {kind} images of camera '{name}'; record with '{kind}: true' in its YAML"
+                )
+
+
+def _plain_semantics(convention: Convention, actions: ActionSemantics) -> ActionSemantics | None:
+    """Return the meaning of a convention's numbers if `ActionSemantics` can say it, else None."""
+    output = convention.action
+    scales = {output.translation_scale_m, output.rotation_scale_rad, output.joint_scale}
+    natural = output.raw_size == output.natural_size and output.order in ((), tuple(range(output.natural_size)))
+    if scales != {1.0} or output.normalisation or not natural or not convention.frames.is_plain:
+        return None
+    if actions.control == ControlMode.END_EFFECTOR_ABSOLUTE and any(convention.frames.base_origin_m):
+        return None
+    for gripper in GripperConvention:
+        same = (gripper.open_value, gripper.closed_value) == (output.gripper.open, output.gripper.closed)
+        if same and output.gripper.threshold is None:
+            return replace(actions, gripper=gripper)
+    return None
+
+
+def _made_convention(
+    keys: Mapping[str, str],
+    sizes: Mapping[str, ImageSize],
+    recorded: Mapping[str, ImageSize],
+    fields: Mapping[str, Sequence[ProprioField]],
+    actions: ActionSemantics,
+    joints: int,
+) -> Convention:
+    """Return the convention that says what an export without a named one consists of."""
+    return Convention(
+        name="export",
+        description="How a policy that was trained on this dataset is asked, and what its answers mean.",
+        rate_hz=actions.rate_hz,
+        images=tuple(
+            ImageInput(
+                camera=camera, key=PREFIX + key, width=sizes[camera].width, height=sizes[camera].height,
+                render_width=recorded[camera].width, render_height=recorded[camera].height,
+            )
+            for camera, key in keys.items()
+        ),
+        states=tuple(
+            StateInput(key=PREFIX + name, parts=tuple(_PARTS[field] for field in parts))
+            for name, parts in fields.items()
+        ),
+        action=ActionOutput(
+            control=actions.control, frame=actions.frame, rotation=actions.rotation, delta_base=actions.delta_base,
+            joints=joints, max_translation_m=actions.max_translation_m, max_rotation_rad=actions.max_rotation_rad,
+            gripper=GripperOutput(open=actions.gripper.open_value, closed=actions.gripper.closed_value),
+        ),
+        chunking=Chunking(horizon=16),
+    )  # fmt: skip
