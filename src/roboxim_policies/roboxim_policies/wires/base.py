@@ -32,6 +32,8 @@ Request = Mapping[str, Any]
 """What a policy is asked: NumPy arrays and texts by name, e.g. ``{"observation/image": ..., "prompt": "..."}``."""
 Rows = npt.NDArray[np.float64]
 """Raw actions of a server, float64, shape (n, D)."""
+Answer = dict[str, Rows]
+"""Raw actions of a server by key; all have equal lengths. A server without keys for actions answers ``actions``."""
 Metadata = dict[str, Any]
 """What a server says of itself: maps, lists, texts and numbers."""
 
@@ -87,6 +89,8 @@ class Wire(ABC):
         self.key = os.environ[key_env] if key_env else ""
         self.pause: Callable[[float], object] = threading.Event().wait
         """Waits for a time [s] before a further try to connect."""
+        self.prompt_key = "prompt"
+        """Key of the instruction in requests."""
         self._metadata: Metadata | None = None
         self._is_open = False
 
@@ -133,7 +137,7 @@ class Wire(ABC):
         with _Closing(self):
             self._begin(start, Deadline(self.timeout_s))
 
-    def ask(self, request: Request) -> Rows:
+    def ask(self, request: Request) -> Answer:
         """Return the server's actions for a request, as it sent them.
 
         Raises:
@@ -198,7 +202,7 @@ class Wire(ABC):
         """Begin an episode."""
 
     @abstractmethod
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
         """Send a request and return the actions of its reply."""
 
     @abstractmethod
