@@ -14,7 +14,7 @@ from roboxim_core.errors import ConfigError, RoboximError, one_of
 
 
 class Named(click.ParamType[str]):
-    """The name of a skill, task, object, camera, renderer or policy."""
+    """The name of a skill, task, object, camera, renderer, policy or convention."""
 
     name = "name"
 

@@ -97,7 +97,7 @@ def test_a_damaged_cache_is_made_again(cache, tmp_path, monkeypatch):
     assert catalog.fresh_catalog() is not None
 
 
-@pytest.mark.parametrize("kind", ["skill", "task", "object", "camera", "policy"])
+@pytest.mark.parametrize("kind", ["skill", "task", "object", "camera", "policy", "convention"])
 def test_a_fresh_catalog_refuses_the_unknown_names_of_a_kind_alone(cache, monkeypatch, kind):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     known = catalog.names_of(kind)

@@ -331,3 +331,20 @@ def test_completion_offers_what_the_graph_has(small):
     assert offered("services", "fl") == ["/flip"]
     assert offered("actions") == ["/grip"]
     assert offered("nodes", "/s") == ["/small"]
+
+
+def test_conventions_are_listed_and_explained(tmp_path):
+    listed = CliRunner().invoke(group, ["policy", "conventions"], standalone_mode=False, catch_exceptions=False).output
+    assert "libero" in listed
+    assert "15 Hz  joint_delta" in listed
+    text = (
+        CliRunner()
+        .invoke(group, ["policy", "describe", "libero"], standalone_mode=False, catch_exceptions=False)
+        .output
+    )
+    assert "[1, 0, 0, 0, 0, 0, 0]   moves 50 mm along +x (forwards)" in text
+    (tmp_path / "own.yaml").write_text("rate_hz: 7\n")
+    own = CliRunner().invoke(group, ["policy", "describe", str(tmp_path / "own.yaml")], standalone_mode=False)
+    assert "The policy acts at 7 Hz" in own.output
+    with pytest.raises(ConfigError, match="unknown convention 'libro'.*did you mean 'libero'"):
+        CliRunner().invoke(group, ["policy", "describe", "libro"], standalone_mode=False, catch_exceptions=False)

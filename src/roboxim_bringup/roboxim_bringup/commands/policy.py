@@ -1,4 +1,4 @@
-"""Serve a policy, registered or your own, or list the registered ones."""
+"""Serve a policy, registered or your own; list the registered ones; list and explain conventions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from roboxim_bringup.named import Named
 
 @click.group()
 def command() -> None:
-    """Serve a policy to the graph, or list the registered ones."""
+    """Serve a policy to the graph, list the registered ones, and explain conventions."""
 
 
 @command.command("serve")
@@ -62,3 +62,34 @@ def list_policies() -> None:
         click.echo(f"{name}  {policy['about']}")
         for option, default in policy["options"].items():
             click.echo(f"    {option}: {default}")
+
+
+@command.command("conventions")
+def list_conventions() -> None:
+    """List the conventions: how policies that were trained elsewhere are asked, and what their answers mean."""
+    from roboxim_core.config_folders import config_names
+    from roboxim_core.conventions import load_convention
+
+    names = config_names("conventions")
+    width = max(map(len, names))
+    for name in names:
+        convention = load_convention(name)
+        rate = f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate"
+        click.echo(f"{name:<{width}}  {rate:>8}  {convention.action.control:<20}  {convention.description}")
+
+
+@command.command("describe")
+@click.argument("convention", type=Named("convention"))
+def describe(convention: str) -> None:
+    r"""Explain a convention: what the policy is sent, and what one action does.
+
+    CONVENTION is a name (roboxim policy conventions lists them) or the path of a YAML file.
+
+    \b
+    roboxim policy describe libero
+    roboxim policy describe exports/pick/convention.yaml
+    """
+    from roboxim_core.conventions import load_convention
+    from roboxim_core.conventions.words import described
+
+    click.echo(described(load_convention(convention)))
