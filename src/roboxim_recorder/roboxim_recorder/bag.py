@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -214,17 +214,20 @@ class BagReader:
         with damage(self.path):
             return self.decoder.decode(topic, cdr)
 
-    def ticks(self, cameras: Sequence[str] | None = None) -> Iterator[BagTick]:
+    def ticks(
+        self, cameras: Sequence[str] | None = None, kinds: Collection[str] = topics.IMAGE_KINDS
+    ) -> Iterator[BagTick]:
         """Yield the ticks in order.
 
         Args:
             cameras: Cameras whose images to read; None: all.
+            kinds: Which of ``image``, ``depth`` and ``segmentation`` to read of them.
 
         Raises:
             InvalidRequestError: On a camera that the bag does not have.
             RecorderError: With code ``BAG_DAMAGED``, naming the tick that is not whole.
         """
-        wanted = self._camera_topics(cameras)
+        wanted = self._camera_topics(cameras, kinds)
         names = (topics.NOTICE, topics.STATE, topics.STEP, *wanted)
         found: dict[str, Any] = {}
         for topic, _, message in self.messages(names):
@@ -234,13 +237,12 @@ class BagReader:
                     yield self._tick(found, wanted)
                 found = {}
 
-    def _camera_topics(self, cameras: Sequence[str] | None) -> dict[str, tuple[str, str]]:
+    def _camera_topics(self, cameras: Sequence[str] | None, kinds: Collection[str]) -> dict[str, tuple[str, str]]:
         """Return topic to (camera, kind)."""
         have = [camera.name for camera in self.info.scene.cameras]
         for camera in cameras or ():
             if camera not in have:
                 raise InvalidRequestError(f"bag {self.path} has no camera '{camera}'; {one_of(have, camera)}")
-        kinds = ("image", "depth", "segmentation")
         named = {
             topics.image_topic(c, kind): (c, kind) for c in (have if cameras is None else cameras) for kind in kinds
         }

@@ -32,6 +32,10 @@ WALL_TIMES = {STEP: ("inference_s",), RESULT: ("wall_s", "inference_s")}
 """Fields that hold wall time [s]; they are 0 in bags, so that equal episodes give equal bytes."""
 
 
+IMAGE_KINDS = ("image", "depth", "segmentation")
+"""Kinds of images of a camera."""
+
+
 def image_topic(camera: str, kind: str = "image") -> str:
     """Return a camera's topic; kinds: ``image``, ``camera_info``, ``depth``, ``segmentation``."""
     return f"/camera/{camera}/{kind}"

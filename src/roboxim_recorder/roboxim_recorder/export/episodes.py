@@ -149,10 +149,12 @@ def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTi
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when the bag has fewer actions than its result says.
     """
-    cameras = sorted({*wanted.cameras, *wanted.depth, *wanted.segmentation})
+    by_kind = {"image": wanted.cameras, "depth": wanted.depth, "segmentation": wanted.segmentation}
+    cameras = sorted({camera for cameras in by_kind.values() for camera in cameras})
+    kinds = [kind for kind, of in by_kind.items() if of]
     observed: BagTick | None = None
     count = 0
-    for tick in BagReader(source.path).ticks(cameras=cameras):
+    for tick in BagReader(source.path).ticks(cameras=cameras, kinds=kinds):
         if observed is not None:
             if tick.step.phase != "act":
                 break

@@ -1,0 +1,144 @@
+"""A folder in which a dataset is built, so that an interruption at any point loses no finished episode.
+
+Beside the final place ``<name>`` stands ``.partial-<name>`` with:
+
+- ``pieces/``: files of single episodes;
+- ``journal.jsonl``: one line for each finished episode, appended after its pieces are whole;
+- ``dataset/``: the dataset that is put together from the pieces at the end.
+
+`ResumableBuild.finish` renames ``dataset/`` to the final name. So a dataset with its final name is whole, and a build
+that was killed continues after its last finished episode.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.errors import ErrorCode, RecorderError
+
+Facts = dict[str, Any]
+"""What the journal says of an episode: plain JSON values, with at least ``split``."""
+
+
+class ResumableBuild:
+    """Builds one dataset; see the module."""
+
+    def __init__(self, path: Path, *, identity: str, overwrite: bool, marker: str) -> None:
+        """Start a build, or continue an interrupted one of the same identity.
+
+        Args:
+            path: Final place of the dataset, a file or a folder.
+            identity: Distinguishes this build from others; empty: never continued.
+            overwrite: Whether a dataset at the final place is replaced at the end.
+            marker: File that a dataset of this format has, relative to ``path`` (empty: ``path`` is the file); a folder
+                without it is never replaced.
+
+        Raises:
+            RecorderError: With code ``EXPORT_REFUSED`` when something stands at the final place that must stay.
+        """
+        self.path, self._overwrite, self._marker = path, overwrite, marker
+        self._require_place()
+        self._folder = path.with_name(f".partial-{path.name}")
+        self._journal = self._folder / "journal.jsonl"
+        self.staged = self._folder / "dataset"
+        """Where the dataset is put together: a folder or a file, like ``path``."""
+        self.entries: list[Facts] = _entries(self._journal, identity) if identity else []
+        """What the journal says of the finished episodes, in the order of their writing."""
+        self._remove_staged()
+        if not self.entries:
+            shutil.rmtree(self._folder, ignore_errors=True)
+        (self._folder / "pieces").mkdir(parents=True, exist_ok=True)
+        lines = [{"identity": identity}, *self.entries]  # written again: the last line may be torn
+        scratch = self._folder / "journal.tmp"
+        scratch.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        scratch.replace(self._journal)
+
+    def _require_place(self) -> None:
+        path = self.path
+        if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+            return
+        if not (path / self._marker if self._marker else path).is_file():
+            raise RecorderError(
+                f"{path} exists and is not a dataset of this format; choose another folder", ErrorCode.EXPORT_REFUSED
+            )
+        if not self._overwrite:
+            raise RecorderError(
+                f"{path} exists; choose another folder, or replace it (--overwrite or overwrite=True)",
+                ErrorCode.EXPORT_REFUSED,
+            )
+
+    def resumed(self, split: str) -> int:
+        """Return the number of finished episodes of a split."""
+        return sum(entry["split"] == split for entry in self.entries)
+
+    def piece(self, split: str, number: int, name: str) -> Path:
+        """Return the path of a piece of an episode.
+
+        Args:
+            split: Split of the episode.
+            number: Number of the episode in its split, from 0.
+            name: Name of the piece with its suffix.
+        """
+        return self._folder / "pieces" / f"{split}-{number:06d}-{name}"
+
+    def commit(self, facts: Facts) -> None:
+        """Note that the pieces of an episode are whole.
+
+        Raises:
+            OSError: When the disk is full.
+        """
+        with self._journal.open("a") as file:
+            file.write(json.dumps(facts) + "\n")
+        self.entries.append(facts)
+
+    def split_entries(self) -> dict[str, list[Facts]]:
+        """Return the finished episodes by split, in the order in which the splits were added.
+
+        Raises:
+            RecorderError: ``EXPORT_REFUSED`` when there is none.
+        """
+        if not self.entries:
+            raise RecorderError("a dataset needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED)
+        names = dict.fromkeys(entry["split"] for entry in self.entries)
+        return {name: [entry for entry in self.entries if entry["split"] == name] for name in names}
+
+    def finish(self) -> None:
+        """Move the dataset to its final place and remove the pieces."""
+        if self.path.exists():
+            self.path.replace(self._folder / "replaced")
+        self.staged.replace(self.path)
+        shutil.rmtree(self._folder)
+
+    def _remove_staged(self) -> None:
+        if self.staged.is_dir():
+            shutil.rmtree(self.staged)
+        else:
+            self.staged.unlink(missing_ok=True)
+
+
+def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write files by their names relative to a folder."""
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def _entries(journal: Path, identity: str) -> list[Facts]:
+    """Return the whole lines of a journal of this identity; a torn line and what follows it do not count."""
+    found: list[Facts] = []
+    if not journal.is_file():
+        return found
+    for number, line in enumerate(journal.read_text(errors="replace").splitlines(keepends=True)):
+        try:
+            facts = json.loads(line) if line.endswith("\n") else None
+        except ValueError:
+            facts = None
+        if not isinstance(facts, dict) or (number == 0 and facts.get("identity") != identity):
+            break
+        if number:
+            found.append(facts)
+    return found

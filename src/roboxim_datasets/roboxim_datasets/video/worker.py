@@ -1,0 +1,213 @@
+"""Process that encodes, joins and decodes videos: ``python -m roboxim_datasets.video.worker``.
+
+It reads messages (`roboxim_datasets.video.messages`) from its standard input, answers on its standard output, and ends
+with its input. This is the only module that imports PyAV.
+
+Non-obvious: times are frame numbers. A frame's presentation time is ``number / rate`` exactly, so neither joining files
+nor many episodes in one file accumulate rounding errors.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+from av.video.reformatter import VideoReformatter
+
+from roboxim_datasets.video.codecs import CODECS
+from roboxim_datasets.video.messages import Header, read_message, write_message
+
+_MP4 = {"fflags": "+bitexact"}  # without the version of the library
+_BT601, _LIMITED = 6, 1  # FFmpeg's numbers of the matrix and range that its RGB conversion uses
+
+
+class Encoding:
+    """A video that is being written."""
+
+    def __init__(self, path: str, *, codec: str, rate: Fraction, height: int, width: int) -> None:
+        settings = CODECS[codec]
+        self.path, self.frames, self._rate, self._shape = path, 0, rate, (height, width, 3)
+        self._container = av.open(path, "w", format="mp4", container_options=_MP4)
+        stream: Any = self._container.add_stream(settings.encoder, rate=rate, options=dict(settings.options))
+        stream.width, stream.height, stream.pix_fmt = width, height, settings.pixel_format
+        stream.time_base = stream.codec_context.time_base = 1 / rate
+        stream.codec_context.gop_size, stream.codec_context.max_b_frames = settings.key_interval, 0
+        stream.codec_context.thread_count = 1
+        stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED
+        self._stream, self._convert = stream, VideoReformatter()
+
+    def add(self, data: bytearray) -> None:
+        """Append RGB frames."""
+        for image in np.frombuffer(data, np.uint8).reshape(-1, *self._shape):
+            frame = self._convert.reformat(
+                av.VideoFrame.from_ndarray(image, format="rgb24"), format=self._stream.pix_fmt, interpolation="BICUBIC"
+            )
+            frame.pts, frame.time_base = self.frames, 1 / self._rate
+            self._write(self._stream.encode(frame))
+            self.frames += 1
+
+    def close(self) -> Header:
+        """Finish the file."""
+        self._write(self._stream.encode(None))
+        self._container.close()
+        return {"frames": self.frames, "size": os.path.getsize(self.path)}
+
+    def _write(self, packets: list[Any]) -> None:
+        for packet in packets:
+            packet.duration = 1
+            self._container.mux(packet)
+
+
+class Decoding:
+    """Frames of a video, in order from a given one."""
+
+    def __init__(self, path: str, *, rate: Fraction, first: int, count: int) -> None:
+        self._container = av.open(path)
+        self._video: Any = self._container.streams.video[0]
+        self._rate, self._left, self._convert = rate, count, VideoReformatter()
+        base: Any = self._video.time_base
+        self._base = base
+        if first:
+            # Half a frame early: a file's times are rounded to its time base.
+            at = int((Fraction(first) - Fraction(1, 2)) / rate / self._base)
+            self._container.seek(max(at, 0), stream=self._video, backward=True)
+        self._frames = self._from(first)
+
+    def read(self, count: int) -> list[npt.NDArray[np.uint8]]:
+        """Return the next RGB frames, fewer at the end."""
+        found: list[npt.NDArray[np.uint8]] = []
+        while self._left and len(found) < count:
+            frame = next(self._frames, None)
+            if frame is None:
+                break
+            found.append(np.ascontiguousarray(self._convert.reformat(frame, format="rgb24").to_ndarray(), np.uint8))
+            self._left -= 1
+        return found
+
+    def close(self) -> None:
+        """Close the file."""
+        self._container.close()
+
+    def _from(self, first: int) -> Iterator[Any]:
+        expected = first
+        for frame in self._container.decode(self._video):
+            number = round(frame.pts * self._base * self._rate)
+            if number < expected:
+                continue
+            if number > expected:
+                raise ValueError(f"frame {expected} is missing; the next one is {number}")
+            yield frame
+            expected += 1
+
+
+def join(pieces: list[str], path: str, rate: Fraction) -> Header:
+    """Write the frames of several files, one after another, into one file, without encoding them again."""
+    count = 0
+    with av.open(path, "w", format="mp4", container_options=_MP4) as target:
+        stream: Any = None
+        for piece in pieces:
+            with av.open(piece) as source:
+                if stream is None:
+                    stream = target.add_stream_from_template(source.streams.video[0], opaque=True)
+                    stream.time_base = 1 / rate
+                for packet in source.demux(video=0):
+                    if packet.dts is None:  # the end of the file
+                        continue
+                    packet.stream, packet.time_base = stream, 1 / rate
+                    packet.pts = packet.dts = count
+                    packet.duration = 1
+                    target.mux(packet)
+                    count += 1
+    return {"frames": count, "size": os.path.getsize(path)}
+
+
+def probe(path: str) -> Header:
+    """Return the properties of a video."""
+    with av.open(path) as source:
+        video = source.streams.video[0]
+        return {
+            "codec": video.codec_context.name,
+            "height": video.height,
+            "width": video.width,
+            "rate": str(video.average_rate),
+            "pixel_format": video.codec_context.pix_fmt,
+            "frames": video.frames,
+        }
+
+
+class Worker:
+    """Handles messages; keeps the open videos by number."""
+
+    def __init__(self) -> None:
+        self._encoding: dict[int, Encoding] = {}
+        self._decoding: dict[int, Decoding] = {}
+        self._failed: dict[int, str] = {}
+
+    def answer(self, header: Header, data: bytearray) -> tuple[Header, list[Any]] | None:
+        """Handle a message; return an answer if the client waits for one.
+
+        A failure while a video is written is reported when the client closes it.
+        """
+        operation, number = header.pop("op"), header.pop("video", 0)
+        try:
+            if number not in self._failed:
+                return self._handle(operation, number, header, data)
+        except (av.FFmpegError, OSError, ValueError, LookupError) as error:
+            self._failed[number] = f"{type(error).__name__}: {error}"
+        if operation in ("open", "frames", "abort"):
+            return None
+        return {"error": self._failed.pop(number)}, []
+
+    def _handle(self, operation: str, number: int, header: Header, data: bytearray) -> tuple[Header, list[Any]] | None:
+        rate = Fraction(header.pop("rate", "1"))
+        if operation == "open":
+            self._encoding[number] = Encoding(rate=rate, **_without_bytes(header))
+        elif operation == "frames":
+            self._encoding[number].add(data)
+        elif operation == "close":
+            return self._encoding.pop(number).close(), []
+        elif operation == "join":
+            return join(header["pieces"], header["path"], rate), []
+        elif operation == "probe":
+            return probe(header["path"]), []
+        elif operation == "start":
+            self._decoding[number] = Decoding(rate=rate, **_without_bytes(header))
+            return {}, []
+        elif operation == "read":
+            frames = self._decoding[number].read(header["count"])
+            return {"shapes": [frame.shape for frame in frames]}, frames
+        elif operation == "stop":
+            if number in self._decoding:
+                self._decoding.pop(number).close()
+            return {}, []
+        return None
+
+
+def _without_bytes(header: Header) -> Header:
+    return {key: value for key, value in header.items() if key != "bytes"}
+
+
+def main() -> int:
+    """Serve until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the client, which closes the input
+    os.environ.setdefault("SVT_LOG", "1")
+    av.logging.set_level(av.logging.ERROR)
+    source, target = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an encoder prints must not get between the answers
+    worker = Worker()
+    while (message := read_message(source)) is not None:
+        answer = worker.answer(*message)
+        if answer is not None:
+            write_message(target, *answer)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
