@@ -170,6 +170,10 @@ class CoreRecorder:
         for topic, message in self._sim.messages.items():
             self._recording.message(f"/{topic}", serialize_message(message))
         self._recording.message("/evaluator/step", serialize_message(to_msg(step, EpisodeStepMsg)))
+        self._recording.flush()
+
+    def wait_written(self) -> None:
+        """Return at once: `step` writes."""
 
     def close(self, result: EpisodeResult, keep: str) -> str:
         """Close the bag."""

@@ -51,6 +51,7 @@ class World:
         return StateRecord(episode_id=episode_id, seq=0, stamp_ns=0, robot=ROBOT, entities=self.settled)
 
     def tick(self, episode_id, seq, action):
+        assert not self.unwritten, "the simulator goes on before the recorder has the tick"
         self.executed.append(action)
         moved = float(action[0])
         self.x += moved if moved or not self.slides_back else -5.0
@@ -81,9 +82,14 @@ class World:
         self.log.append("open")
         self.info = info
         self.steps = []
+        self.unwritten = False
 
     def step(self, step):
         self.steps.append(step)
+        self.unwritten = True
+
+    def wait_written(self):
+        self.unwritten = False
 
     def close(self, result, keep):
         self.closed.append((result, keep))

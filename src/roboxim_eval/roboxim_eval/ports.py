@@ -216,7 +216,7 @@ class SimClient:
 
 
 class RecorderClient:
-    """Client of the recorder: opens a bag, sends a step per tick and waits for its acknowledgement, closes the bag."""
+    """Client of the recorder: opens a bag, sends a step per tick, waits for its acknowledgement, closes the bag."""
 
     def __init__(self, clients: Clients, output_dir: str) -> None:
         """Subscribe to the recorder's acknowledgements.
@@ -230,6 +230,8 @@ class RecorderClient:
         self._acknowledged = threading.Condition()
         self._last = RecordedTick()
         self._open = ""
+        self._sent: tuple[str, int] | None = None
+        """Episode and tick of the step that the recorder has not been heard to acknowledge."""
         clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.EVENTS)
         self._publisher: Publisher = clients.node.create_publisher(EpisodeStepMsg, "evaluator/step", qos.EVENTS)
 
@@ -240,27 +242,34 @@ class RecorderClient:
         self._open = info.episode_id
 
     def step(self, step: EpisodeStep) -> None:
-        """Publish a tick's step and wait until the bag has the whole tick.
+        """Publish a tick's step; `wait_written` waits for the recorder's acknowledgement."""
+        self._sent = step.episode_id, step.seq
+        self._publisher.publish(to_msg(step, EpisodeStepMsg))
+
+    def wait_written(self) -> None:
+        """Wait until the bag has the whole tick of the last step.
 
         Raises:
             RoboximError: The error with which the recorder rejected the tick, or a time-out.
         """
-        self._publisher.publish(to_msg(step, EpisodeStepMsg))
+        if self._sent is None:
+            return
+        (episode_id, seq), self._sent = self._sent, None
         with self._acknowledged:
             done = self._acknowledged.wait_for(
-                lambda: (self._last.episode_id, self._last.seq) == (step.episode_id, step.seq),
-                timeout=MESSAGE_TIMEOUT_S,
+                lambda: (self._last.episode_id, self._last.seq) == (episode_id, seq), timeout=MESSAGE_TIMEOUT_S
             )
             last = self._last
         if not done:
             raise RequestTimeoutError(
-                f"the recorder did not acknowledge tick {step.seq} of '{step.episode_id}' within "
+                f"the recorder did not acknowledge tick {seq} of '{episode_id}' within "
                 f"{MESSAGE_TIMEOUT_S:g} s; it hangs, has died, or lacks a message of the tick"
             )
         raise_for_code(last.error_code, last.error_msg)
 
     def close(self, result: EpisodeResult, keep: str) -> str:
         """Close the bag; return its path relative to the output folder."""
+        self.wait_written()
         request = CloseEpisode.Request(result=to_msg(result, EpisodeResultMsg), keep=keep)
         answer = self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=SERVICE_TIMEOUT_S)
         self._open = ""
@@ -273,6 +282,10 @@ class RecorderClient:
         request = CloseEpisode.Request(keep="drop")
         request.result.episode_id = self._open
         self._open = ""
+        try:
+            self.wait_written()  # a late error must not meet the next try, which has the same episode id
+        except RoboximError as error:
+            self._clients.node.get_logger().info(f"the dropped bag lacks its last tick: {error}")
         try:
             self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=MESSAGE_TIMEOUT_S, wait_s=0.5)
         except RoboximError as error:

@@ -1,4 +1,4 @@
-"""The shipped policies without a network, ``zero``, ``random`` and ``replay``, and the registration of ``bc``.
+"""The shipped policies ``zero``, ``random`` and ``replay``, and the registration of ``bc`` and the remote policies.
 
 ``zero`` and ``random`` are baselines for every evaluation; ``replay`` repeats recorded actions.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+import roboxim_policies.remote  # noqa: F401 - registers the remote policies
 from roboxim_core.actions import ACTION_SIZE, ANY_RATE, ActionArray, ActionSemantics, check_chunk, hold_action
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy

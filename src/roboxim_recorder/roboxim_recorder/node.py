@@ -154,6 +154,7 @@ class RecorderNode(RoboximNode):
         try:
             for seq in recording.message(topic, cdr):
                 self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
+            recording.flush()  # while the simulator goes on
         except RoboximError as error:
             answer = RecordedTick(
                 episode_id=recording.info.episode_id,

@@ -84,6 +84,8 @@ class EpisodeRecording:
         self._arrived: dict[tuple[str, int], CleanMessage] = {}
         self._stampless: dict[str, CleanMessage] = {}
         self._extras: list[tuple[str, CleanMessage]] = []
+        self._flush_due = False
+        self._flush_error: RecorderError | None = None
         self._writer = BagWriter(output_dir, info.episode_id)
         for topic, schema in schemas.items():
             self._writer.add_topic(topic, schema)
@@ -121,12 +123,13 @@ class EpisodeRecording:
             cdr: The serialised message.
 
         Returns:
-            The ticks that this message completed; they are now in the bag.
+            The ticks that this message completed; they need no further message. Call `flush` after telling so.
 
         Raises:
             RecorderError: ``EPISODE_GAP`` when a tick needs a topic that is not recorded, ``DISK`` when it cannot be
                 written.
         """
+        self._raise_flush_error()
         message = self._clean(topic, cdr)
         if topic in self.extra:
             self._extras.append((topic, message))
@@ -208,7 +211,26 @@ class EpisodeRecording:
             self._next += 1
         return written
 
+    def flush(self) -> None:
+        """Compress and store the last ticks, if it is their turn; call it when nobody waits for the recording.
+
+        An error is raised by the next `message` or `close`, which somebody waits for.
+        """
+        if not self._flush_due:
+            return
+        self._flush_due = False
+        try:
+            self._writer.flush()
+        except RecorderError as error:
+            self._flush_error = error
+
+    def _raise_flush_error(self) -> None:
+        if self._flush_error is not None:
+            raise self._flush_error
+
     def _write_tick(self, seq: int) -> None:
+        self.flush()
+        self._raise_flush_error()
         notice = self._notices.pop(seq)
         stamp = self._last_stamp_ns = notice.stamp_ns
         self._writer.write(topics.NOTICE, notice.message.data, stamp)
@@ -219,8 +241,7 @@ class EpisodeRecording:
         self._writer.write(topics.STEP, self._steps.pop(seq).data, stamp)
         self._write_extras()
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
-        if seq % FLUSH_TICKS == 0:
-            self._writer.flush()
+        self._flush_due = seq % FLUSH_TICKS == 0
 
     def _write_extras(self) -> None:
         for topic, message in sorted(self._extras, key=itemgetter(0)):
@@ -246,6 +267,8 @@ class EpisodeRecording:
             self.drop()
             raise RecorderError(gap, ErrorCode.EPISODE_GAP)
         try:
+            self.flush()
+            self._raise_flush_error()
             self._write_extras()
             self._writer.write(topics.RESULT, self._clean(topics.RESULT, result_cdr).data, self._last_stamp_ns)
         except RecorderError:

@@ -137,9 +137,11 @@ def test_a_disk_that_fills_up_between_ticks_is_answered(graph, tmp_path, fake, m
     episode = fake()
     graph.open(episode, tmp_path)
     monkeypatch.setattr(McapFile, "flush", full)
-    graph.tick(episode, 0)  # is a tick with which a chunk is written
+    graph.tick(episode, 0)  # completes a chunk, which is written after the acknowledgement
+    assert graph.acknowledgement().error_code == ErrorCode.OK
+    graph.tick(episode, 1)
     answer = graph.acknowledgement()
-    assert (answer.seq, answer.error_code) == (0, ErrorCode.DISK)
+    assert (answer.seq, answer.error_code) == (1, ErrorCode.DISK)
     assert "No space left" in answer.error_msg
     eventually(lambda: not list(tmp_path.rglob("*.mcap")))
 

@@ -1,13 +1,15 @@
 """Blocking service calls from any thread, callbacks included.
 
-A client needs an executor to receive its answer. If that is the executor whose callback waits, the call deadlocks. The
-clients therefore live on a separate node, spun by a separate thread.
+`Clients.call` takes its answer from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients'
+node needs an executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own
+executor, it would wait forever. A separate thread therefore spins this node.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -15,9 +17,11 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
+from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
 from roboxim_ros.spinning import spin
 
@@ -57,6 +61,7 @@ class Clients:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._clients: dict[tuple[Any, str], Client] = {}
+        self._idle: defaultdict[tuple[Any, str], list[DirectClient]] = defaultdict(list)
         self._lock = threading.Lock()
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
@@ -108,30 +113,49 @@ class Clients:
             RequestTimeoutError: When the answer does not come in time.
             RoboximError: As the response's ``error_code`` and ``error_msg`` state, when it has them.
         """
-        client = self.client(srv_type, name)
+        direct = self._borrow(srv_type, name)
+        try:
+            response = self._answer(direct, request, timeout_s, wait_s)
+        except rclpy_implementation.InvalidHandle:
+            raise UnavailableError(
+                f"the clients '{self.node.get_name()}' were closed during a call of '{name}'"
+            ) from None
+        finally:
+            with self._lock:
+                self._idle[srv_type, name].append(direct)
+        if check:
+            raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
+        return response
+
+    def _borrow(self, srv_type: Any, name: str) -> DirectClient:
+        """Return a client that no other thread uses."""
+        with self._lock:
+            if idle := self._idle[srv_type, name]:
+                return idle.pop()
+            try:
+                return DirectClient(self.node, srv_type, name)
+            except InvalidServiceNameException as error:
+                raise InvalidRequestError(str(error)) from None
+
+    def _answer(self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float) -> Any:
+        """Send a request and return its answer."""
+        client = direct.client
         if not wait_until(client.service_is_ready, wait_s):
             raise UnavailableError(
                 f"service '{client.service_name}' is not available after {wait_s:g} s; is its node running?"
             )
-        done = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: done.set())
+        number = direct.send(request)
         deadline = time.monotonic() + timeout_s
-        while not done.wait(min(1.0, max(0.0, deadline - time.monotonic()))):
+        while (answer := direct.receive(number, min(1.0, deadline - time.monotonic()))) is None:
             if time.monotonic() >= deadline:
-                client.remove_pending_request(future)
                 raise RequestTimeoutError(
                     f"service '{client.service_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
                 )
             if not client.service_is_ready():  # its lease expired
-                client.remove_pending_request(future)
                 raise UnavailableError(
                     f"service '{client.service_name}' disappeared during the call; its node has died"
                 )
-        response = future.result()
-        if check:
-            raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
-        return response
+        return answer
 
     def in_thread(self, function: Callable[[], T]) -> T:
         """Call a function in the clients' thread and return its result.

@@ -31,8 +31,11 @@ def _server(context) -> Node:
 
     def slow(_, response):
         node.may_answer.wait(PATIENCE_S)
+        node.answers += 1
+        response.message = f"answer {node.answers}"
         return response
 
+    node.answers = 0
     node.may_answer = threading.Event()
     node.create_service(Trigger, "trigger", trigger)
     node.create_service(SetBool, "nested", nested)
@@ -128,3 +131,12 @@ def test_clients_answer_after_a_failure_of_the_middleware(graph_host):
         clients.wake()
         assert failed.wait(PATIENCE_S)
         assert clients.call(Trigger, "trigger", Trigger.Request()).message == "done"
+
+
+def test_a_late_answer_is_never_taken_for_the_next_one(graph_host):
+    server = graph_host.add(_server)
+    with Clients("clients", context=graph_host.context) as clients:
+        with pytest.raises(RequestTimeoutError):
+            clients.call(Trigger, "slow", Trigger.Request(), timeout_s=0.2)
+        server.may_answer.set()
+        assert clients.call(Trigger, "slow", Trigger.Request()).message == "answer 2"

@@ -30,7 +30,7 @@ from roboxim_bringup.options import episode_options
 @click.option(
     "--execute", type=click.IntRange(0), default=0, help="Actions executed per request; 0: the policy's horizon."
 )
-@click.option("--policy-timeout", default=30.0, show_default=True, help="Longest wait for an answer [s].")
+@click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
@@ -41,6 +41,7 @@ def command(
     \b
     roboxim evaluate --policy bc --checkpoint runs/bc --policy random --episodes 20
     roboxim evaluate --policy my_module:MyPolicy
+    roboxim evaluate --policy openpi --option url=ws://host:8000 --option convention=libero --option version=pi05_libero
     roboxim evaluate --policy old=bc --checkpoint old=runs/bc --policy new=bc --checkpoint new=runs/bc2
 
     Every policy meets the same scenes. Evaluation scenes are never those of demonstrations, whatever the seed. Ctrl-C

@@ -144,6 +144,8 @@ class EpisodesJob:
     """Policies that every worker serves."""
     policy_files: Mapping[str, str] = field(default_factory=dict)
     """Files that define the policies, each with its content's hash; see `roboxim_policies.identity`."""
+    server: Mapping[str, Any] = field(default_factory=dict)
+    """What identifies the server of a remote policy; see `roboxim_bringup.runs.servers`."""
 
     def __post_init__(self) -> None:
         """Check the renderer's name. Whether the renderer works here shows only when a scene is loaded.
@@ -173,6 +175,7 @@ class EpisodesJob:
             "renderer": self.renderer,
             "policies": [to_plain(launch) for launch in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
+            **self.server,
         }
 
     def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:

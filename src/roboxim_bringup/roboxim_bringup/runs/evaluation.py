@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
@@ -46,8 +46,8 @@ class EvaluationConfig(EpisodesConfig):
     """Actions per episode; 0: as the task says."""
     execute: int = 0
     """Actions executed per request; 0: the policy's horizon."""
-    policy_timeout_s: float = 30.0
-    """Longest wait for an answer [s]."""
+    policy_timeout_s: float = 120.0
+    """Longest wait for an answer [s]. A model's first call can take a minute, in which it is compiled."""
     other_robot: bool = False
     """Whether to allow a robot other than the one that a policy was trained with."""
     command: str = ""
@@ -187,7 +187,8 @@ def evaluate(
     _require_cameras(chosen, cells)
     if not config.other_robot:
         _require_robots(chosen, cells)
-    jobs = {policy.name: _job(config, policy, text) for policy in chosen}
+    servers = {policy.name: _server(config, policy) for policy in chosen}
+    jobs = {policy.name: _job(config, policy, text, servers[policy.name]) for policy in chosen}
     for policy in chosen:
         _require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
     found = {}
@@ -209,7 +210,18 @@ def evaluate(
     return _report(config, found, _policy_facts(chosen, jobs))
 
 
-def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str) -> EpisodesJob:
+def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
+    """Return what identifies a remote policy's server; empty for other policies."""
+    if not policy.is_remote:
+        return {}
+    from roboxim_bringup.runs.servers import server_record
+
+    return server_record(
+        policy, RunFolder(Path(config.out) / policy.name), config.episodes, config.policy_timeout_s
+    ).plain
+
+
+def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, server: Mapping[str, Any]) -> EpisodesJob:
     launch, out = policy.launch, Path(config.out)
     run = config.run_config(
         task_config, purpose="eval", actor="expert" if launch is None else launch.namespace, keep="all",
@@ -218,7 +230,7 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str) -> Ep
     )  # fmt: skip
     return EpisodesJob(
         config=run, episodes=config.episodes, workers=config.workers, renderer=config.renderer,
-        policies=() if launch is None else (launch,), policy_files=policy.files(out),
+        policies=() if launch is None else (launch,), policy_files=policy.files(out), server=server,
     )  # fmt: skip
 
 
@@ -325,7 +337,12 @@ def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob
     facts = {}
     for policy in chosen:
         files = (f"{file} {digest[:16]}" for file, digest in jobs[policy.name].policy_files.items())
-        facts[f"policy {policy.name}"] = ", ".join([policy.spec, *files])
+        server = jobs[policy.name].server.get("server", {})
+        remote = [
+            f"version {policy.options.get('version')}", f"convention {server['convention']['name']}",
+            str(policy.options.get("url")),
+        ] if server else []  # fmt: skip
+        facts[f"policy {policy.name}"] = ", ".join([policy.spec, *remote, *files])
     return facts
 
 

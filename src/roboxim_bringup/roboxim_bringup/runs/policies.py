@@ -13,12 +13,15 @@ from typing import Any
 import roboxim_policies.builtin
 from roboxim_bringup.graph import PolicyLaunch
 from roboxim_bringup.parameters import parse_options
+from roboxim_core.conventions import load_convention
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.policies import Policy
 from roboxim_policies import POLICIES
 from roboxim_policies.base import find_policy, load_policy, require_arguments
 from roboxim_policies.bc.checkpoint_file import read_description
 from roboxim_policies.identity import policy_files
+from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
+from roboxim_policies.wires import REFUSED
 
 EXPERT = "expert"
 CHECKPOINT = "checkpoint"
@@ -60,10 +63,23 @@ class ChosenPolicy(PolicySpec):
         return self.make is not None and CHECKPOINT in inspect.signature(self.make).parameters
 
     @property
+    def is_remote(self) -> bool:
+        """Whether a server computes its actions."""
+        if self.make is None:
+            return False
+        made = (
+            self.make if isinstance(self.make, type) else inspect.signature(self.make, eval_str=True).return_annotation
+        )
+        return isinstance(made, type) and issubclass(made, RemotePolicy)
+
+    @property
     def cameras(self) -> tuple[str, ...]:
         """Cameras that the policy needs, as far as known without an instance of it."""
         if self.spec == "bc":
             return tuple(read_description(Path(self.options[CHECKPOINT])).get("camera_sizes", ()))
+        convention = self.options.get("convention")
+        if self.is_remote and isinstance(convention, str) and convention != SERVERS_OWN:
+            return tuple(camera.name for camera in load_convention(convention).cameras)
         cameras = getattr(self.make, "cameras", ())
         cameras = (cameras,) if isinstance(cameras, str) else cameras
         if not isinstance(cameras, list | tuple):  # a property, or an unrelated attribute of a user's class
@@ -178,6 +194,8 @@ def _find(spec: str) -> Callable[..., Policy] | None:
     if spec == EXPERT:
         return None
     if ":" not in spec and spec not in POLICIES:
+        if spec.replace("-", "_") in REFUSED:
+            raise ConfigError(f"policy '{spec}': {REFUSED[spec.replace('-', '_')]}")
         hint = f"; a class in a file is {spec}:CLASS" if spec.endswith(".py") else ""
         raise ConfigError(f"unknown policy '{spec}'; {one_of([*POLICIES, EXPERT], spec)}{hint}")
     return find_policy(spec)
@@ -255,3 +273,5 @@ def _require_valid(policy: ChosenPolicy) -> None:
         read_description(Path(policy.options[CHECKPOINT]))
     elif policy.make.__module__ == roboxim_policies.builtin.__name__:
         load_policy(policy.spec, **policy.options)  # quick, and names the wrong value
+    elif policy.is_remote and policy.options.get("convention") != SERVERS_OWN:
+        load_policy(policy.spec, **policy.options)  # does not connect

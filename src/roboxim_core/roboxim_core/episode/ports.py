@@ -88,7 +88,11 @@ class RecorderPort(Protocol):
         ...
 
     def step(self, step: EpisodeStep) -> None:
-        """Add a tick; return when all its messages are in the bag."""
+        """Add a tick; it may still be on its way into the bag on return."""
+        ...
+
+    def wait_written(self) -> None:
+        """Wait until every tick is in the bag. The loop calls it before the simulator goes on."""
         ...
 
     def close(self, result: EpisodeResult, keep: str) -> str:

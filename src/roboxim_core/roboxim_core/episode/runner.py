@@ -326,6 +326,8 @@ class _Episode:
     def _advance(self, executed: ActionArray) -> None:
         seq = self.state.seq + 1
         self.runner.progress = (self.info.episode_id, seq)
+        if self.config.records:  # only now: the recorder writes while the actor acts
+            self.ports.recorder.wait_written()
         self.state = self.ports.sim.tick(self.info.episode_id, seq, executed)
         self.counts["clipped"] += self.state.clipped
         self.verdict = self.ports.judge.judge(self.state)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 
 from roboxim_core.errors import ConfigError
-from roboxim_policies.wires.base import REFUSED, WIRES, Metadata, Request, Rows, Wire
+from roboxim_policies.wires.base import REFUSED, WIRES, Answer, Metadata, Request, Rows, Wire
 
 for _module in ("openpi", "vla_eval", "openvla", "groot"):
     importlib.import_module(f"{__name__}.{_module}")
@@ -30,4 +30,4 @@ def find_wire(name: str) -> type[Wire]:
     return WIRES[name]
 
 
-__all__ = ["REFUSED", "WIRES", "Metadata", "Request", "Rows", "Wire", "find_wire"]
+__all__ = ["REFUSED", "WIRES", "Answer", "Metadata", "Request", "Rows", "Wire", "find_wire"]

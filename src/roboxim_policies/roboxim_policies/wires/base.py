@@ -32,6 +32,8 @@ Request = Mapping[str, Any]
 """What a policy is asked: NumPy arrays and texts by name, e.g. ``{"observation/image": ..., "prompt": "..."}``."""
 Rows = npt.NDArray[np.float64]
 """Raw actions of a server, float64, shape (n, D)."""
+Answer = dict[str, Rows]
+"""Raw actions of a server by key; all have equal lengths. A server without keys for actions answers ``actions``."""
 Metadata = dict[str, Any]
 """What a server says of itself: maps, lists, texts and numbers."""
 
@@ -87,6 +89,8 @@ class Wire(ABC):
         self.key = os.environ[key_env] if key_env else ""
         self.pause: Callable[[float], object] = threading.Event().wait
         """Waits for a time [s] before a further try to connect."""
+        self.prompt_key = "prompt"
+        """Key of the instruction in requests."""
         self._metadata: Metadata | None = None
         self._is_open = False
 
@@ -100,11 +104,12 @@ class Wire(ABC):
         """The server, for messages."""
         return f"the {self.name()} server at {self.url}"
 
-    def connect(self, *, patience_s: float | None = None) -> Metadata:
+    def connect(self, *, patience_s: float | None = None, deadline: Deadline | None = None) -> Metadata:
         """Return the server's metadata; open the session if it is closed.
 
         Args:
             patience_s: Time in which a refused connection is tried again [s]; None: ``reconnect_s``.
+            deadline: Deadline; None: ``timeout_s`` from now.
 
         Raises:
             PolicyError: ``POLICY_DIED`` when nobody listens, ``POLICY_LATE`` after the deadline, ``POLICY_FAULT`` when
@@ -113,7 +118,8 @@ class Wire(ABC):
         if self._is_open and self._alive() and self._metadata is not None:
             return self._metadata
         self.close()
-        metadata = self._opened(self.reconnect_s if patience_s is None else patience_s)
+        patience_s = self.reconnect_s if patience_s is None else patience_s
+        metadata = self._opened(patience_s, deadline or Deadline(self.timeout_s))
         if self._metadata is not None and to_json(metadata) != to_json(self._metadata):
             self.close()
             raise fault(
@@ -129,11 +135,12 @@ class Wire(ABC):
         Raises:
             PolicyError: As `connect`, and when the server refuses the episode.
         """
-        self.connect()
+        deadline = Deadline(self.timeout_s)
+        self.connect(deadline=deadline)
         with _Closing(self):
-            self._begin(start, Deadline(self.timeout_s))
+            self._begin(start, deadline)
 
-    def ask(self, request: Request) -> Rows:
+    def ask(self, request: Request) -> Answer:
         """Return the server's actions for a request, as it sent them.
 
         Raises:
@@ -151,13 +158,13 @@ class Wire(ABC):
         self._is_open = False
         self._shut()
 
-    def _opened(self, patience_s: float) -> Metadata:
+    def _opened(self, patience_s: float, deadline: Deadline) -> Metadata:
         """Open the session, again and again for a time while the connection is refused."""
         pause, waited = FIRST_PAUSE_S, 0.0
         while True:
             try:
                 with _Closing(self):
-                    metadata = self._open(Deadline(self.timeout_s))
+                    metadata = self._open(deadline)
                     self._is_open = True
                     return metadata
             except PolicyError as error:
@@ -198,7 +205,7 @@ class Wire(ABC):
         """Begin an episode."""
 
     @abstractmethod
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
         """Send a request and return the actions of its reply."""
 
     @abstractmethod

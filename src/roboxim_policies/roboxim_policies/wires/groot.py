@@ -30,9 +30,9 @@ from roboxim_policies.wires.base import (
     REFUSED,
     TIMEOUT_S,
     WIRES,
+    Answer,
     Metadata,
     Request,
-    Rows,
     Wire,
     plain_metadata,
 )
@@ -202,16 +202,16 @@ class GrootWire(Wire):
         else:
             self._call("reset", {"options": None}, deadline)
 
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
         reply = self._call("get_action", self._observation(request), deadline)
         if isinstance(reply, list) and reply:
             reply = reply[0]
         if not isinstance(reply, dict):
             raise invalid(f"{self.server} answered without actions, with {type(reply).__name__}")
-        return self._joined({last_part(str(key)): value for key, value in reply.items()})
+        return self._columns({last_part(str(key)): value for key, value in reply.items()})
 
     def _observation(self, request: Request) -> dict[str, Any]:
-        parts = parts_of(request)
+        parts = parts_of(request, self.prompt_key)
         batch = () if self._serialiser.flat else (None,)
         number = np.float64 if self._serialiser.flat else np.float32
         video = {
@@ -243,20 +243,22 @@ class GrootWire(Wire):
             )
         return {key: given[last_part(key)] for key in self._keys[group]}
 
-    def _joined(self, actions: dict[str, Any]) -> Rows:
-        """Join the actions of all keys to rows, in the declared order."""
-        columns = []
+    def _columns(self, actions: dict[str, Any]) -> Answer:
+        """Return the actions of all declared keys, in the declared order."""
+        columns: Answer = {}
         for key in self._keys["action"]:
-            value = actions.get(last_part(key))
+            name = last_part(key)
+            value = actions.get(name)
             if not isinstance(value, np.ndarray):
                 raise invalid(
                     f"{self.server} answered without the action '{key}', only with {', '.join(actions)[:300]}"
                 )
             value = value[0] if value.ndim == 3 and value.shape[0] == 1 else value
-            columns.append(rows_of(value[:, None] if value.ndim == 1 else value, f"action '{key}'", most=MOST_ROWS))
-        if len({len(column) for column in columns}) > 1:
-            raise invalid(f"{self.server} answered actions of different lengths: {[len(column) for column in columns]}")
-        return np.concatenate(columns, axis=1)
+            columns[name] = rows_of(value[:, None] if value.ndim == 1 else value, f"action '{key}'", most=MOST_ROWS)
+        if len({len(column) for column in columns.values()}) > 1:
+            lengths = {name: len(column) for name, column in columns.items()}
+            raise invalid(f"{self.server} answered actions of different lengths: {lengths}")
+        return columns
 
     def _call(self, endpoint: str, data: Any, deadline: Deadline) -> Any:
         assert self._connection is not None

@@ -27,6 +27,7 @@ from roboxim_policies.wires.base import (
     RECONNECT_S,
     TIMEOUT_S,
     WIRES,
+    Answer,
     Metadata,
     Request,
     Rows,
@@ -165,23 +166,23 @@ class OpenPiWire(Wire):
         if isinstance(text, str) and text.startswith("Traceback"):
             raise fault(f"{self.server} could not reset: {quoted(text)}")
 
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
         connection = self._connection()
         connection.require_silence()
         connection.send(encode(self._enveloped(request)), deadline)
-        return self._actions(self._message(deadline, "reply"))
+        return {"actions": self._actions(self._message(deadline, "reply"))}
 
     def _enveloped(self, request: Request) -> dict[str, Any]:
         if self._dialect == Dialect.OPENPI:
             return dict(request)
         if self._dialect == Dialect.ROBOARENA:
             return {**request, "session_id": self._session, "endpoint": "infer"}
-        parts = parts_of(request)
+        parts = parts_of(request, self.prompt_key)
         example: dict[str, Any] = {"image": list(parts.images.values()), "lang": parts.text}
         if parts.numbers:
             example["state"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()])[None].astype("<f4")
         keyed = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
-        return {"examples": [example], **keyed}
+        return {"examples": [example], **parts.extras, **keyed}
 
     def _actions(self, reply: Any) -> Rows:
         if self._dialect == Dialect.STARVLA and isinstance(reply, dict):

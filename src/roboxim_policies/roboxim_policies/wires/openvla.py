@@ -25,7 +25,7 @@ import numpy as np
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.limits import echo
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, rows_of
-from roboxim_policies.wires.base import MOST_ROWS, RECONNECT_S, TIMEOUT_S, WIRES, Metadata, Request, Rows, Wire
+from roboxim_policies.wires.base import MOST_ROWS, RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire
 from roboxim_policies.wires.errors import Deadline, died, fault, invalid, quoted, unreadable
 
 
@@ -126,10 +126,10 @@ class OpenVlaWire(Wire):
         self._connected(deadline).close()
         return {}
 
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
         extra = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
         reply = decode(self._post(encode({**request, **extra}, double=self._double), deadline))
-        if reply == "error":
+        if isinstance(reply, str) and reply == "error":
             raise fault(
                 f"{self.server} answered 'error'; its own log says why. Usual causes: a wrong or missing unnorm_key, "
                 "keys that the model does not expect"
@@ -141,7 +141,7 @@ class OpenVlaWire(Wire):
             if len({row.shape for row in reply}) > 1:
                 raise invalid(f"{what} have different sizes: {echo([list(row.shape) for row in reply])}")
             reply = np.stack(reply)
-        return rows_of(reply, what, most=MOST_ROWS)
+        return {"actions": rows_of(reply, what, most=MOST_ROWS)}
 
     def _post(self, body: bytes, deadline: Deadline) -> bytes:
         """Send a request, and return the body of the reply, both within the deadline and the bound of a message."""

@@ -15,42 +15,38 @@ from roboxim_core.errors import InvalidRequestError
 class Parts:
     """A request, sorted by kind; each keeps the request's order."""
 
+    text: str
+    """The instruction."""
     images: Mapping[str, np.ndarray[Any, Any]]
     """Pictures: uint8 arrays with three axes or more."""
     numbers: Mapping[str, np.ndarray[Any, Any]]
-    """All other arrays."""
-    texts: Mapping[str, str]
-    """Texts."""
-
-    @property
-    def text(self) -> str:
-        """The instruction.
-
-        Raises:
-            InvalidRequestError: When the request does not have exactly one text.
-        """
-        if len(self.texts) != 1:
-            raise InvalidRequestError(f"a request must have one text, the instruction; it has {sorted(self.texts)}")
-        return next(iter(self.texts.values()))
+    """Arrays of real numbers: states."""
+    extras: Mapping[str, Any]
+    """Masks, and the convention's constants."""
 
 
-def parts_of(request: Mapping[str, Any]) -> Parts:
+def parts_of(request: Mapping[str, Any], prompt_key: str) -> Parts:
     """Sort a request's values by kind.
 
+    Args:
+        request: The request.
+        prompt_key: Key of the instruction.
+
     Raises:
-        InvalidRequestError: On a value that is neither an array nor a text.
+        InvalidRequestError: When the instruction is missing.
     """
-    images, numbers, texts = {}, {}, {}
+    images, numbers, extras = {}, {}, {}
     for key, value in request.items():
-        if isinstance(value, str):
-            texts[key] = value
-        elif isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim >= 3:
+        if isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim >= 3:
             images[key] = value
-        elif isinstance(value, np.ndarray):
+        elif isinstance(value, np.ndarray) and value.dtype.kind == "f":
             numbers[key] = value
-        else:
-            raise InvalidRequestError(f"'{key}' of a request must be an array or a text, got {type(value).__name__}")
-    return Parts(images=images, numbers=numbers, texts=texts)
+        elif key != prompt_key:
+            extras[key] = value
+    text = request.get(prompt_key)
+    if not isinstance(text, str):
+        raise InvalidRequestError(f"a request must have the instruction as '{prompt_key}'; it has {sorted(request)}")
+    return Parts(text=text, images=images, numbers=numbers, extras=extras)
 
 
 def last_part(key: str) -> str:

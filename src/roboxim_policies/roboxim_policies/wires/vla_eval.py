@@ -25,9 +25,9 @@ from roboxim_policies.wires.base import (
     RECONNECT_S,
     TIMEOUT_S,
     WIRES,
+    Answer,
     Metadata,
     Request,
-    Rows,
     Wire,
     plain_metadata,
 )
@@ -165,20 +165,20 @@ class VlaEvalWire(Wire):
         task = {"name": start.instruction, "episode_id": start.episode_id, "seed": start.seed}
         self._began = self._send("episode_start", {"task": task}, deadline)
 
-    def _ask(self, request: Request, deadline: Deadline) -> Rows:
-        parts = parts_of(request)
+    def _ask(self, request: Request, deadline: Deadline) -> Answer:
+        parts = parts_of(request, self.prompt_key)
         images = {
             last_part(key): image
             for key, image in parts.images.items()
             if not ("send_wrist_image" in self._leave_out and "wrist" in key)
         }
-        payload: dict[str, Any] = {"images": images, "task_description": parts.text}
+        payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
         if parts.numbers and "send_state" not in self._leave_out:
             payload["states"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()]).astype("<f4")
         reply = self._reply("action", self._send("observation", payload, deadline), deadline)
         if "actions" not in reply:
             raise invalid(f"{self.server} answered without 'actions', only with {echo(sorted(map(str, reply)))}")
-        return rows_of(reply["actions"], f"the actions of {self.server}", most=MOST_ROWS)
+        return {"actions": rows_of(reply["actions"], f"the actions of {self.server}", most=MOST_ROWS)}
 
     def _send(self, kind: str, payload: dict[str, Any], deadline: Deadline) -> int:
         self._seq += 1

@@ -46,7 +46,7 @@ class WebSocket:
         try:
             self._connection = connect(
                 url, additional_headers=dict(headers or {}), compression=None, proxy=None, max_size=MESSAGE_BYTES,
-                open_timeout=deadline.left(server), ping_interval=None, close_timeout=CLOSING_S, legacy=None,
+                open_timeout=deadline.left(server), ping_interval=None, close_timeout=CLOSING_S, legacy=True,
             )  # fmt: skip
         except TimeoutError:
             raise deadline.passed(f"the opening handshake of {server}") from None

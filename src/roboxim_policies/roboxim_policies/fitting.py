@@ -1,0 +1,166 @@
+"""Whether a server's metadata fit a convention.
+
+Each wire's metadata declare other things. What they do not declare, ``roboxim policy check`` judges by the answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from roboxim_core.actions import ControlMode
+from roboxim_core.config import to_plain
+from roboxim_core.conventions import Convention
+from roboxim_core.differences import differences
+from roboxim_core.rotations import RotationRepresentation
+from roboxim_policies.wires import Metadata
+from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.parts import last_part
+
+ACTION_SPACES = {
+    "joint_position": (ControlMode.JOINT_POSITION,),
+    "joint_velocity": (ControlMode.JOINT_VELOCITY, ControlMode.JOINT_DELTA),
+    "cartesian_position": (ControlMode.END_EFFECTOR_ABSOLUTE,),
+    "cartesian_velocity": (ControlMode.END_EFFECTOR_DELTA,),
+}
+"""RoboArena's ``action_space``. DROID's velocities are motions per step, hence also joint deltas."""
+ROTATION_FORMATS = {
+    "axis_angle": (RotationRepresentation.ROTATION_VECTOR,),
+    "euler_xyz": (RotationRepresentation.EULER_XYZ_EXTRINSIC, RotationRepresentation.EULER_XYZ_INTRINSIC),
+    "rotation_6d": (RotationRepresentation.ROTATION_6D,),
+    "rot6d": (RotationRepresentation.ROTATION_6D,),
+    "quaternion": (RotationRepresentation.QUATERNION_XYZW, RotationRepresentation.QUATERNION_WXYZ),
+}
+"""vla-eval's formats of rotations; a format that is not listed is not checked."""
+
+
+def misfits(wire: str, metadata: Metadata, convention: Convention) -> list[str]:
+    """Return in words what a server declares otherwise than a convention says; empty: it fits.
+
+    Args:
+        wire: Registered name of the wire; one without checks fits every convention.
+        metadata: The server's metadata.
+        convention: The convention.
+    """
+    check = _CHECKS.get(wire)
+    return check(metadata, convention) if check else []
+
+
+def _openpi(metadata: Metadata, convention: Convention) -> list[str]:
+    if OWN_SERVER in metadata:
+        return _own(metadata[OWN_SERVER], convention)
+    return _roboarena(metadata, convention) + _starvla(metadata, convention)
+
+
+def _own(declared: Any, convention: Convention) -> list[str]:
+    served = declared.get("convention") if isinstance(declared, dict) else None
+    if not isinstance(served, dict):
+        return []
+    words = ("name", "description", "sources", "notes")
+    found = differences(served, to_plain(convention), ignore=words)
+    return [f"the server serves in its convention '{served.get('name')}' ({found}); use convention=server"] * bool(
+        found
+    )
+
+
+def _roboarena(metadata: Metadata, convention: Convention) -> list[str]:
+    found = []
+    space = metadata.get("action_space")
+    if space in ACTION_SPACES and convention.action.control not in ACTION_SPACES[space]:
+        found.append(f"its actions are '{space}', the convention's are '{convention.action.control}'")
+    wrist = [image for image in convention.images if "wrist" in image.key]
+    others = len(convention.images) - len(wrist)
+    if metadata.get("needs_wrist_camera") is True and not wrist:
+        found.append("it needs a wrist camera, the convention sends none")
+    wanted = metadata.get("n_external_cameras")
+    if isinstance(wanted, int) and others < wanted:
+        found.append(f"it needs {wanted} external cameras, the convention sends {others}")
+    if metadata.get("needs_stereo_camera") is True and not any("right" in image.key for image in convention.images):
+        found.append("it needs stereo cameras, the convention sends no right one")
+    size = metadata.get("image_resolution")
+    if isinstance(size, list) and len(size) == 2:
+        found += [
+            f"its pictures are {size[1]} x {size[0]} px, '{image.key}' is {image.width} x {image.height} px"
+            for image in convention.images
+            if [image.height, image.width] != size
+        ]
+    return found
+
+
+def _starvla(metadata: Metadata, convention: Convention) -> list[str]:
+    found = []
+    chunk = metadata.get("action_chunk_size")
+    if isinstance(chunk, int) and not convention.chunking.execute <= chunk <= convention.chunking.horizon:
+        found.append(
+            f"it answers {chunk} actions, the convention executes {convention.chunking.execute} of at most "
+            f"{convention.chunking.horizon}"
+        )
+    if metadata.get("state_keys") and not convention.states:
+        found.append("it needs a state, the convention sends none")
+    return found
+
+
+def _vla_eval(metadata: Metadata, convention: Convention) -> list[str]:
+    found: list[str] = []
+    spec = metadata.get("action_spec")
+    if isinstance(spec, dict):
+        parts = [part for part in spec.values() if isinstance(part, dict)]
+        formats = [str(part.get("format")) for part in parts]
+        sizes = [part.get("dims") for part in parts]
+        if parts and all(isinstance(size, int) and size > 0 for size in sizes):
+            total = sum(size for size in sizes if isinstance(size, int))
+            if total != convention.action.raw_size:
+                found.append(f"its actions have {total} numbers, the convention's {convention.action.raw_size}")
+        for name in formats:
+            found += _vla_eval_format(name, convention)
+    wanted = metadata.get("observation_params")
+    if isinstance(wanted, dict):
+        if wanted.get("send_state") is True and not convention.states:
+            found.append("it needs a state, the convention sends none")
+        if wanted.get("send_wrist_image") is True and not any("wrist" in image.key for image in convention.images):
+            found.append("it needs a wrist picture, the convention sends none")
+    return found
+
+
+def _vla_eval_format(name: str, convention: Convention) -> list[str]:
+    action, gripper = convention.action, convention.action.gripper
+    if name in ROTATION_FORMATS and action.rotation not in ROTATION_FORMATS[name]:
+        return [f"its rotations are '{name}', the convention's '{action.rotation}'"]
+    if name == "delta_xyz" and action.control != ControlMode.END_EFFECTOR_DELTA:
+        return [f"its actions are motions of the end effector, the convention's '{action.control}'"]
+    closing = {"binary_close_positive": True, "binary_close_negative": False}.get(name)
+    if closing is not None and (gripper.closed > gripper.open) != closing:
+        return [f"its gripper is '{name}', in the convention {gripper.open:g} opens and {gripper.closed:g} closes"]
+    return []
+
+
+def _groot(metadata: Metadata, convention: Convention) -> list[str]:
+    config = metadata.get("modality_config")
+    config = config if isinstance(config, dict) else {}
+
+    def keys(group: str) -> list[str]:
+        item = config.get(group)
+        return [last_part(str(key)) for key in item.get("modality_keys", ())] if isinstance(item, dict) else []
+
+    found = []
+    if len(keys("action")) > 1:
+        ours = [last_part(key) for key in convention.action.keys]
+        unknown = [key for key in ours if key not in keys("action")]
+        if unknown:
+            found.append(f"its actions are {', '.join(keys('action'))}; the convention reads {', '.join(ours)}")
+    sent = {
+        "video": [last_part(image.key) for image in convention.images],
+        "state": [last_part(state.key) for state in convention.states],
+    }
+    for group, ours in sent.items():
+        missing = [key for key in keys(group) if key not in ours]
+        if missing:
+            found.append(f"it needs the {group} {', '.join(missing)}; the convention sends {', '.join(ours) or 'none'}")
+    return found
+
+
+_CHECKS: dict[str, Callable[[Metadata, Convention], list[str]]] = {
+    "openpi": _openpi,
+    "vla_eval": _vla_eval,
+    "groot": _groot,
+}

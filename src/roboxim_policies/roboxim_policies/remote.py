@@ -1,0 +1,444 @@
+"""Remote policies: a wire joined with a convention.
+
+The wire carries requests and raw numbers, the convention says what they mean. `RemotePolicy` connects at its first
+episode, and again after every failure, so that a server that dies costs its episodes and not the run.
+
+A remote model cannot be hashed. Its identity is what the user says (``version``), what the server declares (its
+metadata), and its replies to a fixed request (`Probe`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.conventions import (
+    Convention,
+    decode_actions,
+    joined_answer,
+    load_convention,
+    observe,
+)
+from roboxim_core.differences import differences
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_core.proprioception import Proprioception
+from roboxim_core.rotations import Floats
+from roboxim_policies.base import POLICIES, BasePolicy
+from roboxim_policies.fitting import misfits
+from roboxim_policies.wires import Metadata, Wire, find_wire
+from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S
+from roboxim_policies.wires.groot import GrootWire
+from roboxim_policies.wires.openpi import OWN_SERVER, OpenPiWire
+from roboxim_policies.wires.openvla import OpenVlaWire
+from roboxim_policies.wires.vla_eval import VlaEvalWire
+
+SERVERS_OWN = "server"
+"""Name of a convention that the server itself declares; RoboXim's own servers do."""
+PROBES = 3
+"""Replies that a probe keeps."""
+PROBE_INSTRUCTION = "pick up the red cube"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """A model's replies to one fixed request, to tell another model from the same one."""
+
+    replies: tuple[tuple[float, ...], ...]
+    """Each reply's numbers, row by row. A model that samples answers otherwise each time."""
+
+    def complaint(self, other: Probe) -> str:
+        """Return why another probe must come from another model; empty: it may be the same.
+
+        A model that repeats itself must repeat itself up to rounding (1e-3 of the largest number). The replies of a
+        model that samples may differ three times as much from the other's as they differ among themselves.
+        """
+        mine, theirs = self._array(), other._array()
+        if mine is None or theirs is None or mine.shape[1] != theirs.shape[1]:
+            sizes = sorted({len(reply) for reply in (*self.replies, *other.replies)})
+            return f"its replies to the probe have other sizes ({sizes} numbers)"
+        scale = max(float(np.abs(mine).max()), float(np.abs(theirs).max()), 1e-6)
+        within = max(_spread(mine), _spread(theirs))
+        apart = float(np.abs(mine.mean(axis=0) - theirs.mean(axis=0)).max())
+        allowed = 3.0 * within + 1e-3 * scale
+        if apart <= allowed:
+            return ""
+        return f"its replies to the probe differ by {apart:.3g}, at most {allowed:.3g} is its own variation"
+
+    def _array(self) -> Floats | None:
+        if len({len(reply) for reply in self.replies}) != 1:
+            return None
+        return np.array(self.replies, dtype=float)
+
+
+def _spread(replies: Floats) -> float:
+    """Return the largest difference of a component among replies."""
+    return float((replies.max(axis=0) - replies.min(axis=0)).max())
+
+
+class RemotePolicy(BasePolicy):
+    """A policy that a server computes, asked over a wire and understood by a convention."""
+
+    def __init__(self, wire: Wire, convention: str | Convention, *, version: str, name: str = "") -> None:
+        """Join a wire and a convention. Connects only if the convention is the server's own.
+
+        Args:
+            wire: The wire to the server.
+            convention: A name in ``config/conventions``, the path of a YAML file, or ``server``: as the server says.
+            version: What the model is, e.g. ``pi05_libero@2025-09``: the server may not tell.
+            name: Name for reports.
+
+        Raises:
+            ConfigError: When there is no such convention, or ``version`` is empty.
+            PolicyError: When the convention is the server's own and the server does not declare one.
+        """
+        if not version:
+            raise ConfigError(
+                "a remote policy needs version=, e.g. --option version=pi05_libero: RoboXim cannot hash a model that a "
+                "server holds, and reports must say which one it was"
+            )
+        if convention == SERVERS_OWN:
+            convention = declared_convention(wire)
+        self.convention = load_convention(convention) if isinstance(convention, str) else convention
+        self.wire = wire
+        self.wire.prompt_key = self.convention.prompt.key
+        self.name = name or wire.name()
+        self.version = version
+        self.cameras = self.convention.cameras
+        self.window = self.convention.window
+        self.horizon = self.convention.chunking.horizon
+        self.semantics = self.convention.semantics
+        self.gripper = self.convention.action.gripper.rule
+        self._fits: Metadata | None = None
+
+    def __enter__(self) -> Self:
+        """Return the policy."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the session."""
+        self.close()
+
+    def connect(self) -> Metadata:
+        """Return the server's metadata, after a check that the convention fits them.
+
+        Raises:
+            PolicyError: When the server cannot be reached, or declares something else than the convention says.
+        """
+        metadata = self.wire.connect()
+        if metadata is not self._fits:
+            self.require_fitting(metadata)
+            self._fits = metadata
+        return metadata
+
+    def require_fitting(self, metadata: Metadata) -> None:
+        """Refuse a server that declares something else than the convention says.
+
+        Raises:
+            PolicyError: ``POLICY_FAULT``, naming every difference.
+        """
+        found = misfits(self.wire.name(), metadata, self.convention)
+        if found:
+            self.wire.close()
+            raise PolicyError(
+                f"{self.wire.server} does not fit the convention '{self.convention.name}': {'; '.join(found)}. Choose "
+                "the convention that its model was trained in"
+            )
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Begin an episode; connects if there is no connection.
+
+        Raises:
+            PolicyError: When the server cannot be reached, does not fit the convention, or refuses the episode.
+        """
+        self.connect()
+        self.wire.reset(start)
+
+    def act(self, window: ObservationWindow) -> Floats:
+        """Ask the server.
+
+        Raises:
+            PolicyError: When the server does not answer in time, answers with an error, or with unusable actions.
+        """
+        return self.decoded(self.raw(window))
+
+    def raw(self, window: ObservationWindow) -> Floats:
+        """Return the server's numbers for a window, shape (n, D).
+
+        Raises:
+            PolicyError: As `act`.
+        """
+        answer = self.wire.ask(self.request(window))
+        if len(answer) == 1:
+            return next(iter(answer.values()))
+        try:
+            return joined_answer(self.convention, answer)
+        except InvalidRequestError as error:
+            raise self._invalid(str(error)) from None
+
+    def request(self, window: ObservationWindow) -> dict[str, Any]:
+        """Return what is sent for a window."""
+        request = observe(self.convention, window)
+        if OWN_SERVER in (self._fits or {}):  # which gets the measurements as they are, all of them
+            request[OWN_SERVER] = own_extras(window)
+        return request
+
+    def decoded(self, raw: Floats) -> Floats:
+        """Return the actions that are executed, of the meaning ``semantics``.
+
+        Args:
+            raw: The server's numbers, shape (n, D).
+
+        Raises:
+            PolicyError: ``INVALID_ACTION`` when there are too few, too many, or they have no meaning.
+        """
+        chunking = self.convention.chunking
+        if chunking.ensemble == "none" and len(raw) < chunking.execute:
+            raise self._invalid(
+                f"the answer has {len(raw)} actions, the convention executes {chunking.execute}; the model may be "
+                "another one, or the convention's chunking is wrong"
+            )
+        if len(raw) > chunking.horizon:
+            raise self._invalid(f"the answer has {len(raw)} actions, the convention has at most {chunking.horizon}")
+        if chunking.ensemble == "none" and chunking.execute:
+            raw = raw[: chunking.execute]
+        try:
+            return decode_actions(self.convention, raw)
+        except InvalidRequestError as error:
+            raise self._invalid(str(error)) from None
+
+    def probe(self) -> Probe:
+        """Return the server's replies to the fixed request, each as the first of an episode.
+
+        Raises:
+            PolicyError: As `act`.
+        """
+        replies = []
+        for _ in range(PROBES):
+            self.connect()
+            self.wire.reset(EpisodeStart(episode_id="probe", instruction=PROBE_INSTRUCTION, seed=0))
+            replies.append(tuple(float(f"{number:.9g}") for number in self.raw(probe_window(self.convention)).ravel()))
+        return Probe(replies=tuple(replies))
+
+    def facts(self) -> dict[str, Any]:
+        """Return what identifies the policy beside its options, as plain data for ``run.json``.
+
+        Raises:
+            PolicyError: When the server cannot be reached or does not fit the convention.
+        """
+        return {
+            "wire": self.wire.name(),
+            "convention": to_plain(self.convention),
+            "metadata": self.connect(),
+        }
+
+    def close(self) -> None:
+        """Close the session."""
+        self.wire.close()
+
+    def _invalid(self, text: str) -> PolicyError:
+        self.wire.close()
+        return PolicyError(f"{self.wire.server}: {text}", ErrorCode.INVALID_ACTION)
+
+
+def declared_convention(wire: Wire) -> Convention:
+    """Return the convention that a server declares in its metadata.
+
+    Raises:
+        PolicyError: When the server cannot be reached, or declares none.
+    """
+    own = wire.connect().get(OWN_SERVER)
+    declared = own.get("convention") if isinstance(own, dict) else None
+    if not isinstance(declared, dict):
+        raise PolicyError(
+            f"{wire.server} declares no convention, only RoboXim's own servers do; name the one that its model was "
+            "trained in, e.g. convention=libero"
+        )
+    try:
+        return from_plain(declared, Convention, source=f"the convention that {wire.server} declares")
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+
+
+def own_extras(window: ObservationWindow) -> dict[str, Any]:
+    """Return what RoboXim's own server receives beside the convention's request: the observations, without pictures."""
+    return {
+        "seq": window.seq,
+        "episode_id": window.episode_id,
+        "pad_mask": list(window.pad_mask),
+        "observations": [
+            {"seq": item.seq, "stamp_ns": item.stamp_ns, "proprio": to_plain(item.proprio)}
+            for item in window.observations
+        ],
+    }
+
+
+def probe_window(convention: Convention) -> ObservationWindow:
+    """Return the fixed observation window of the probe: smooth pictures, the arm in its working pose."""
+    images = {}
+    for image in convention.images:
+        height, width = image.render_height or 256, image.render_width or 256
+        rows, columns = np.mgrid[0:height, 0:width]
+        pixels = [columns * 255 // width, rows * 255 // height, (rows + columns) * 255 // (width + height)]
+        images[image.camera] = np.stack(pixels, axis=2).astype(np.uint8)
+    joints: tuple[float, ...] = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
+    joints = (*joints, *(0.0,) * max(convention.action.joints - 7, 0))[: max(convention.action.joints, 1)]
+    proprio = Proprioception(
+        tcp_position=(0.5, 0.0, 0.3),
+        tcp_rotation_6d=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0),
+        joint_names=tuple(f"joint{i + 1}" for i in range(len(joints))),
+        joint_positions=joints,
+        joint_velocities=(0.0,) * len(joints),
+        gripper_opening=1.0,
+    )
+    observation = Observation(seq=0, stamp_ns=0, images=images, proprio=proprio)
+    return ObservationWindow(
+        instruction=PROBE_INSTRUCTION,
+        observations=[observation] * convention.window,
+        pad_mask=(False,) * (convention.window - 1) + (True,),
+        episode_id="probe",
+        seq=0,
+    )
+
+
+def probe_from_plain(data: Any) -> Probe:
+    """Return a probe that ``run.json`` holds.
+
+    Raises:
+        ConfigError: When it is damaged.
+    """
+    return from_plain(data, Probe, source="the probe in run.json")
+
+
+def changed_facts(stored: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return how a server's facts differ from stored ones; empty: they do not."""
+    return differences(dict(stored), dict(now))
+
+
+@POLICIES.register("remote")
+def remote_policy(
+    wire: str, url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S,
+    reconnect_s: float = RECONNECT_S, key_env: str = "",
+) -> RemotePolicy:  # fmt: skip
+    """A policy behind any wire, e.g. a plug-in's.
+
+    Args:
+        wire: Registered name of the wire.
+        url: Address of the server.
+        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
+        version: What the model is.
+        timeout_s: Deadline of an answer [s].
+        reconnect_s: Time in which a refused connection is tried again [s].
+        key_env: Environment variable with the server's key.
+
+    Raises:
+        ConfigError: On a wrong argument.
+    """
+    made = find_wire(wire)(url, timeout_s=timeout_s, reconnect_s=reconnect_s, key_env=key_env)
+    return RemotePolicy(made, convention, version=version)
+
+
+@POLICIES.register("openpi")
+def openpi_policy(
+    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    key_env: str = "", dialect: str = "", unnorm_key: str = "",
+) -> RemotePolicy:  # fmt: skip
+    """A policy served by openpi, RoboArena, StarVLA, or ``roboxim policy serve --wire openpi``.
+
+    Args:
+        url: Address of the server, e.g. ``ws://127.0.0.1:8000``.
+        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
+        version: What the model is.
+        timeout_s: Deadline of an answer [s].
+        reconnect_s: Time in which a refused connection is tried again [s].
+        key_env: Environment variable with the server's key.
+        dialect: ``openpi``, ``roboarena`` or ``starvla``; empty: as the metadata tell.
+        unnorm_key: Dataset whose statistics StarVLA un-normalises with.
+
+    Raises:
+        ConfigError: On a wrong argument.
+    """
+    made = OpenPiWire(
+        url, timeout_s=timeout_s, reconnect_s=reconnect_s, key_env=key_env, dialect=dialect, unnorm_key=unnorm_key
+    )
+    return RemotePolicy(made, convention, version=version)
+
+
+@POLICIES.register("vla_eval")
+def vla_eval_policy(
+    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    image_format: str = "raw",
+) -> RemotePolicy:  # fmt: skip
+    """A policy served by a model server of vla-eval.
+
+    Args:
+        url: Address of the server, e.g. ``ws://127.0.0.1:8000``.
+        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
+        version: What the model is.
+        timeout_s: Deadline of an answer [s].
+        reconnect_s: Time in which a refused connection is tried again [s].
+        image_format: How pictures are sent: ``raw`` or ``png``.
+
+    Raises:
+        ConfigError: On a wrong argument.
+    """
+    made = VlaEvalWire(url, timeout_s=timeout_s, reconnect_s=reconnect_s, image_format=image_format)
+    return RemotePolicy(made, convention, version=version)
+
+
+@POLICIES.register("openvla")
+def openvla_policy(
+    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    unnorm_key: str = "", double_encoding: bool = False,
+) -> RemotePolicy:  # fmt: skip
+    """A policy served by OpenVLA or OpenVLA-OFT (``POST /act``).
+
+    Args:
+        url: Address of the server, e.g. ``http://127.0.0.1:8000``.
+        convention: A name in ``config/conventions``, or the path of a YAML file.
+        version: What the model is.
+        timeout_s: Deadline of an answer [s].
+        reconnect_s: Time in which a refused connection is tried again [s].
+        unnorm_key: Dataset whose statistics OpenVLA un-normalises with, e.g. ``bridge_orig``.
+        double_encoding: Whether to send JSON within JSON.
+
+    Raises:
+        ConfigError: On a wrong argument.
+    """
+    made = OpenVlaWire(
+        url, timeout_s=timeout_s, reconnect_s=reconnect_s, unnorm_key=unnorm_key, double_encoding=double_encoding
+    )
+    return RemotePolicy(made, convention, version=version)
+
+
+@POLICIES.register("groot")
+def groot_policy(
+    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    key_env: str = "", sim_policy_wrapper: bool = False,
+) -> RemotePolicy:  # fmt: skip
+    """A policy served by Isaac-GR00T, N1.5 to N1.7.
+
+    Args:
+        url: Address of the server, e.g. ``tcp://127.0.0.1:5555``.
+        convention: A name in ``config/conventions``, or the path of a YAML file.
+        version: What the model is.
+        timeout_s: Deadline of an answer [s].
+        reconnect_s: Time in which a refused connection is tried again [s].
+        key_env: Environment variable with the server's token.
+        sim_policy_wrapper: Whether the server runs with ``--use-sim-policy-wrapper``.
+
+    Raises:
+        ConfigError: On a wrong argument.
+    """
+    made = GrootWire(
+        url, timeout_s=timeout_s, reconnect_s=reconnect_s, key_env=key_env, sim_policy_wrapper=sim_policy_wrapper
+    )
+    return RemotePolicy(made, convention, version=version)
+
+
+__all__ = ["Probe", "RemotePolicy", "changed_facts", "declared_convention", "probe_from_plain", "probe_window"]
