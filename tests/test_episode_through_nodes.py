@@ -125,5 +125,7 @@ def test_only_the_holder_of_the_sim_moves_it(graph):
         with pytest.raises(RoboximError) as caught:
             clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1, action=[float("nan")] * 7))
         assert caught.value.code.name == "INVALID_ACTION"
-        answer = clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1))
+        with pytest.raises(RoboximError, match="shape"):
+            clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1))
+        answer = clients.call(Tick, "sim/tick", Tick.Request(episode_id="mine", seq=1, action=[0.0] * 7))
         assert answer.state.seq == 1

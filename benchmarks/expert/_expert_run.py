@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from roboxim_bringup.core_graph import CoreGraph, CoreTasks
-from roboxim_core.actions import ActionArray
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
@@ -81,10 +81,10 @@ class _Watch:
         return drawn
 
     # the sim's port; cameras are looked through once
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics) -> StateRecord:
         self.scene = replace(scene, cameras=())
         start = time.perf_counter()
-        state = self.ports.sim.load(episode_id, self.scene)
+        state = self.ports.sim.load(episode_id, self.scene, semantics)
         self.reset_s += time.perf_counter() - start
         self.states, self.actions = [state], []
         assert self.task is not None

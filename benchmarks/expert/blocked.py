@@ -26,7 +26,7 @@ from tqdm import tqdm
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_bringup.cores import CorePlanner
 from roboxim_bringup.task_choice import task_text
-from roboxim_core.actions import ActionArray
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import ActorPort, EpisodeRunner, Ports, RunConfig, SimPort
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
@@ -67,9 +67,9 @@ class Watch:
         self._first: StateRecord | None = None
         self.shift_m = 0.0
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics) -> StateRecord:
         """Rebuild the world."""
-        self._first, self.shift_m = self._sim.load(episode_id, replace(scene, cameras=())), 0.0
+        self._first, self.shift_m = self._sim.load(episode_id, replace(scene, cameras=()), semantics), 0.0
         return self._first
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:

@@ -17,7 +17,7 @@ from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
-from roboxim_core.actions import ActionArray
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -100,9 +100,9 @@ class CoreSim:
         """Renderer and device."""
         return f"{self._renderer.name} ({self._renderer.device})"
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world: tick 0."""
-        record = self.world.load(scene, episode_id)
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
+        """Rebuild the world for actions of a meaning, the default unless given: tick 0."""
+        record = self.world.load(scene, episode_id, semantics)
         if scene.cameras:
             self._rig.load(render_world(scene, self.library), scene)
         self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)

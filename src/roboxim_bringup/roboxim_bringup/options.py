@@ -49,6 +49,10 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         ),
         click.option("--size", default="as-configured", show_default=True, help="Image size: SIZE or WIDTHxHEIGHT."),
         click.option(
+            "--rate", type=click.FloatRange(0), default=0.0, metavar="HZ",
+            help="Control rate; 0: the policy's, or the task's if the policy acts at any rate.",
+        ),
+        click.option(
             "--renderer", type=Named("renderer", *RENDERERS), default="raster", show_default=True,
             help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
         ),

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from roboxim_interfaces.msg import TickNotice
+from roboxim_interfaces.msg import Contact, TickNotice
 from roboxim_interfaces.srv import Tick
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import ByteMultiArray, Float32
@@ -48,16 +48,16 @@ def test_values_survive_yaml():
 
 
 def test_fixed_array_is_filled():
-    message = messages.message_from_plain(Tick.Request, {"action": [0, 0, 0.5, 0, 0, 0, 1]})
-    assert message.action.dtype.name == "float32"
-    assert messages.message_to_plain(message)["action"] == [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]
+    message = messages.message_from_plain(Contact, {"force_on_b": [0, 0, 0.5]})
+    assert message.force_on_b.dtype.name == "float64"
+    assert messages.message_to_plain(message)["force_on_b"] == [0.0, 0.0, 0.5]
 
 
 @pytest.mark.parametrize(
     ("cls", "text", "complaint"),
     [
         (Tick.Request, "{episode: a}", "unknown field 'episode'.*episode_id.*did you mean 'episode_id'"),
-        (Tick.Request, "{action: [1, 2]}", "'action': expected 7 elements, got 2"),
+        (Contact, "{force_on_b: [1, 2]}", "'force_on_b': expected 3 elements, got 2"),
         (Tick.Request, "{action: [1, 2, 3, 4, 5, 6, x]}", r"'action\[6\]': expected a number, got 'x'"),
         (Tick.Request, "{seq: -1}", "'seq': expected a whole number from 0 to 4294967295"),
         (Tick.Request, "{seq: 1.5}", "'seq': expected a whole number"),

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionArray, ActionSemantics
+from roboxim_core.actions import ActionArray, ActionSemantics, Chunking, GripperRule
 from roboxim_core.errors import InvalidRequestError, printable
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.specs import SceneSpec, TaskSpec
@@ -69,6 +69,10 @@ class PolicyDescription:
     """Whether the policy reads task, scene and state record (an expert does, a policy under test must not)."""
     version: str = ""
     """Version or checkpoint, for reports and bags."""
+    chunking: Chunking = Chunking()
+    """How its chunks are executed unless the run says otherwise."""
+    gripper: GripperRule = GripperRule()
+    """When the gripper opens and closes."""
 
     def __post_init__(self) -> None:
         """Check types and ranges, because the author of a policy writes them.
@@ -80,7 +84,13 @@ class PolicyDescription:
         _require_text(f"policy '{self.name}': version", self.version)
         _require_whole(f"policy '{self.name}': window", self.window, 1, MAX_WINDOW)
         _require_whole(f"policy '{self.name}': horizon", self.horizon, 1, MAX_HORIZON)
-        for name, kind in (("semantics", ActionSemantics), ("privileged", bool), ("cameras", tuple)):
+        for name, kind in (
+            ("semantics", ActionSemantics),
+            ("privileged", bool),
+            ("cameras", tuple),
+            ("chunking", Chunking),
+            ("gripper", GripperRule),
+        ):
             if not isinstance(getattr(self, name), kind):
                 raise InvalidRequestError(
                     f"policy '{self.name}': {name} must be a {kind.__name__}, got {getattr(self, name)!r}"

@@ -100,7 +100,8 @@ class StateRecord:
     contacts: tuple[Contact, ...] = ()
     """Contacts during the tick, sorted."""
     action_executed: tuple[float, ...] = ()
-    """Action that the controller integrated in this tick, after clipping, 7 float32 values; empty at tick 0."""
+    """Action that the controller integrated in this tick, after clipping, float32 values of the episode's semantics:
+    7 by default, else one per arm joint and the gripper; empty at tick 0."""
     clipped: bool = False
     """Whether the action exceeded a limit and was clipped."""
     left_workspace: bool = False

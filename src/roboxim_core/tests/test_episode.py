@@ -1,5 +1,6 @@
 """The episode loop, with ports implemented in plain Python."""
 
+import math
 from collections import deque
 from dataclasses import replace
 
@@ -46,7 +47,8 @@ class World:
         )  # fmt: skip
         return Draw(task=task, scene=scene, max_steps=8)
 
-    def load(self, episode_id, scene):
+    def load(self, episode_id, scene, semantics):
+        self.semantics = semantics
         self.x, self.scene = self.begins_at, scene
         return StateRecord(episode_id=episode_id, seq=0, stamp_ns=0, robot=ROBOT, entities=self.settled)
 
@@ -130,6 +132,69 @@ def test_success_is_judged_after_settling_and_every_tick_is_recorded():
     assert [step.seq for step in world.steps] == list(range(6))
     assert world.executed[-1].tolist() == [0, 0, 0, 0, 0, 0, 0.25], "settling holds the commanded gripper"
     assert result.bag == "keep/eval-0-00000-0"
+
+
+@pytest.mark.parametrize("rate_hz", [3.0, 15.0])
+def test_a_policy_runs_at_its_own_rate_for_the_same_time(rate_hz):
+    world = World(goal=100.0)
+    result = run(world, Actor(semantics=ActionSemantics(rate_hz=rate_hz))).run_index(0)
+    assert world.scene.control_rate_hz == world.info.semantics.rate_hz == rate_hz
+    assert result.steps == math.ceil(0.8 * rate_hz), "8 steps at the task's 10 Hz"
+
+
+def test_other_meanings_of_end_effector_actions_are_converted_tick_by_tick():
+    rotation = [0.0, 0.0, 0.0, 1.0]
+    semantics = ActionSemantics(
+        control="end_effector_absolute", rotation="quaternion_xyzw", gripper="absolute_open_minus_1_closed_1"
+    )
+    actor = Actor(act=lambda window: np.array([[0.03, 0.0, 0.01, *rotation, 1.0]]), semantics=semantics)
+    world = World(goal=0.02)
+    assert run(world, actor).run_index(0).outcome == "success"
+    np.testing.assert_allclose(world.executed[0], [0.03, 0, 0.01, 0, 0, 0, 0], atol=1e-7)
+    assert world.info.semantics == world.semantics == ActionSemantics(), "the executed meaning is recorded"
+    assert world.steps[1].action_label == tuple(world.executed[0].tolist())
+
+
+def test_the_grippers_rule_applies_to_the_executed_opening_and_a_run_may_set_it():
+    openings = iter([0.45, 0.3, 0.45, 0.3, 0.2, 0.1])
+    act = lambda window: np.array([[0, 0, 0, 0, 0, 0, 1 - 2 * next(openings)]])  # noqa: E731
+    semantics = ActionSemantics(gripper="absolute_open_minus_1_closed_1")
+    world = World(goal=100.0)
+    run(world, Actor(act=act, semantics=semantics), gripper_band=0.2, gripper_agree=2, max_steps=6).run_index(0)
+    assert [row[6] for row in world.executed[:6]] == [0.25, 0.25, 0.25, 0.25, 0.0, 0.0]
+
+
+def test_numbers_that_are_no_rotation_fail_the_episode():
+    actor = Actor(act=lambda window: np.zeros((1, 8)), semantics=ActionSemantics(rotation="quaternion_wxyz"))
+    result = run(World(), actor).run_index(0)
+    assert (result.outcome, result.reason) == ("error", "invalid_action")
+
+
+def test_latency_holds_until_the_first_answer_and_is_named_in_the_result():
+    world = World(goal=100.0)
+    rows = iter(range(1, 100))
+    actor = Actor(act=lambda window: np.array([[next(rows), 0, 0, 0, 0, 0, 1.0]]))
+    result = run(world, actor, latency_ticks=3, max_steps=6).run_index(0)
+    assert [row[0] for row in world.executed[:6]] == [0, 0, 0, 1, 2, 3]
+    assert (result.timing, result.held, result.delay_ticks) == ("lockstep, 3 ticks late", 3, 3.0)
+    assert [window.seq for window in actor.windows] == list(range(6)), "the policy is asked at every tick"
+
+
+def test_in_real_time_the_world_goes_on_while_the_policy_thinks():
+    world, clock = World(goal=100.0), [0.0]
+
+    def think(window):
+        clock[0] += 0.25 if len(actor.windows) > 1 else 60.0
+        return np.array([[window.seq + 1.0, 0, 0, 0, 0, 0, 1.0]] * 2)
+
+    actor = Actor(act=think, horizon=2)
+    ports = Ports(scenes=world, sim=world, actor=actor, judge=world, recorder=world, clock=lambda: clock[0])
+    runner = EpisodeRunner(ports, RunConfig(output_dir="/out", settle_ticks=2, real_time=True, max_steps=9))
+    result = runner.run_index(0)
+    assert len(actor.starts) == 2, "a first request of 60 s, which loads the model, is not counted"
+    assert [window.seq for window in actor.windows[1:]] == [0, 5]
+    assert [row[0] for row in world.executed[:9]] == [0, 0, 0, 1, 1, 0, 0, 0, 6]
+    assert (result.timing, result.held, result.delay_ticks) == ("real time", 6, 3.0)
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0])
@@ -328,10 +393,16 @@ def test_leaving_the_workspace_with_the_last_action_counts():
 def test_what_the_run_cannot_give_is_refused_before_the_first_step():
     with pytest.raises(InvalidRequestError, match="no camera 'ceiling'.*workspace"):
         run(World(), Actor(cameras=(CameraRequirement(name="ceiling"),))).run_index(0)
-    semantics = replace(ActionSemantics(), gripper="absolute_open_minus_1_closed_1")
-    with pytest.raises(EvaluationError, match="gripper") as caught:
-        run(World(), Actor(semantics=semantics)).run_index(0)
+    with pytest.raises(EvaluationError, match="rate_hz: 15.0 against 10.0") as caught:
+        run(World(), Actor(semantics=ActionSemantics(rate_hz=15.0)), rate_hz=10.0).run_index(0)
     assert caught.value.code == ErrorCode.SEMANTICS_MISMATCH
+    joints = ActionSemantics(control="joint_velocity")
+    with pytest.raises(InvalidRequestError, match="joint_velocity.*noise"):
+        run(World(), Actor(semantics=joints), noise_translation_m=0.01)
+    with pytest.raises(InvalidRequestError, match="'drop' would leave none"):
+        run(World(), Actor(), latency_ticks=1, late_rows="drop")
+    with pytest.raises(InvalidRequestError, match="unknown value 'meen'.*mean"):
+        run(World(), Actor(), ensemble="meen")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import json
 import threading
 import zlib
@@ -10,6 +11,7 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+from roboxim_interfaces.msg import ActionSemantics as ActionSemanticsMsg
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
@@ -29,7 +31,7 @@ from roboxim_interfaces.srv import (
 from sensor_msgs.msg import Image
 from simulation_interfaces.srv import GetSimulatorFeatures
 
-from roboxim_core.actions import ActionArray
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import Draw, EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import (
     ErrorCode,
@@ -134,16 +136,19 @@ class SimClient:
                     Image, f"camera/{camera}/image", lambda msg, name=camera: self._on_image(name, msg), qos.EVENTS
                 )
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world and let it settle; return tick 0."""
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
+        """Rebuild the world for actions of a meaning, the default unless given, and let it settle; return tick 0."""
         self._base = scene.robot.pose
-        request = LoadScene.Request(episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder)
+        request = LoadScene.Request(
+            episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder,
+            semantics=[to_msg(semantics, ActionSemanticsMsg)] if semantics else [],
+        )  # fmt: skip
         answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action; return tick ``seq``."""
-        request = Tick.Request(episode_id=episode_id, seq=seq, action=action)
+        request = Tick.Request(episode_id=episode_id, seq=seq, action=array.array("f", action.tolist()))
         answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
 

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics, check_chunk
+from roboxim_core.actions import ActionSemantics, Chunking, GripperRule, check_chunk
 from roboxim_core.config import from_plain
 from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, one_of
 from roboxim_core.policies import (
@@ -99,11 +99,15 @@ class BasePolicy(ABC):
     horizon: int = 1
     """Largest number of actions that `act` returns."""
     semantics: ActionSemantics = ActionSemantics()
-    """Meaning of the actions; a run with another meaning is refused before its first step."""
+    """Meaning of the actions; the episode loop converts them to what the simulator executes."""
     privileged: bool = False
     """Whether the policy reads the task, the scene and the state record. A policy under test must not."""
     version: str = ""
     """Version or checkpoint, for reports and bags."""
+    chunking: Chunking = Chunking()
+    """How chunks are executed, unless the run says otherwise: actions per request, ensemble, late answers."""
+    gripper: GripperRule = GripperRule()
+    """When the gripper opens and closes, unless the run says otherwise."""
 
     def describe(self) -> PolicyDescription:
         """Return the policy's description, built from the attributes.
@@ -120,6 +124,8 @@ class BasePolicy(ABC):
             horizon=self.horizon,
             privileged=self.privileged,
             version=self.version,
+            chunking=self.chunking,
+            gripper=self.gripper,
         )
 
     def reset(self, start: EpisodeStart) -> None:  # noqa: B027 - most policies have nothing to forget
@@ -138,8 +144,8 @@ class BasePolicy(ABC):
                 and ``proprio`` (`roboxim_core.proprioception.Proprioception`; ``proprio.vector()`` is one array).
 
         Returns:
-            Array-like of shape (horizon, 7) or (7,): translation [m], rotation [rad], gripper (1 = open); see
-            `ActionSemantics`. Fewer rows than ``horizon`` are allowed.
+            Array-like of shape (horizon, D) or (D,), by default with D = 7: translation [m], rotation [rad], gripper
+            (1 = open); see `ActionSemantics`. Fewer rows than ``horizon`` are allowed.
         """
 
 

@@ -12,7 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 import roboxim_policies.remote  # noqa: F401 - registers the remote policies
-from roboxim_core.actions import ACTION_SIZE, ANY_RATE, ActionArray, ActionSemantics, check_chunk, hold_action
+from roboxim_core.actions import (
+    ACTION_SIZE,
+    ANY_RATE,
+    ActionArray,
+    ActionSemantics,
+    ControlMode,
+    check_chunk,
+    hold_action,
+)
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy
 from roboxim_policies.base import POLICIES, BasePolicy
@@ -97,6 +105,7 @@ class ReplayPolicy(BasePolicy):
         *,
         actions: Sequence[Sequence[float]] | npt.NDArray[np.float32] | None = None,
         episode: int = 0,
+        control: str = "",
     ) -> None:
         """Load the actions.
 
@@ -105,14 +114,17 @@ class ReplayPolicy(BasePolicy):
                 actions), or a dataset of any registered format (the labels of one episode).
             actions: The actions themselves, shape (T, 7), instead of a source.
             episode: Number of the episode in a dataset, through all of its splits.
+            control: ``joint_position``, ``joint_velocity`` or ``joint_delta``: repeat a bag's commanded joints this way
+                instead of its actions; empty: its actions.
 
         Raises:
-            ConfigError: When neither or both are given, or the source contains no actions.
+            ConfigError: When neither or both are given, the source contains no actions, or the control mode is unknown.
         """
         if (source is None) == (actions is None):
             raise ConfigError("replay needs either a source (.npz, .json, .mcap, dataset) or actions")
         if source is not None:
-            self._actions, self.semantics = load_actions(Path(source), episode=episode)
+            mode = _joint_control(control) if control else None
+            self._actions, self.semantics = load_actions(Path(source), episode=episode, control=mode)
             self.version = f"{Path(source).name}#{episode}"
         else:
             self._actions, self.semantics = _checked(actions), ActionSemantics()
@@ -120,10 +132,20 @@ class ReplayPolicy(BasePolicy):
     def act(self, window: ObservationWindow) -> ActionChunk:
         """Return the action of the window's tick; after the last one, return a hold action with ``done``."""
         if window.seq >= len(self._actions):
-            return ActionChunk(actions=hold_action(float(self._actions[-1, -1]))[None], done=True)
+            last = self._actions[-1:].copy()
+            if self.semantics.control.is_relative:
+                last[:, :-1] = 0.0
+            return ActionChunk(actions=last, done=True)
         return ActionChunk(
             actions=self._actions[window.seq : window.seq + 1], done=window.seq + 1 == len(self._actions)
         )
+
+
+def _joint_control(name: str) -> ControlMode:
+    modes = [mode for mode in ControlMode if mode.is_joint_space]
+    if name not in modes:
+        raise ConfigError(f"control must be a mode of joint space, got '{name}'; {one_of(modes, name)}")
+    return ControlMode(name)
 
 
 def _checked(actions: npt.ArrayLike | None) -> ActionArray:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
+from roboxim_core.actions import ActionArray, ActionContext, ActionSemantics, ControlMode, check_chunk
+from roboxim_core.actions.transforms import Target, action_of
 from roboxim_core.documents import read_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_datasets.episode import Episode
@@ -17,15 +20,20 @@ from roboxim_datasets.formats import open_dataset
 from roboxim_ros.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
+STATE_TOPIC = "sim/state"
 
 
-def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, ActionSemantics]:
+def load_actions(
+    source: Path, *, episode: int = 0, control: ControlMode | None = None
+) -> tuple[ActionArray, ActionSemantics]:
     """Load an episode's actions and their meaning.
 
     Args:
         source: ``.npz`` (array ``actions``, or the only array), ``.json`` (a list, or an object with ``actions``), a
             bag (``.mcap`` file, or a folder with one), or a dataset of any registered format.
         episode: Number of the episode in a dataset, through all of its splits.
+        control: In joint space, the motion of a bag's commanded joints in this control mode, instead of the recorded
+            actions. None: the recorded actions.
 
     Returns:
         Actions of shape (T, D), and their semantics (the default if the file does not state them).
@@ -36,14 +44,15 @@ def load_actions(source: Path, *, episode: int = 0) -> tuple[ActionArray, Action
     if not source.exists():
         raise ConfigError(f"no such file or folder: {source}")
     semantics = ActionSemantics()
-    if source.is_dir():
-        bags = sorted(source.glob("*.mcap"))
-        if bags:
-            actions, semantics = _from_bag(bags[0])
-        else:
-            actions, semantics = _from_dataset(source, episode)
-    elif source.suffix == ".mcap":
-        actions, semantics = _from_bag(source)
+    bags = sorted(source.glob("*.mcap")) if source.is_dir() else [source] if source.suffix == ".mcap" else []
+    if control is not None and not bags:
+        raise ConfigError(f"{source}: only a bag holds the commanded joints that control '{control}' needs")
+    if control is not None:
+        actions, semantics = _joint_motion(bags[0], control)
+    elif bags:
+        actions, semantics = _from_bag(bags[0])
+    elif source.is_dir():
+        actions, semantics = _from_dataset(source, episode)
     elif source.suffix == ".npz":
         actions = _from_npz(source)
     elif source.suffix == ".json":
@@ -77,26 +86,52 @@ def _from_json(source: Path) -> npt.ArrayLike:
 
 
 def _from_bag(source: Path) -> tuple[npt.ArrayLike, ActionSemantics]:
-    """Read the executed actions. This needs no ROS, because a bag contains its message definitions."""
+    """Read the executed actions."""
+    with _opened(source) as (reader, by_topic):
+        steps = {}
+        for step in _messages(reader, by_topic[STEP_TOPIC]):
+            if step.phase == "act":
+                steps[int(step.seq)] = np.asarray(step.action_executed, np.float32)
+        semantics = _semantics(reader, by_topic.get("episode/info"))
+    if sorted(steps) != list(range(1, len(steps) + 1)):
+        raise ConfigError(f"{source}: the bag has gaps (actions of ticks {sorted(steps)}); it cannot be replayed")
+    return [steps[seq] for seq in sorted(steps)], semantics
+
+
+def _joint_motion(source: Path, control: ControlMode) -> tuple[npt.ArrayLike, ActionSemantics]:
+    """Return the commanded joints of a bag's actions, converted to a control mode in joint space."""
+    actions, recorded = _from_bag(source)
+    with _opened(source, STATE_TOPIC) as (reader, by_topic):
+        robots = {int(state.seq): state.robot for state in _messages(reader, by_topic[STATE_TOPIC])}
+    semantics = ActionSemantics(control=control, rate_hz=recorded.rate_hz)
+    rows = []
+    for seq in range(1, len(np.asarray(actions)) + 1):
+        before, after = robots[seq - 1], robots[seq]
+        target = Target(joints=tuple(after.joint_commands.tolist()), opening=float(after.gripper_command))
+        context = ActionContext(joints_commanded=tuple(before.joint_commands.tolist()))
+        rows.append(action_of(target, semantics, context))
+    return rows, semantics
+
+
+@contextmanager
+def _opened(source: Path, topic: str = STEP_TOPIC) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Open a bag without ROS, since it contains its message definitions; yield the reader and its connections."""
     from rosbags.highlevel import AnyReader
     from rosbags.highlevel.anyreader import AnyReaderError
 
     try:
         with AnyReader([source]) as reader:
             by_topic = {c.topic.removeprefix("/"): c for c in reader.connections}
-            if STEP_TOPIC not in by_topic:
-                raise ConfigError(f"{source}: no topic '{STEP_TOPIC}'; is it a bag recorded by RoboXim?")
-            steps = {}
-            for connection, _, raw in reader.messages(connections=[by_topic[STEP_TOPIC]]):
-                step: Any = reader.deserialize(raw, connection.msgtype)
-                if step.phase == "act":
-                    steps[int(step.seq)] = np.asarray(step.action_executed, np.float32)
-            semantics = _semantics(reader, by_topic.get("episode/info"))
+            if missing := {STEP_TOPIC, topic} - set(by_topic):
+                raise ConfigError(f"{source}: no topic '{missing.pop()}'; is it a bag recorded by RoboXim?")
+            yield reader, by_topic
     except (AnyReaderError, OSError) as error:
         raise ConfigError(f"{source} is not a readable bag: {error}") from None
-    if sorted(steps) != list(range(1, len(steps) + 1)):
-        raise ConfigError(f"{source}: the bag has gaps (actions of ticks {sorted(steps)}); it cannot be replayed")
-    return [steps[seq] for seq in sorted(steps)], semantics
+
+
+def _messages(reader: Any, connection: Any) -> Iterator[Any]:
+    for _, _, raw in reader.messages(connections=[connection]):
+        yield reader.deserialize(raw, connection.msgtype)
 
 
 def _semantics(reader: Any, connection: Any) -> ActionSemantics:

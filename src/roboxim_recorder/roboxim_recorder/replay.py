@@ -62,7 +62,7 @@ def replay(
     try:
         for tick in reader.ticks(cameras=()):
             if tick.seq == 0:
-                state = sim.load(lease, reader.info.scene)
+                state = sim.load(lease, reader.info.scene, reader.info.semantics)
             else:
                 state = sim.tick(lease, tick.seq, np.array(tick.step.action_executed, np.float32))
             compared += 1

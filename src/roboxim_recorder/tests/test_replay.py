@@ -19,7 +19,8 @@ class FakeSim:
     def __init__(self, episode, wrong_at=None):
         self.episode, self.wrong_at, self.released = episode, wrong_at, []
 
-    def load(self, episode_id, scene):
+    def load(self, episode_id, scene, semantics):
+        assert semantics == self.episode.info.semantics
         assert scene == self.episode.scene
         return self.state(0)
 

@@ -25,6 +25,7 @@ from roboxim_interfaces.srv import (
 )
 
 from roboxim_core import limits
+from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
@@ -112,14 +113,20 @@ class SimNode(SimServer):
             "the simulation keeps the state that it has reached"
         )
 
-    def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
+    def load(
+        self,
+        scene: SceneSpec,
+        episode_id: str = "",
+        renderer: str = "",
+        semantics: ActionSemantics | None = None,
+    ) -> StateRecordMsg:
         """Load a scene and publish tick 0; after a failure no episode holds the sim."""
         for camera in scene.cameras:
             limits.require_name("camera", camera.name, topic=True)
         if scene.cameras:
             self._renderer(renderer or self.config.renderer, "live")
         self._renderer_name = renderer or self.config.renderer
-        record = self.world.load(scene, episode_id)
+        record = self.world.load(scene, episode_id, semantics)
         return self._publish_or_release(record)
 
     def scene_changed(self) -> StateRecordMsg:
@@ -180,7 +187,10 @@ class SimNode(SimServer):
     def _on_load_scene(self, request: LoadScene.Request, response: LoadScene.Response) -> None:
         limits.require_episode_id(request.episode_id)
         self._refuse_foreign(request.episode_id, request.holder)
-        response.state = self.load(from_msg(request.scene, SceneSpec), request.episode_id, request.renderer)
+        limits.require_count("semantics of an episode", len(request.semantics), 1)
+        semantics = from_msg(request.semantics[0], ActionSemantics) if request.semantics else None
+        scene = from_msg(request.scene, SceneSpec)
+        response.state = self.load(scene, request.episode_id, request.renderer, semantics)
         self._holder = request.holder
         response.renderer = self._renderer_text()
 

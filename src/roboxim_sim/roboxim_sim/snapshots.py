@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from roboxim_core import limits
+from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import EntitySpec, SceneSpec
@@ -17,8 +18,10 @@ class Snapshot:
 
     scene: SceneSpec
     """The scene of tick 0."""
+    semantics: ActionSemantics | None = None
+    """Meaning of the actions; None: the default."""
     actions: tuple[tuple[float, ...], ...] = ()
-    """Executed actions since tick 0, 7 float32 values each."""
+    """Executed actions since tick 0, D float32 values each."""
     hashes: tuple[str, ...] = ()
     """State hash of every tick, tick 0 first; empty: hashes are not checked."""
     record: StateRecord

@@ -19,7 +19,7 @@ from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
-from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController
+from roboxim_core.kinematics import ArmKinematics, Controller, ControllerState, DeltaController, JointController
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses
@@ -174,12 +174,13 @@ class World:
 
     # ---------------------------------------------------------------- life of a scene
 
-    def load(self, scene: SceneSpec, episode_id: str = "") -> StateRecord:
+    def load(self, scene: SceneSpec, episode_id: str = "", semantics: ActionSemantics | None = None) -> StateRecord:
         """Rebuild the world from a scene and let it settle.
 
         Args:
             scene: The scene.
             episode_id: Episode that holds the world afterwards; empty: none.
+            semantics: Meaning of the ticks' actions, one that `ActionSemantics.executed` returns; none: the default.
 
         Returns:
             Tick 0.
@@ -187,7 +188,9 @@ class World:
         Raises:
             ConfigError: When a model, modifier or camera parent is unknown; the old world then remains.
             InvalidRequestError: When the robot's start is beyond its limits.
+            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the simulator does not execute these semantics.
         """
+        semantics = _executable(semantics, scene)
         model = self.library.robot(scene.robot.model)
         if scene.robot.model not in self._arms:
             self._arms[scene.robot.model] = ArmKinematics(model)
@@ -198,12 +201,11 @@ class World:
         self._scene = None  # until the new one stands
 
         self.physics.build(scene, model, joints, models)
-        self._controller = DeltaController(
-            arm,
-            workspace=scene.workspace,
-            pose_base_in_world=scene.robot.pose,
-            semantics=ActionSemantics(rate_hz=scene.control_rate_hz),
+        make = JointController if semantics.control.is_joint_space else DeltaController
+        self._controller: Controller = make(
+            arm, workspace=scene.workspace, pose_base_in_world=scene.robot.pose, semantics=semantics
         )
+        self._semantics = semantics
         self._command = self._controller.start(joints, scene.robot.gripper_opening)
         self._moving = False
         self._loads += 1
@@ -241,7 +243,7 @@ class World:
 
         Args:
             seq: Number of the resulting tick: the last tick's + 1.
-            action: 7 numbers, see `roboxim_core.actions`.
+            action: An action of the episode's semantics: 7 numbers by default, else one per arm joint and the gripper.
             episode_id: The requesting episode; none: not checked.
 
         Returns:
@@ -259,7 +261,7 @@ class World:
             raise SimError(f"{holder} the sim, not '{episode_id}'; load a scene for it first", ErrorCode.LEASE_HELD)
         if seq != self._seq + 1:
             raise SimError(f"got tick {seq}, expected the next one, {self._seq + 1}", ErrorCode.WRONG_SEQ)
-        step = self._controller.step(self._command, action)
+        step = self._controller.step(self._command, action, self._record.robot.joint_positions)
         self.physics.begin_tick()
         self.physics.robot.drive_gripper(step.state.gripper)
         before, self._command = self._command, step.state
@@ -453,7 +455,10 @@ class World:
         """
         record = self.record
         scene = self.scene if record.disturbed else self._tick0_scene or self.scene
-        return Snapshot(scene=scene, actions=tuple(self._actions), hashes=tuple(self._hashes), record=record)
+        return Snapshot(
+            scene=scene, semantics=self._semantics, actions=tuple(self._actions), hashes=tuple(self._hashes),
+            record=record,
+        )  # fmt: skip
 
     def restore(self, snapshot: Snapshot, episode_id: str = "", *, approximate: bool = False) -> StateRecord:
         """Restore a snapshot.
@@ -476,7 +481,7 @@ class World:
                 "restore it with approximate=True",
                 ErrorCode.DIVERGED,
             )
-        record = self.load(snapshot.scene, episode_id)
+        record = self.load(snapshot.scene, episode_id, snapshot.semantics)
         snapshot.check(record)
         for seq, action in enumerate(snapshot.actions, 1):
             record = self.tick(seq, action)
@@ -634,8 +639,16 @@ class World:
 
     def _restore_poses(self, snapshot: Snapshot, episode_id: str) -> StateRecord:
         record = snapshot.record
-        self.load(snapshot.scene_now(self.library), episode_id)
+        self.load(snapshot.scene_now(self.library), episode_id, snapshot.semantics)
         self._command = replace(self._command, gripper=record.robot.gripper_command)
         self._seq = record.seq
         self._steps = round(record.stamp_ns / self._step_ns)
         return self._disturb()
+
+
+def _executable(semantics: ActionSemantics | None, scene: SceneSpec) -> ActionSemantics:
+    """Return the semantics at the scene's rate; refuse those that the simulator does not execute."""
+    asked = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
+    executed = asked.executed(scene.control_rate_hz)
+    asked.require_compatible(executed, mine="the request", theirs="the simulator")
+    return executed

@@ -14,8 +14,7 @@ import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import PlannerError, PolicyError
-from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_between
-from roboxim_core.kinematics.delta import ControllerState
+from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController, delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import GRIPPER, TABLE, ExpertScene, Stage

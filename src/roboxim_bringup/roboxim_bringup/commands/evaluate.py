@@ -27,14 +27,43 @@ from roboxim_bringup.options import episode_options
 )  # fmt: skip
 @episode_options(episodes=20, out="runs/evaluation")
 @click.option("--max-steps", type=click.IntRange(0), default=0, help="Actions per episode; 0: as the task says.")
+@click.option("--window", type=click.IntRange(0), default=0, help="Observations per request; 0: the policy's window.")
 @click.option(
-    "--execute", type=click.IntRange(0), default=0, help="Actions executed per request; 0: the policy's horizon."
+    "--execute", type=click.IntRange(0), default=0,
+    help="Actions executed per request; 0: as the policy says, by default its horizon.",
+)  # fmt: skip
+@click.option(
+    "--ensemble", type=click.Choice(["newest", "mean", "exponential"]), default=None,
+    help="Combine several answers for one tick: the last one, the mean, or weights exp(-K i) with i = 0 the oldest.",
+)  # fmt: skip
+@click.option(
+    "--ensemble-decay", type=float, default=0.0, metavar="K",
+    help="K of --ensemble exponential: K > 0 prefers older answers (Octo, ACT), K < 0 newer ones.",
+)  # fmt: skip
+@click.option(
+    "--late-rows", type=click.Choice(["shift", "drop"]), default=None,
+    help="Of a late answer, execute all actions late (shift) or leave out those whose tick has passed (drop).",
+)  # fmt: skip
+@click.option(
+    "--gripper-band", type=click.FloatRange(0, 1), default=0.0, metavar="WIDTH",
+    help="Width of the band around half open in which the gripper keeps its command.",
+)  # fmt: skip
+@click.option(
+    "--gripper-agree", type=click.IntRange(0), default=0, metavar="N",
+    help="Successive actions that must agree before the gripper switches.",
+)  # fmt: skip
+@click.option(
+    "--latency", type=click.IntRange(0), default=0, metavar="TICKS", help="Let every answer arrive TICKS late."
 )
+@click.option(
+    "--real-time", is_flag=True,
+    help="Let simulated time go on while the policy thinks. Such an evaluation is not repeatable.",
+)  # fmt: skip
 @click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
-    policy_timeout: float, **options: Any,
+    policy_timeout: float, ensemble: str | None, late_rows: str | None, **options: Any,
 ) -> None:  # fmt: skip
     r"""Run policies in fresh scenes, count successes, and write OUT/report.html.
 
@@ -57,8 +86,8 @@ def command(
     from roboxim_bringup.runs.evaluation import EvaluationConfig, command_line, evaluate
 
     config = EvaluationConfig(
-        policies=chosen, size=image_size,
-        policy_timeout_s=policy_timeout, command=command_line(sys.argv[1:]), **options,
+        policies=chosen, size=image_size, policy_timeout_s=policy_timeout, ensemble=ensemble or "",
+        late_rows=late_rows or "", command=command_line(sys.argv[1:]), **options,
     )  # fmt: skip
     with EventPrinter() as printer:
         result = evaluate(config, on_event=printer)

@@ -61,6 +61,8 @@ class EpisodesConfig:
     """Processes, each with a whole graph."""
     size: int | tuple[int, int] = 0
     """Image size [px]: the side of a square, or width and height; 0: as configured."""
+    rate: float = 0.0
+    """Control rate [Hz]; 0: the policy's, or the task's if the policy acts at any rate."""
     renderer: str = "raster"
     """``raster`` (needs EGL), ``tiny`` (PyBullet's own), or ``photo`` (Blender; slow)."""
     depth: bool = False
@@ -123,7 +125,8 @@ class EpisodesConfig:
         width, height = self.image_size
         common = {
             "run_seed": self.seed, "task_config": task_config, "image_width": width, "image_height": height,
-            "depth": self.depth, "segmentation": self.segmentation, "output_dir": str(checked_path(self.out)),
+            "rate_hz": self.rate, "depth": self.depth, "segmentation": self.segmentation,
+            "output_dir": str(checked_path(self.out)),
         }  # fmt: skip
         return RunConfig(**{**common, **more})
 

@@ -44,8 +44,27 @@ class EvaluationConfig(EpisodesConfig):
     """Episodes per policy; every policy meets the same scenes."""
     max_steps: int = 0
     """Actions per episode; 0: as the task says."""
+    window: int = 0
+    """Observations per request; 0: the policy's window."""
     execute: int = 0
-    """Actions executed per request; 0: the policy's horizon."""
+    """Actions executed per request; 0: as the policy says, by default its horizon."""
+    ensemble: str = ""
+    """``newest``, ``mean`` or ``exponential``: how several answers for one tick are combined; empty: as the policy
+    says."""
+    ensemble_decay: float = 0.0
+    """k of the exponential weights exp(-k i), i = 0 the oldest answer; only with ``ensemble="exponential"``."""
+    late_rows: str = ""
+    """``shift`` (a late answer's first action is executed on arrival) or ``drop`` (actions whose tick has passed are
+    left out); empty: as the policy says."""
+    gripper_band: float = 0.0
+    """Width of the band around half open in which the gripper keeps its command; outside it opens or closes fully.
+    0: as the policy says."""
+    gripper_agree: int = 0
+    """Successive actions that must agree before the gripper switches; 0: as the policy says."""
+    latency: int = 0
+    """Ticks by which every answer is late."""
+    real_time: bool = False
+    """Whether simulated time goes on while the policy thinks. Such an evaluation is not repeatable."""
     policy_timeout_s: float = 120.0
     """Longest wait for an answer [s]. A model's first call can take a minute, in which it is compiled."""
     other_robot: bool = False
@@ -225,7 +244,10 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, serve
     launch, out = policy.launch, Path(config.out)
     run = config.run_config(
         task_config, purpose="eval", actor="expert" if launch is None else launch.namespace, keep="all",
-        max_steps=config.max_steps, execute=config.execute, policy_timeout_s=config.policy_timeout_s,
+        max_steps=config.max_steps, window=config.window, execute=config.execute, ensemble=config.ensemble,
+        ensemble_decay=config.ensemble_decay, late_rows=config.late_rows, gripper_band=config.gripper_band,
+        gripper_agree=config.gripper_agree, latency_ticks=config.latency, real_time=config.real_time,
+        policy_timeout_s=config.policy_timeout_s,
         output_dir=str((out / policy.name).resolve()),
     )  # fmt: skip
     return EpisodesJob(
@@ -332,6 +354,21 @@ def rate_line(results: Sequence[EpisodeResult]) -> str:
     return f"{rate_of(results)}" + (f"; {errors}" if errors else "")
 
 
+def timing_line(results: Sequence[EpisodeResult]) -> str:
+    """Return when a policy's answers arrived, in words."""
+    acting = [result for result in results if result.steps]
+    if not acting:
+        return "no episode was acted"
+    line, held = acting[0].timing, sum(result.held for result in acting)
+    if line == "lockstep":
+        return line
+    delay = sum(result.delay_ticks for result in acting) / len(acting)
+    return (
+        f"{line}: answers arrive {delay:.1f} ticks after their observation on average; the robot held still without an "
+        f"answer at {held} of {sum(result.steps for result in acting)} ticks"
+    )
+
+
 def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob]) -> dict[str, str]:
     """Return each policy's options and files, for the report."""
     facts = {}
@@ -369,6 +406,7 @@ def _report(
     versions: dict[str, str] = {}
     privileged = []
     for result in found.values():
+        facts[f"timing of {result.name}"] = timing_line(result.results)
         info = _first_info(result)
         if info is None:
             continue

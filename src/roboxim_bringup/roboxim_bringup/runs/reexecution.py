@@ -11,8 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from roboxim_core.actions import ActionArray, hold_action
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import EpisodeInfo, JudgePort
+from roboxim_core.episode.acting import holding_action
 from roboxim_core.episode.runner import LEFT_WORKSPACE, SETTLE_S
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import ticks
@@ -26,8 +27,8 @@ from roboxim_tasks.judging import Judge
 class PhysicsPort(Protocol):
     """The part of `roboxim_core.episode.SimPort` that execution needs."""
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world, let it settle, and return tick 0."""
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics) -> StateRecord:
+        """Rebuild the world for actions of a meaning, let it settle, and return tick 0."""
         ...
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
@@ -46,9 +47,9 @@ class PhysicsSim:
         """Make the world; use it from one thread at a time."""
         self.world = World(library)
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world: tick 0."""
-        return self.world.load(scene, episode_id)
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
+        """Rebuild the world for actions of a meaning, the default unless given: tick 0."""
+        return self.world.load(scene, episode_id, semantics)
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action."""
@@ -107,6 +108,7 @@ def execute(
     scene: SceneSpec,
     next_action: NextAction,
     *,
+    semantics: ActionSemantics | None = None,
     on_state: Callable[[StateRecord], None] = lambda _: None,
     to_the_end: bool = False,
 ) -> Execution:
@@ -118,15 +120,17 @@ def execute(
         episode_id: Id to run under.
         task: The task to judge.
         scene: The scene; its control rate is that of the actions.
-        next_action: Returns the actions, float32, shape (7,), in the semantics that the simulator executes.
+        next_action: Returns the actions, float32, shape (D,).
+        semantics: Their meaning, one that the simulator executes; none: the default.
         on_state: Called with every state, tick 0 included, settling excluded.
         to_the_end: Whether to execute every action, also after a success.
 
     Raises:
         RoboximError: When the sim rejects a request, or an action is not valid.
     """
+    semantics = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
     try:
-        state = sim.load(episode_id, scene)
+        state = sim.load(episode_id, scene, semantics)
         verdict = judge.start(episode_id, task, state)
         on_state(state)
         steps = 0
@@ -141,7 +145,7 @@ def execute(
             on_state(state)
             steps += 1
         for _ in range(ticks(SETTLE_S, scene.control_rate_hz)):
-            state = sim.tick(episode_id, state.seq + 1, hold_action(state.robot.gripper_command))
+            state = sim.tick(episode_id, state.seq + 1, holding_action(state, semantics))
             verdict = judge.judge(state)
     finally:
         sim.release(episode_id)
@@ -175,8 +179,9 @@ def rejudge(info: EpisodeInfo, states: Sequence[StateRecord]) -> Verdict | None:
     sim = PhysicsSim()
     try:
         execution = execute(
-            sim, CoreJudge(), info.episode_id, info.task, info.scene, recorded, on_state=compare, to_the_end=True
-        )
+            sim, CoreJudge(), info.episode_id, info.task, info.scene, recorded, semantics=info.semantics,
+            on_state=compare, to_the_end=True,
+        )  # fmt: skip
     finally:
         sim.close()
     return execution.verdict if same else None

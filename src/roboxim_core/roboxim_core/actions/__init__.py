@@ -1,11 +1,13 @@
-"""Actions: their meaning (`semantics`), conversion between meanings (`transforms`), validation of chunks (`chunks`).
+"""Actions: their meaning (`semantics`), conversion (`transforms`), validation (`chunks`) and execution (`chunking`).
 
 The default meaning: end-effector delta in the robot's base frame, ``[dx, dy, dz, droll, dpitch, dyaw, gripper]``, where
 droll, dpitch, dyaw are the extrinsic XYZ Euler angles of ``R_next R_commanded^T`` and the gripper is absolute,
 1 = open, 0 = closed, linear in the total opening. A run refuses mismatching semantics before the first step.
 """
 
+from roboxim_core.actions.chunking import ActionPlan, Chunking, Ensemble, LateRows
 from roboxim_core.actions.chunks import ACTION_SIZE, ActionArray, check_chunk, hold_action
+from roboxim_core.actions.gripper import GripperRule, GripperSwitch
 from roboxim_core.actions.semantics import (
     ActionSemantics,
     ControlMode,
@@ -23,12 +25,18 @@ __all__ = [
     "DEFAULT_RATE_HZ",
     "ActionArray",
     "ActionContext",
+    "ActionPlan",
     "ActionSemantics",
     "ActionTransform",
+    "Chunking",
     "ControlMode",
     "DeltaBase",
+    "Ensemble",
     "GripperConvention",
+    "GripperRule",
+    "GripperSwitch",
     "Kinematics",
+    "LateRows",
     "ReferenceFrame",
     "RotationRepresentation",
     "check_chunk",

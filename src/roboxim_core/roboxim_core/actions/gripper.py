@@ -21,7 +21,7 @@ class GripperRule:
     band: float = 0.0
     """Width of the band around half open within which it keeps its command."""
     agree: int = 1
-    """Number of consecutive actions that must demand the other command before it changes."""
+    """Number of consecutive actions that must demand the other command before it changes; 0 and 1: at once."""
     hold: int = 0
     """Number of actions for which a changed command stays, whatever they demand; 0 and 1: the changing one alone."""
     on_change: bool = False
@@ -35,7 +35,7 @@ class GripperRule:
             InvalidRequestError: Naming the value, or that it needs ``binary``.
         """
         limits.require_range("gripper: band", self.band, 0.0, 1.0)
-        limits.require_range("gripper: agree", self.agree, 1, 1_000)
+        limits.require_range("gripper: agree", self.agree, 0, 1_000)
         limits.require_range("gripper: hold", self.hold, 0, 10_000)
         if not self.binary and (self.band or self.agree > 1 or self.hold or self.on_change):
             raise InvalidRequestError("gripper: band, agree, hold and on_change need binary: true")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, one_of
@@ -16,13 +16,15 @@ from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
 from roboxim_core.rotations import RotationRepresentation
 
 
-class _Closed(StrEnum):
+class ClosedEnum(StrEnum):
+    """A set of named values; an unknown one is refused with a suggestion."""
+
     @classmethod
     def _missing_(cls, value: object) -> None:
         raise ValueError(f"unknown value {value!r}; {one_of(list(cls), str(value))}")
 
 
-class ControlMode(_Closed):
+class ControlMode(ClosedEnum):
     """Quantity that an action commands."""
 
     END_EFFECTOR_DELTA = "end_effector_delta"
@@ -47,7 +49,7 @@ class ControlMode(_Closed):
         return self not in (ControlMode.END_EFFECTOR_ABSOLUTE, ControlMode.JOINT_POSITION)
 
 
-class ReferenceFrame(_Closed):
+class ReferenceFrame(ClosedEnum):
     """Frame that a motion or pose of the tool centre point is expressed in."""
 
     ROBOT_BASE = "robot_base"
@@ -58,7 +60,7 @@ class ReferenceFrame(_Closed):
     """Joint space."""
 
 
-class GripperConvention(_Closed):
+class GripperConvention(ClosedEnum):
     """Polarity and range of the gripper component, the last one of an action; linear in the total opening."""
 
     ABSOLUTE_OPEN_1_CLOSED_0 = "absolute_open_1_closed_0"
@@ -93,7 +95,7 @@ _GRIPPER = {
 }
 
 
-class DeltaBase(_Closed):
+class DeltaBase(ClosedEnum):
     """State that a relative action is added to."""
 
     COMMANDED = "commanded"
@@ -106,7 +108,7 @@ class DeltaBase(_Closed):
 
 @dataclass(frozen=True, kw_only=True)
 class ActionSemantics:
-    """Meaning of an action vector. The simulator executes only the default.
+    """Meaning of an action vector. The simulator executes those that `executed` returns.
 
     Strings are converted to the enumerations. A field that the control mode does not use becomes ``none``, so that
     equal meanings compare equal.
@@ -125,9 +127,10 @@ class ActionSemantics:
     rate_hz: float = DEFAULT_RATE_HZ
     """Control rate [Hz]; must divide the physics rate. 0 (`ANY_RATE`): the rate of the run."""
     max_translation_m: float = 0.05
-    """Largest translation per tick, as a distance [m]; larger ones are clipped and counted."""
+    """Largest translation per tick, as a distance [m]; larger ones are clipped and counted. Not used in joint space,
+    where the model's joint limits apply."""
     max_rotation_rad: float = 0.25
-    """Largest rotation per tick, as an angle [rad]; larger ones are clipped and counted."""
+    """Largest rotation per tick, as an angle [rad]; as ``max_translation_m``."""
 
     def __post_init__(self) -> None:
         """Check the values, and set fields that the control mode does not use to ``none``.
@@ -159,6 +162,21 @@ class ActionSemantics:
             value = getattr(self, name)
             if not (math.isfinite(value) and (value > 0 or (value == 0 and not positive))):
                 raise InvalidRequestError(f"{name}: must be {'> 0' if positive else '>= 0'} and finite, got {value}")
+
+    def executed(self, rate_hz: float) -> ActionSemantics:
+        """Return the meaning in which the simulator executes, and a bag records, actions of this meaning.
+
+        Joint space keeps its control mode and delta base; everything else becomes the default end-effector delta with
+        these limits. The gripper is always 1 = open, 0 = closed.
+
+        Args:
+            rate_hz: Control rate of the episode [Hz].
+        """
+        if self.control.is_joint_space:
+            return replace(self, gripper=GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0, rate_hz=rate_hz)
+        return ActionSemantics(
+            rate_hz=rate_hz, max_translation_m=self.max_translation_m, max_rotation_rad=self.max_rotation_rad
+        )
 
     def dimension(self, robot_joints: int = 0) -> int:
         """Return the number of components of an action.

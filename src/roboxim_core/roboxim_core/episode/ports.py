@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from roboxim_core.actions import ActionArray
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode.records import Draw, EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.seeds import SeedPath
@@ -30,8 +30,8 @@ class ScenePort(Protocol):
 class SimPort(Protocol):
     """The simulator."""
 
-    def load(self, episode_id: str, scene: SceneSpec) -> StateRecord:
-        """Rebuild the world, let it settle, and return tick 0."""
+    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics) -> StateRecord:
+        """Rebuild the world for actions of a meaning, let it settle, and return tick 0."""
         ...
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:

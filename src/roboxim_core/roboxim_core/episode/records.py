@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roboxim_core import limits
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ActionSemantics, Chunking, GripperRule
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.verdicts import Verdict
@@ -19,6 +19,9 @@ LIMITS = {
     "rate_hz": limits.PHYSICS_RATE_HZ[1],
     "window": limits.WINDOW,
     "execute": limits.EPISODE_STEPS,
+    "latency_ticks": limits.EPISODE_STEPS,
+    "gripper_band": 1.0,
+    "gripper_agree": 1_000,
     "max_steps": limits.EPISODE_STEPS,
     "settle_ticks": limits.EPISODE_STEPS,
     "max_attempts": limits.ATTEMPTS,
@@ -52,11 +55,26 @@ class RunConfig:
     segmentation: bool = False
     """Whether the cameras also publish segmentation."""
     rate_hz: float = 0.0
-    """Control rate [Hz]; 0: the scene's rate."""
+    """Control rate [Hz]; 0: the policy's, or the scene's if the policy acts at any rate."""
     window: int = 0
     """Observations per request; 0: the policy's window."""
     execute: int = 0
-    """Actions executed per request; 0: the policy's horizon."""
+    """Actions executed per request; 0: as the policy's `Chunking` says."""
+    ensemble: str = ""
+    """An `Ensemble`; empty: as the policy's `Chunking` says."""
+    ensemble_decay: float = 0.0
+    """k of the exponential ensemble, with ``ensemble`` only."""
+    late_rows: str = ""
+    """A `LateRows`; empty: as the policy's `Chunking` says."""
+    gripper_band: float = 0.0
+    """Makes the gripper binary, with this band, see `GripperRule`; 0: as the policy's rule says."""
+    gripper_agree: int = 0
+    """Makes the gripper binary, with this agreement, see `GripperRule`; 0: as the policy's rule says."""
+    latency_ticks: int = 0
+    """Ticks by which every answer is late."""
+    real_time: bool = False
+    """Whether simulated time goes on while the policy thinks: an answer that took x s of wall time arrives x s of
+    simulated time after its observation, rounded up to ticks. Such a run is not repeatable."""
     max_steps: int = 0
     """Number of actions after which an episode has failed; 0: the skill's limit."""
     stop_on_success: bool = True
@@ -86,11 +104,40 @@ class RunConfig:
         if self.keep not in KEEP_RULES:
             raise InvalidRequestError(f"unknown keep rule '{self.keep}'; {one_of(KEEP_RULES, self.keep)}")
         for name, value in vars(self).items():
-            if isinstance(value, int | float) and not value >= 0:
+            if isinstance(value, int | float) and not value >= 0 and name != "ensemble_decay":
                 raise InvalidRequestError(f"{name} must be >= 0, got {value}")
         for name, most in LIMITS.items():
             limits.require_range(name, getattr(self, name), 0, most)
         limits.require_count("cameras", len(self.cameras), limits.CAMERAS)
+
+    def chunking(self, policy: Chunking) -> Chunking:
+        """Return how chunks are executed: the policy's way, with the values that this run sets.
+
+        Raises:
+            InvalidRequestError: On an unknown name or values that contradict each other.
+        """
+        try:
+            return policy.overridden(
+                execute=self.execute, ensemble=self.ensemble, ensemble_decay=self.ensemble_decay,
+                late_rows=self.late_rows,
+            )  # fmt: skip
+        except ValueError as error:
+            raise InvalidRequestError(str(error)) from None
+
+    def gripper(self, policy: GripperRule) -> GripperRule:
+        """Return when the gripper switches: the policy's rule, with the values that this run sets."""
+        if not self.gripper_band and not self.gripper_agree:
+            return policy
+        return replace(
+            policy, binary=True, band=self.gripper_band or policy.band, agree=self.gripper_agree or policy.agree
+        )
+
+    @property
+    def timing(self) -> str:
+        """When answers arrive, in words: ``lockstep``, ``lockstep, 2 ticks late`` or ``real time``."""
+        mode = "real time" if self.real_time else "lockstep"
+        late = f", {self.latency_ticks} tick{'s' * (self.latency_ticks != 1)} late" if self.latency_ticks else ""
+        return mode + late
 
     @property
     def records(self) -> bool:
@@ -163,9 +210,9 @@ class EpisodeStep:
     stamp_ns: int
     """Its stamp [ns]."""
     action_label: tuple[float, ...] = ()
-    """Action that imitation learning uses as the label, shape (7,); empty at tick 0."""
+    """Action that imitation learning uses as the label, shape (D,); empty at tick 0."""
     action_executed: tuple[float, ...] = ()
-    """Action that the controller integrated, shape (7,); empty at tick 0."""
+    """Action that the controller integrated, shape (D,); empty at tick 0."""
     phase: str = "act"
     """``start``, ``act`` or ``settle``."""
     disturbance: bool = False
@@ -204,6 +251,12 @@ class EpisodeResult:
     """Final verdict."""
     clipped: int = 0
     """Number of clipped actions."""
+    timing: str = "lockstep"
+    """When answers arrived, see `RunConfig.timing`."""
+    held: int = 0
+    """Number of ticks at which the robot held still because no answer had arrived."""
+    delay_ticks: float = 0.0
+    """Mean delay from an observation to the arrival of its answer [ticks]."""
     instruction: str = ""
     """The instruction."""
     skill: str = ""

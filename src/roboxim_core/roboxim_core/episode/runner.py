@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from roboxim_core.actions import ActionArray, ActionSemantics, hold_action
+from roboxim_core.actions import ActionArray, LateRows
 from roboxim_core.config import to_json
+from roboxim_core.episode.acting import Acting, TickAction, holding_action
 from roboxim_core.episode.ports import Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
 from roboxim_core.episode.start import start_refusal
@@ -35,7 +36,7 @@ def episode_id(seed: SeedPath) -> str:
 
 
 def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDescription) -> SceneSpec:
-    """Apply a run's cameras, sizes and rate to a scene.
+    """Apply a run's cameras and sizes, and its rate or the policy's, to a scene.
 
     Raises:
         InvalidRequestError: When a requested camera is not in the scene.
@@ -61,8 +62,24 @@ def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDesc
     return replace(
         scene,
         cameras=tuple(sized(have[name]) for name in names),
-        control_rate_hz=config.rate_hz or scene.control_rate_hz,
+        control_rate_hz=config.rate_hz or description.semantics.rate_hz or scene.control_rate_hz,
     )
+
+
+def _require_consistent(description: PolicyDescription, config: RunConfig) -> None:
+    """Refuse a configuration that does not fit a policy."""
+    chunking = config.chunking(description.chunking)
+    noisy = config.noise_translation_m > 0 or config.noise_rotation_rad > 0
+    if noisy and description.semantics.control.is_joint_space:
+        raise InvalidRequestError(
+            f"policy '{description.name}' acts by '{description.semantics.control}', and noise is added to "
+            "end-effector deltas only; set noise_translation_m and noise_rotation_rad to 0"
+        )
+    if chunking.late_rows == LateRows.DROP and config.latency_ticks >= description.horizon:
+        raise InvalidRequestError(
+            f"answers arrive {config.latency_ticks} ticks late, and policy '{description.name}' answers at most "
+            f"{description.horizon} actions: late_rows 'drop' would leave none; use 'shift'"
+        )
 
 
 class _Window:
@@ -107,12 +124,16 @@ class EpisodeRunner:
 
         Raises:
             RoboximError: When the actor does not describe itself.
+            InvalidRequestError: When the configuration does not fit the policy, e.g. noise for joint actions.
         """
         self.ports = ports
         self.config = config
         self.versions = dict(versions or {})
         self._library = library
         self.description = ports.actor.describe()
+        _require_consistent(self.description, config)
+        self.warm = False
+        """Whether the policy has answered, so that what it loads or compiles at first no longer counts as thinking."""
         self.progress: tuple[str, int] = ("", 0)
         """Id and tick of the running episode, for progress displays."""
 
@@ -146,9 +167,10 @@ class EpisodeRunner:
                 raise
             return _infeasible(seed, str(error))
         scene = configure_scene(draw.scene, self.config, self.description)
-        semantics = ActionSemantics(rate_hz=scene.control_rate_hz)
-        self.description.semantics.require_compatible(
-            semantics, mine=f"policy '{self.description.name}'", theirs="the run"
+        declared = self.description.semantics
+        semantics = declared.executed(scene.control_rate_hz)
+        declared.require_compatible(
+            replace(declared, rate_hz=scene.control_rate_hz), mine=f"policy '{self.description.name}'", theirs="the run"
         )
         info = EpisodeInfo(
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
@@ -198,8 +220,7 @@ class _Episode:
         self.source = seed.of_task(info.task.drawn)
         self.noise_rng = self.source.rng("execution_noise")
         self.window = _Window(self.config.window or self.description.window)
-        self.queue: deque[tuple[ActionArray, str]] = deque()
-        self.actor_done = False
+        self.acting = Acting(self.description, self.config, info.scene, info.semantics)
         self.counts: Counter[str] = Counter()
         self.inference_s = 0.0
         self.last_inference_s = 0.0
@@ -208,7 +229,7 @@ class _Episode:
         ports, info = self.ports, self.info
         if self.config.records:
             ports.recorder.open(info)
-        self.state = ports.sim.load(info.episode_id, info.scene)
+        self.state = ports.sim.load(info.episode_id, info.scene, info.semantics)
         self.verdict = ports.judge.start(info.episode_id, info.task, self.state)
         if refused := start_refusal(info.scene, self.state, self.verdict):
             if self.config.records:
@@ -227,7 +248,8 @@ class _Episode:
             message=message, steps=self.counts["steps"], last_seq=self.state.seq, clipped=self.counts["clipped"],
             success_ever=self.verdict.success_ever, recovered=bool(self.counts["recovery"]), verdict=self.verdict,
             instruction=info.task.instruction, skill=info.task.skill, inference_s=self.inference_s,
-            final_state_hash=self.state.state_hash,
+            final_state_hash=self.state.state_hash, timing=self.config.timing, held=self.counts["held"],
+            delay_ticks=float(np.mean(self.acting.delays or [0])),
             wall_s=ports.clock() - started,
         )  # fmt: skip
         if self.config.records:
@@ -255,6 +277,7 @@ class _Episode:
             scene=self.info.scene if self.description.privileged else None,
         )  # fmt: skip
         try:
+            self._warm_up(start)
             self.ports.actor.reset(start)
             while True:
                 if self.cancelled():
@@ -268,12 +291,11 @@ class _Episode:
                 if self.counts["steps"] >= self.max_steps:
                     return "failure", "max_steps", ""
                 self._observe()
-                if not self.queue:
-                    if self.actor_done:
-                        return "failure", "actor_finished", ""
+                if self.acting.finished(self.state.seq):
+                    return "failure", "actor_finished", ""
+                if self.acting.due(self.state.seq):
                     self._ask()
-                action, phase = self.queue.popleft()
-                self._tick(action, phase)
+                self._tick(self.acting.action(self.state))
         except (PolicyError, InvalidRequestError) as error:
             if isinstance(error, InvalidRequestError) and error.code != ErrorCode.INVALID_ACTION:
                 raise
@@ -293,18 +315,24 @@ class _Episode:
             observation = replace(observation, state=self.state)
         self.window.add(observation)
 
+    def _warm_up(self, start: EpisodeStart) -> None:
+        """In real time, ask once before the first episode: loading and compiling are no thinking."""
+        if self.config.real_time and not self.runner.warm:
+            self.ports.actor.reset(start)
+            self._observe()
+            self.ports.actor.act(self.window.request(self.info))
+            self.window = _Window(self.config.window or self.description.window)
+        self.runner.warm = True
+
     def _ask(self) -> None:
         before = self.ports.clock()
         chunk = self.ports.actor.act(self.window.request(self.info))
         self.last_inference_s = self.ports.clock() - before
         self.inference_s += self.last_inference_s
-        chunk = checked_answer(chunk, self.description)
-        actions, phases = chunk.actions, chunk.phases or ("",) * len(chunk.actions)
-        use = min(self.config.execute or len(actions), len(actions))
-        self.queue.extend((actions[i], phases[i]) for i in range(use))
-        self.actor_done = chunk.done and use == len(actions)
+        self.acting.add(checked_answer(chunk, self.description), self.state, self.last_inference_s)
 
-    def _tick(self, label: ActionArray, phase: str) -> None:
+    def _tick(self, chosen: TickAction) -> None:
+        label, phase = chosen.action, chosen.phase
         executed = label
         noisy = phase == FREE and (self.config.noise_translation_m > 0 or self.config.noise_rotation_rad > 0)
         if noisy:
@@ -313,12 +341,13 @@ class _Episode:
         self._advance(executed)
         self.counts["steps"] += 1
         self.counts["recovery"] += phase == RECOVERY
+        self.counts["held"] += chosen.held
         self._record("act", tuple(float(value) for value in label), disturbance=noisy)
 
     def _settle(self) -> None:
         """Hold still, so that the judge sees a world at rest."""
         for _ in range(self.config.settle_ticks or ticks(SETTLE_S, self.info.scene.control_rate_hz)):
-            hold = hold_action(self.state.robot.gripper_command)
+            hold = holding_action(self.state, self.info.semantics)
             self._advance(hold)
             self.last_inference_s = 0.0
             self._record("settle", tuple(float(value) for value in hold), disturbance=False)

@@ -1,6 +1,17 @@
-"""Forward and inverse kinematics of an arm, and the delta controller that converts actions to joint targets."""
+"""Forward and inverse kinematics of an arm, and the controllers that convert actions to joint targets."""
 
 from roboxim_core.kinematics.arm import ArmKinematics, IkResult
-from roboxim_core.kinematics.delta import ControllerState, DeltaController, DeltaStep, delta_between
+from roboxim_core.kinematics.controller import Controller, ControllerState, ControlStep
+from roboxim_core.kinematics.delta import DeltaController, delta_between
+from roboxim_core.kinematics.joints import JointController
 
-__all__ = ["ArmKinematics", "ControllerState", "DeltaController", "DeltaStep", "IkResult", "delta_between"]
+__all__ = [
+    "ArmKinematics",
+    "ControlStep",
+    "Controller",
+    "ControllerState",
+    "DeltaController",
+    "IkResult",
+    "JointController",
+    "delta_between",
+]

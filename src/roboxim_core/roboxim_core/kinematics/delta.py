@@ -8,8 +8,7 @@ clipping; stepping with that action again gives the same bits, so replay is exac
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,40 +17,14 @@ from scipy.spatial.transform import Rotation
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.kinematics.arm import ArmKinematics
-from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.kinematics.controller import ControllerState, ControlStep
+from roboxim_core.kinematics.workspace import WorkspaceBox
+from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
 from roboxim_core.specs import WorkspaceSpec
 
 _SLACK = 1.0 + 1e-6
 """Tolerance factor of the limits, so that a clipped action, rounded to float32, passes the limit that clipped it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ControllerState:
-    """Commanded state that the next action is added to."""
-
-    pose: Pose
-    """Commanded pose of the tool centre point in the robot's base."""
-    joints: tuple[float, ...]
-    """Commanded arm joint positions [rad]."""
-    gripper: float
-    """Commanded opening, 1 = open, 0 = closed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeltaStep:
-    """Result of one action."""
-
-    state: ControllerState
-    """The next state; its ``joints`` are the joint target of the tick."""
-    action_executed: tuple[float, ...]
-    """The action after clipping, 7 float32 values; stepping with it again gives the same bits."""
-    clipped: bool
-    """Whether the action exceeded a limit."""
-    left_workspace: bool
-    """Whether the pose would have left the workspace and was moved back to its border."""
-    unreached: bool
-    """Whether the arm cannot reach the pose in this tick; the commanded pose is then the one that it does reach."""
 
 
 class DeltaController:
@@ -79,10 +52,8 @@ class DeltaController:
             semantics: Rate and limits; None: the default.
         """
         self.arm = arm
-        self.workspace = workspace or WorkspaceSpec()
         self.semantics = semantics or ActionSemantics()
-        self._base = pose_base_in_world
-        self._base_is_identity = pose_base_in_world == IDENTITY
+        self._box = WorkspaceBox(workspace or WorkspaceSpec(), pose_base_in_world)
         self._max_joint_step = arm.velocity / self.semantics.rate_hz
 
     def start(self, joints: npt.ArrayLike, gripper: float = 1.0) -> ControllerState:
@@ -96,12 +67,13 @@ class DeltaController:
             pose=self.arm.fk(joints), joints=tuple(np.asarray(joints, dtype=float).tolist()), gripper=float(gripper)
         )
 
-    def step(self, state: ControllerState, action: npt.ArrayLike) -> DeltaStep:
+    def step(self, state: ControllerState, action: npt.ArrayLike, joints_measured: Sequence[float] = ()) -> ControlStep:
         """Integrate one action.
 
         Args:
             state: The commanded state before the action.
             action: 7 numbers, see `roboxim_core.actions`.
+            joints_measured: Not used.
 
         Raises:
             InvalidRequestError: With code ``INVALID_ACTION`` on a wrong shape or a NaN.
@@ -114,7 +86,9 @@ class DeltaController:
         executed, clipped = self._clip(chunk[0])
         x, y, z, *angles, gripper = executed.tolist()
         here = state.pose.position
-        position, left = self._keep_inside(here, (here[0] + x, here[1] + y, here[2] + z))
+        wanted = (here[0] + x, here[1] + y, here[2] + z)
+        border = self._box.keep(here, wanted)
+        position, left = (wanted, False) if border is None else (border, True)
         pose, joints, unreached = state.pose, state.joints, False
         if left or x or y or z or any(angles):
             pose = Pose(position=position, quat_xyzw=quat_product(quat_from_euler(*angles), state.pose.quat_xyzw))
@@ -122,7 +96,7 @@ class DeltaController:
             joints, unreached = tuple(result.joints.tolist()), not result.converged
             if unreached:
                 pose = self.arm.fk(result.joints)
-        return DeltaStep(
+        return ControlStep(
             state=ControllerState(pose=pose, joints=joints, gripper=gripper),
             action_executed=(x, y, z, *angles, gripper),
             clipped=clipped,
@@ -132,7 +106,7 @@ class DeltaController:
 
     def rollout(
         self, joints: npt.ArrayLike, actions: Iterable[npt.ArrayLike], gripper: float = 1.0
-    ) -> tuple[DeltaStep, ...]:
+    ) -> tuple[ControlStep, ...]:
         """Integrate consecutive actions, starting with an arm at rest.
 
         Args:
@@ -165,20 +139,6 @@ class DeltaController:
             executed[6] = min(max(gripper, 0.0), 1.0)
             clipped = True
         return executed, clipped
-
-    def _keep_inside(self, now: Vec3, then: Vec3) -> tuple[Vec3, bool]:
-        """Return a position in the base, moved to the workspace's border if it would leave it or move farther out."""
-        now_world, then_world = (now, then) if self._base_is_identity else map(self._in_world, (now, then))
-        bounds = zip(self.workspace.lower, self.workspace.upper, now_world, then_world, strict=True)
-        inside = [min(max(c, min(low, b)), max(high, b)) for low, high, b, c in bounds]
-        if all(abs(a - b) < 1e-9 for a, b in zip(inside, then_world, strict=True)):
-            return then, False
-        x, y, z = inside if self._base_is_identity else self._base.inverse().apply(inside).tolist()
-        return (x, y, z), True
-
-    def _in_world(self, position: Vec3) -> Vec3:
-        x, y, z = self._base.apply(position).tolist()
-        return x, y, z
 
 
 def delta_between(commanded: Pose, following: Pose, gripper: float) -> ActionArray:
