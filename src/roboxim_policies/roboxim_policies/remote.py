@@ -113,6 +113,7 @@ class RemotePolicy(BasePolicy):
         self.window = self.convention.window
         self.horizon = self.convention.chunking.horizon
         self.semantics = self.convention.semantics
+        self.chunking = self.convention.chunking.execution
         self.gripper = self.convention.action.gripper.rule
         self._fits: Metadata | None = None
 
@@ -205,8 +206,6 @@ class RemotePolicy(BasePolicy):
             )
         if len(raw) > chunking.horizon:
             raise self._invalid(f"the answer has {len(raw)} actions, the convention has at most {chunking.horizon}")
-        if chunking.ensemble == "none" and chunking.execute:
-            raw = raw[: chunking.execute]
         try:
             return decode_actions(self.convention, raw)
         except InvalidRequestError as error:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core import limits
+from roboxim_core import actions, limits
 from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
 from roboxim_core.actions.gripper import GripperSwitch
 from roboxim_core.actions.rows import ArmTrack, convert_rows
@@ -86,6 +86,17 @@ class Chunking:
         limits.require_finite("chunking: weight", [self.weight], 1e3)
         if self.ensemble != Ensemble.NONE and self.execute > 1:
             raise InvalidRequestError("chunking: an ensemble asks at every tick; leave execute out, or set it to 1")
+
+    @property
+    def execution(self) -> actions.Chunking:
+        """How the episode loop executes the answers, unless a run says otherwise."""
+        if self.ensemble == Ensemble.NONE:
+            return actions.Chunking(execute=self.execute)
+        if self.ensemble == Ensemble.NEWEST:
+            return actions.Chunking(execute=1)
+        if self.ensemble == Ensemble.EXPONENTIAL and self.weight:
+            return actions.Chunking(ensemble=actions.Ensemble.EXPONENTIAL, ensemble_decay=self.weight)
+        return actions.Chunking(ensemble=actions.Ensemble.MEAN)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from roboxim_core.actions import ActionContext
+from roboxim_core.actions import ActionContext, Chunking
 from roboxim_core.config import from_json, to_json
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import Convention, decode_actions, from_actions, joined_answer, load_convention
@@ -162,3 +162,20 @@ def test_a_window_holds_the_newest_observations(tmp_path):
     assert request["state"].shape == (3, 3)
     assert observe(convention, seen, "go")["image"][:, 0, 0, 0].tolist() == [2, 3, 4]
     assert convention.cameras[0].name == "wrist"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("{horizon: 10, execute: 5}", Chunking(execute=5)),
+        ("{horizon: 4, ensemble: newest}", Chunking(execute=1)),
+        ("{horizon: 4, ensemble: mean}", Chunking(ensemble="mean")),
+        (
+            "{horizon: 4, ensemble: exponential, weight: 0.01}",
+            Chunking(ensemble="exponential", ensemble_decay=0.01),
+        ),
+    ],
+)
+def test_the_episode_loop_executes_chunks_as_the_convention_says(text, expected, tmp_path):
+    path = written(tmp_path, f"rate_hz: 10\nchunking: {text}")
+    assert load_convention(path).chunking.execution == expected
