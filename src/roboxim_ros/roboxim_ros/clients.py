@@ -16,13 +16,13 @@ from typing import Any, TypeVar
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
+from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
 T = TypeVar("T")
@@ -63,7 +63,7 @@ class Clients:
         self._clients: dict[tuple[Any, str], Client] = {}
         self._idle: defaultdict[tuple[Any, str], list[DirectClient]] = defaultdict(list)
         self._lock = threading.Lock()
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = LockstepExecutor(context=context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=spin, args=(self._executor, self.node), name=name, daemon=True)
         self._thread.start()

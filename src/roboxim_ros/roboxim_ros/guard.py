@@ -23,6 +23,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -188,6 +189,14 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
             except UnavailableError:
                 self.destroy_node()
                 raise
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
+        """Publish as rclpy does, without its warnings about subscribers that ask for another QoS.
+
+        The subscriber warns too. Each warning is an entity that the executor looks at after every callback.
+        """
+        kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
+        return super().create_publisher(msg_type, topic, qos_profile, **kwargs)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
         """Offer a service as rclpy does; an exception of its callback becomes the answer."""

@@ -6,6 +6,7 @@ Used by the runner, by every separately started node, and by tests (`roboxim_ros
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
@@ -13,16 +14,19 @@ from typing import TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.runs import activate_transport
 from roboxim_ros.spinning import spin
 
 N = TypeVar("N", bound=Node)
 ENDING_S = 60.0
 """Longest time for a node to finish its current callback at shutdown [s]."""
+SWITCH_INTERVAL_S = 0.001
+"""Longest time that a node computes while another one waits for the interpreter [s]; Python's default is 0.005."""
 
 
 class NodeHost:
@@ -38,6 +42,7 @@ class NodeHost:
             args: ROS arguments, e.g. ``["--ros-args", "--params-file", FILE]``.
         """
         activate_transport()
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         self.context = Context()
         rclpy.init(
             args=list(args),
@@ -121,7 +126,7 @@ def _executor(node: Node, context: Context) -> Executor:
     """Return a node's executor: one thread, unless the node has ``executor_threads``."""
     threads = getattr(node, "executor_threads", 1)
     if threads == 1:
-        return SingleThreadedExecutor(context=context)
+        return LockstepExecutor(context=context)
     return MultiThreadedExecutor(threads, context=context)
 
 
