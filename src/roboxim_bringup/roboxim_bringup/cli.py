@@ -21,6 +21,7 @@ SECTIONS = {
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
     "Planning": ("planner",),
     "Recordings": ("bag", "replay", "rerender"),
+    "Datasets": ("dataset",),
     "Objects": ("assets",),
     "Inspecting a running graph (spelled as in ros2)": (
         "node", "service", "topic", "action", "param", "interface",

@@ -108,12 +108,16 @@ def _common() -> list[click.Parameter]:
             ["--skip-missing"], is_flag=True, help="Export the remaining bags when bags of the run are missing."
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
+        click.Option(
+            ["--gate"], type=click.IntRange(0), default=0, show_default=True, metavar="EPISODES",
+            help="Execute the actions of so many episodes again, and refuse the export if too few succeed.",
+        ),
     ]  # fmt: skip
 
 
 def _export(
     name: str, own: dict[str, Any], source: tuple[Path, ...], target: Path, cameras: tuple[str, ...], size: str,
-    split: str, everything: bool, keep_recovered: bool, overwrite: bool, **common: Any,
+    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, **common: Any,
 ) -> None:  # fmt: skip
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
@@ -126,7 +130,7 @@ def _export(
         only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
     )  # fmt: skip
     with EventPrinter() as printer:
-        report = export_dataset(name, source, target, config, overwrite=overwrite, on_event=printer)
+        report = export_dataset(name, source, target, config, overwrite=overwrite, gate=gate, on_event=printer)
     _print_report(report)
     if name == "rlds":
         click.echo(f"next: roboxim train bc {target}")
