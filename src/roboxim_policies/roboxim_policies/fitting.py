@@ -5,11 +5,12 @@ Each wire's metadata declare other things. What they do not declare, ``roboxim p
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
 from roboxim_core.actions import ControlMode
-from roboxim_core.config import to_plain
+from roboxim_core.config import to_json
 from roboxim_core.conventions import Convention
 from roboxim_core.differences import differences
 from roboxim_core.rotations import RotationRepresentation
@@ -42,13 +43,13 @@ def misfits(wire: str, metadata: Metadata, convention: Convention) -> list[str]:
         metadata: The server's metadata.
         convention: The convention.
     """
+    if OWN_SERVER in metadata:
+        return _own(metadata[OWN_SERVER], convention)
     check = _CHECKS.get(wire)
     return check(metadata, convention) if check else []
 
 
 def _openpi(metadata: Metadata, convention: Convention) -> list[str]:
-    if OWN_SERVER in metadata:
-        return _own(metadata[OWN_SERVER], convention)
     return _roboarena(metadata, convention) + _starvla(metadata, convention)
 
 
@@ -57,7 +58,7 @@ def _own(declared: Any, convention: Convention) -> list[str]:
     if not isinstance(served, dict):
         return []
     words = ("name", "description", "sources", "notes")
-    found = differences(served, to_plain(convention), ignore=words)
+    found = differences(json.loads(to_json(served)), json.loads(to_json(convention)), ignore=words)
     return [f"the server serves in its convention '{served.get('name')}' ({found}); use convention=server"] * bool(
         found
     )

@@ -9,6 +9,7 @@ metadata), and its replies to a fixed request (`Probe`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from roboxim_core.config import from_plain, to_plain
+from roboxim_core.config import from_plain, to_json, to_plain
 from roboxim_core.conventions import (
     Convention,
     decode_actions,
@@ -232,7 +233,7 @@ class RemotePolicy(BasePolicy):
         """
         return {
             "wire": self.wire.name(),
-            "convention": to_plain(self.convention),
+            "convention": json.loads(to_json(self.convention)),
             "metadata": self.connect(),
         }
 

@@ -25,12 +25,29 @@ def command() -> None:
     metavar="KEY=VALUE",
     help="Argument of the policy's class; may be repeated.",
 )
+@click.option("--wire", default="", help="Serve other benchmarks instead of a graph: openpi, vla-eval or openvla.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at, with --wire.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port, with --wire; 0: any."
+)
+@click.option(
+    "--convention", default="", help="Convention of requests and answers, with --wire; default: the policy's own."
+)
+@click.option(
+    "--size", type=click.IntRange(16, 4096), default=256, show_default=True,
+    help="Side of the pictures of cameras for which the policy names no size [px], with --wire.",
+)  # fmt: skip
 @membership_options
 @attach_options
 def serve(
     spec: str,
     namespace: str,
     options: tuple[str, ...],
+    wire: str,
+    host: str,
+    port: int,
+    convention: str,
+    size: int,
     params_files: tuple[str, ...],
     assignments: tuple[str, ...],
     open_network: bool,
@@ -42,7 +59,16 @@ def serve(
     \b
     roboxim policy serve my_module:MyPolicy --option checkpoint=/tmp/my.ckpt
     roboxim evaluate --policy my_module:MyPolicy
+
+    With --wire, other benchmarks and other machines can ask the policy, without ROS:
+
+    \b
+    roboxim policy serve bc --option checkpoint=runs/bc --wire openpi
+    roboxim evaluate --policy openpi --option url=ws://127.0.0.1:8000 --option convention=server --option version=bc
     """
+    if wire:
+        _serve_wire(spec, options, wire=wire, host=host, port=port, convention=convention, size=size)
+        return
     from roboxim_bringup.graph import PolicyLaunch
     from roboxim_bringup.parameters import parse_options
 
@@ -51,6 +77,35 @@ def serve(
         "", namespace="", params_files=params_files, assignments=assignments, open_network=open_network,
         run_id=run_id, domain=domain, policies=(launch,),
     )  # fmt: skip
+
+
+def _serve_wire(
+    spec: str, options: tuple[str, ...], *, wire: str, host: str, port: int, convention: str, size: int
+) -> None:
+    """Serve a policy over a wire until a signal arrives."""
+    import signal
+    import threading
+
+    from roboxim_bringup.parameters import parse_options
+    from roboxim_core.conventions import load_convention
+    from roboxim_policies.base import load_policy
+    from roboxim_policies.serving import policy_server
+
+    given = parse_options(options)
+    meaning = load_convention(convention) if convention else None
+    server = policy_server(
+        lambda: load_policy(spec, **given), wire, convention=meaning, size=size, host=host, port=port,
+        log=lambda text: click.echo(text, err=True),
+    )  # fmt: skip
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with server:
+        click.echo(f"policy {server.sessions.description.name} at {server.url}, wire {wire}, ", nl=False)
+        click.echo(f"convention {server.sessions.convention.name}; Ctrl-C stops it")
+        if host not in ("127.0.0.1", "::1", "localhost"):
+            click.echo("anybody who can reach this address can use the policy", err=True)
+        stop.wait()
 
 
 @command.command("list")

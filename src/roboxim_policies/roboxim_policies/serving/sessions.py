@@ -1,0 +1,324 @@
+"""Sessions of a served policy: requests of a convention in, the policy's numbers out.
+
+A policy keeps state during an episode, so each session has an instance of its own; instances are used again.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.actions import ActionContext
+from roboxim_core.config import from_plain
+from roboxim_core.conventions import (
+    ActionOutput,
+    Chunking,
+    Convention,
+    ImageInput,
+    Layout,
+    Resize,
+    StateField,
+    StateInput,
+    StatePart,
+    from_actions,
+)
+from roboxim_core.errors import ConfigError, InvalidRequestError, UnavailableError
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow, Policy, PolicyDescription
+from roboxim_core.policy_guard import GuardedPolicy
+from roboxim_core.poses import Pose
+from roboxim_core.proprioception import Proprioception
+from roboxim_core.rotations import Floats, RotationRepresentation, encode
+from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.parts import last_part
+
+MOST_SESSIONS = 32
+"""Largest number of sessions at the same time."""
+
+
+def own_convention(description: PolicyDescription, size: int = 256) -> Convention:
+    """Return a policy's own convention: its cameras as they are, RoboXim's state, its actions.
+
+    Args:
+        description: The policy's description.
+        size: Side of the pictures of cameras for which the policy names no size [px].
+    """
+    meaning = description.semantics
+    return Convention(
+        name=f"{description.name} (its own)",
+        description=f"RoboXim's policy '{description.name}' as roboxim policy serve offers it.",
+        rate_hz=meaning.rate_hz,
+        window=description.window,
+        images=tuple(
+            ImageInput(
+                camera=camera.name, key=f"observation/images/{camera.name}",
+                width=camera.width or size, height=camera.height or size,
+                render_width=camera.width, render_height=camera.height,
+                resize=Resize.NONE if camera.width and camera.height else Resize.LANCZOS3,
+            )
+            for camera in description.cameras
+        ),
+        states=(
+            StateInput(
+                key="observation/state",
+                parts=(
+                    StatePart(field=StateField.TCP_POSITION),
+                    StatePart(field=StateField.TCP_ROTATION, rotation=RotationRepresentation.ROTATION_6D),
+                    StatePart(field=StateField.GRIPPER),
+                ),
+            ),
+        ),
+        action=ActionOutput(
+            control=meaning.control, frame=meaning.frame, rotation=meaning.rotation, delta_base=meaning.delta_base,
+            max_translation_m=meaning.max_translation_m, max_rotation_rad=meaning.max_rotation_rad,
+        ),
+        chunking=Chunking(horizon=description.horizon),
+    )  # fmt: skip
+
+
+class Sessions:
+    """The sessions of a policy."""
+
+    def __init__(self, make: Callable[[], Policy], *, convention: Convention | None = None, size: int = 256) -> None:
+        """Make a first instance of the policy.
+
+        Args:
+            make: Makes an instance.
+            convention: Meaning of requests and answers; None: `own_convention`.
+            size: See `own_convention`.
+
+        Raises:
+            ConfigError: When the policy is privileged, or needs cameras that the convention does not have.
+        """
+        self._make = make
+        first = GuardedPolicy(make())
+        self.description = first.description
+        if self.description.privileged:
+            raise ConfigError(
+                f"policy '{self.description.name}' is privileged: it reads the task, the scene and the state, which no "
+                "wire carries; serve one that acts on observations"
+            )
+        self.is_own = convention is None
+        self.convention = convention or own_convention(self.description, size)
+        if self.description.semantics.differing(self.convention.semantics):  # see `Session.answer`
+            self.convention = replace(self.convention, chunking=Chunking())
+        cameras = [image.camera for image in self.convention.images]
+        missing = [camera.name for camera in self.description.cameras if camera.name not in cameras]
+        if missing:
+            raise ConfigError(
+                f"policy '{self.description.name}' needs camera {', '.join(missing)}, the convention "
+                f"'{self.convention.name}' has {', '.join(cameras) or 'none'}"
+            )
+        self._free = [first]
+        self._open = 0
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def session(self) -> Iterator[Session]:
+        """Yield a session with an instance of its own.
+
+        Raises:
+            UnavailableError: When there are too many.
+        """
+        with self._lock:
+            if self._open >= MOST_SESSIONS:
+                raise UnavailableError(f"the server has {MOST_SESSIONS} sessions already")
+            self._open += 1
+            guard = self._free.pop() if self._free else None
+        try:
+            guard = guard or GuardedPolicy(self._make())
+            yield Session(guard, self.convention)
+        finally:
+            with self._lock:
+                self._open -= 1
+                if guard is not None:
+                    self._free.append(guard)
+
+    def close(self) -> None:
+        """Forget the instances."""
+        with self._lock:
+            self._free.clear()
+
+
+class Session:
+    """One client's episodes."""
+
+    def __init__(self, guard: GuardedPolicy, convention: Convention) -> None:
+        """Use an instance of the policy.
+
+        Args:
+            guard: The policy behind its guard.
+            convention: Meaning of requests and answers.
+        """
+        self._guard = guard
+        self._convention = convention
+        self._instruction: str | None = None
+        self._episode = ""
+        self._seq = 0
+        self._count = 0
+
+    def begin(self, instruction: str, *, episode_id: str = "", seed: int = 0) -> None:
+        """Begin an episode.
+
+        Raises:
+            PolicyError: When the policy raises.
+        """
+        self._count += 1
+        self._instruction, self._seq = instruction, 0
+        self._episode = episode_id or f"session-{self._count}"
+        self._guard.reset(EpisodeStart(episode_id=self._episode, instruction=instruction, seed=seed))
+
+    def answer(self, request: Mapping[str, Any]) -> Floats:
+        """Return the convention's numbers of the policy's next actions, shape (n, D).
+
+        A client whose wire has no episodes begins one with its first request, and with each new instruction.
+
+        Raises:
+            InvalidRequestError: When the request is not one of the convention.
+            PolicyError: When the policy raises or answers with invalid actions.
+        """
+        prompt = request.get(self._convention.prompt.key)
+        if not isinstance(prompt, str):
+            raise InvalidRequestError(
+                f"the request has no instruction '{self._convention.prompt.key}', only {sorted(map(str, request))}"
+            )
+        own = request.get(OWN_SERVER)
+        if self._instruction is None or (prompt != self._instruction and own is None):
+            self.begin(prompt)
+        window = self._window(request, own)
+        chunk = self._guard.act(window)
+        self._seq += 1
+        return self._numbers(np.asarray(chunk.actions, dtype=float), window.newest.proprio)
+
+    def _window(self, request: Mapping[str, Any], own: Any) -> ObservationWindow:
+        size = self._convention.window
+        pictures = {image.camera: self._pictures(image, request) for image in self._convention.images}
+        if isinstance(own, dict):
+            seen = own.get("observations")
+            if not isinstance(seen, list) or len(seen) != size:
+                raise InvalidRequestError(f"'{OWN_SERVER}' of the request must have {size} observations")
+            proprio = [from_plain(item["proprio"], Proprioception, source="the request") for item in seen]
+            stamps = [(int(item["seq"]), int(item["stamp_ns"])) for item in seen]
+            mask = tuple(bool(real) for real in own.get("pad_mask", ()))
+            self._seq = int(own.get("seq", self._seq))
+        else:
+            proprio = self._proprioception(request)
+            stamps = [(max(self._seq - size + 1 + i, 0), 0) for i in range(size)]
+            mask = tuple(self._seq - size + 1 + i >= 0 for i in range(size))
+        observations = [
+            Observation(
+                seq=stamps[i][0], stamp_ns=stamps[i][1], proprio=proprio[i],
+                images={camera: frames[i] for camera, frames in pictures.items()},
+            )
+            for i in range(size)
+        ]  # fmt: skip
+        return ObservationWindow(
+            instruction=self._instruction or "", observations=observations, pad_mask=mask, episode_id=self._episode,
+            seq=self._seq,
+        )  # fmt: skip
+
+    def _pictures(self, image: ImageInput, request: Mapping[str, Any]) -> list[np.ndarray[Any, Any]]:
+        value = request.get(image.key)
+        size = self._convention.window
+        if not isinstance(value, np.ndarray) or value.dtype != np.uint8:
+            raise InvalidRequestError(
+                f"the request needs a uint8 picture '{image.key}', has {sorted(map(str, request))}"
+            )
+        frames = [value] if size == 1 and value.ndim == 3 else list(value)
+        if image.layout == Layout.CHW:
+            frames = [np.moveaxis(frame, 0, 2) if frame.ndim == 3 else frame for frame in frames]
+        if len(frames) != size or any(frame.ndim != 3 or frame.shape[2] != 3 for frame in frames):
+            raise InvalidRequestError(
+                f"'{image.key}' must have {size} RGB pictures, in the layout '{image.layout}', got {value.shape}"
+            )
+        return [frame[::-1, ::-1] if image.turn_180 else frame for frame in frames]
+
+    def _proprioception(self, request: Mapping[str, Any]) -> list[Proprioception]:
+        """Return what the request's states say of the arm at each of its ticks."""
+        convention, size = self._convention, self._convention.window
+        found: list[dict[str, Any]] = [{} for _ in range(size)]
+        for state in convention.states:
+            value = request.get(state.key)
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+                raise InvalidRequestError(f"the request needs the state '{state.key}', has {sorted(map(str, request))}")
+            joints = convention.action.joints
+            rows = np.asarray(value, dtype=float).reshape(size, -1)
+            if rows.shape[1] != state.size(joints):
+                raise InvalidRequestError(f"'{state.key}' must have {state.size(joints)} numbers, got {rows.shape[1]}")
+            readings = state.split(rows, convention.frames, joints)
+            fields = {part.field for part in state.parts}
+            for i, item in enumerate(found):
+                if StateField.TCP_POSITION in fields and np.isfinite(readings.tcp_positions[i]).all():
+                    item["tcp_position"] = tuple(readings.tcp_positions[i].tolist())
+                if StateField.TCP_ROTATION in fields:
+                    rotation = encode(readings.tcp_rotations[i], RotationRepresentation.ROTATION_6D)
+                    item["tcp_rotation_6d"] = tuple(rotation.tolist())
+                if StateField.GRIPPER in fields and np.isfinite(readings.openings[i]):
+                    item["gripper_opening"] = float(readings.openings[i])
+                if readings.joint_positions.shape[1]:
+                    item["joint_positions"] = tuple(readings.joint_positions[i].tolist())
+                if readings.joint_velocities.shape[1]:
+                    item["joint_velocities"] = tuple(readings.joint_velocities[i].tolist())
+        return [_proprioception(item) for item in found]
+
+    def _numbers(self, actions: Floats, proprio: Proprioception) -> Floats:
+        """Return the convention's numbers of the policy's actions.
+
+        The client's commanded pose is not known; the measured one stands for it. Where a conversion needs it, only the
+        first action is answered.
+        """
+        source, target = self._guard.description.semantics, self._convention.semantics
+        if source.differing(target):
+            actions = actions[:1]
+        pose = Pose.from_arrays(np.array(proprio.tcp_position), proprio.tcp_rotation)
+        joints = proprio.joint_positions or None
+        context = ActionContext(
+            pose_commanded=pose, pose_measured=pose, joints_commanded=joints, joints_measured=joints
+        )
+        return from_actions(self._convention, actions, context, source=source)
+
+
+def _proprioception(known: dict[str, Any]) -> Proprioception:
+    count = max(len(known.get("joint_positions", ())), len(known.get("joint_velocities", ())))
+    names = tuple(f"joint{i + 1}" for i in range(count))
+    zeros = (0.0,) * count
+    return Proprioception(**{"joint_names": names, "joint_positions": zeros, "joint_velocities": zeros, **known})
+
+
+def request_of(convention: Convention, images: Mapping[str, Any], state: Any, text: str) -> dict[str, Any]:
+    """Return the request of a convention for a client that names pictures otherwise.
+
+    A picture is found by its key, then by its key's last part, then as a wrist picture, then by the order.
+
+    Args:
+        convention: The convention.
+        images: The client's pictures.
+        state: The client's one state vector, or None.
+        text: The instruction.
+
+    Raises:
+        InvalidRequestError: When pictures are missing.
+    """
+    request: dict[str, Any] = {convention.prompt.key: text}
+    left = dict(images)
+    for image in convention.images:
+        near = [image.key, last_part(image.key), image.camera]
+        wrist = "wrist" in image.camera or "wrist" in image.key
+        found = next((key for key in near if key in left), None)
+        found = found or next((key for key in left if ("wrist" in key) == wrist), None)
+        if found is None:
+            raise InvalidRequestError(
+                f"the request has no picture for camera '{image.camera}', only {', '.join(images) or 'none'}"
+            )
+        request[image.key] = left.pop(found)
+    if convention.states and state is not None:
+        values, start = np.ravel(np.asarray(state, dtype=float)), 0
+        for item in convention.states:
+            end = start + item.size(convention.action.joints)
+            request[item.key] = values[start:end]
+            start = end
+    return request

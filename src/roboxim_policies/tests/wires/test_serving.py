@@ -1,0 +1,206 @@
+"""RoboXim's policies, served over each wire and asked over it, act as they do in process."""
+
+import json
+import urllib.request
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics, hold_action
+from roboxim_core.conventions import load_convention, observe
+from roboxim_core.errors import ConfigError, PolicyError
+from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
+from roboxim_core.policy_guard import GuardedPolicy
+from roboxim_core.proprioception import Proprioception
+from roboxim_policies import BasePolicy, load_policy
+from roboxim_policies.serving import policy_server
+from roboxim_policies.wires import openvla
+
+
+class Looking(BasePolicy):
+    """Acts on everything that it may see: pictures, measurements, instruction, seed, and what it did before."""
+
+    cameras = (CameraRequirement(name="workspace", width=32, height=24), CameraRequirement(name="wrist"))
+    window = 2
+    horizon = 3
+    semantics = ActionSemantics(rate_hz=0)
+
+    def __init__(self, fail: bool = False):
+        self.fail = fail
+
+    def reset(self, start):
+        self.rng = np.random.default_rng(start.seed + len(start.instruction))
+        self.asked = 0
+
+    def act(self, window):
+        if self.fail:
+            raise RuntimeError("no weights")
+        self.asked += 1
+        seen = [window.newest.images["workspace"].mean(), window.observations[0].images["wrist"].mean() / 255]
+        measured = sum(window.newest.proprio.joint_velocities) + window.newest.proprio.tcp_rotation_6d[1]
+        noise = self.rng.normal(size=(3, 7)) * 0.01
+        noise[:, 6] = (self.asked + window.seq + sum(window.pad_mask)) % 2
+        noise[:, :3] += np.array([*seen, measured]) / 1e4
+        return noise.astype(np.float32)
+
+
+def windows(count=4):
+    rng = np.random.default_rng(3)
+    seen = [
+        Observation(
+            seq=seq,
+            stamp_ns=seq * 100,
+            images={
+                "workspace": rng.integers(0, 255, (24, 32, 3), np.uint8),
+                "wrist": rng.integers(0, 255, (64, 64, 3), np.uint8),
+            },
+            proprio=Proprioception(
+                tcp_position=tuple(rng.normal(size=3)),
+                tcp_rotation_6d=(0.36, 0.48, -0.8, -0.8, 0.6, 0.0),
+                joint_names=("a", "b"),
+                joint_positions=tuple(rng.normal(size=2)),
+                joint_velocities=tuple(rng.normal(size=2)),
+                gripper_opening=rng.uniform(),
+            ),
+        )
+        for seq in range(count)
+    ]
+    for seq in range(count):
+        pair = [seen[max(seq - 1, 0)], seen[seq]]
+        yield ObservationWindow(
+            instruction="Pick up the red cube", observations=pair, pad_mask=(seq > 0, True), episode_id="e", seq=seq
+        )
+
+
+@contextmanager
+def served(make, **options):
+    """Serve a policy over openpi's wire, and yield a remote policy that asks it."""
+    with ExitStack() as stack:
+        server = stack.enter_context(policy_server(make, "openpi", port=0, size=64, **options))
+        yield stack.enter_context(load_policy("openpi", url=server.url, convention="server", version="1"))
+
+
+def run(policy, seed=5):
+    guard = GuardedPolicy(policy)
+    guard.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=seed))
+    return np.stack([guard.act(window).actions for window in windows()])
+
+
+def test_served_policy_answers_bit_for_bit_as_in_process():
+    with served(Looking) as remote:
+        assert remote.describe().cameras[0] == Looking.cameras[0]
+        assert remote.describe().semantics == Looking.semantics
+        for seed in (5, 6):
+            expected, found = run(Looking(), seed), run(remote, seed)
+            assert found.dtype == expected.dtype == np.float32
+            assert found.tobytes() == expected.tobytes()
+
+
+def test_sessions_have_policies_of_their_own():
+    with policy_server(Looking, "openpi", port=0, size=64) as server:
+        remotes = [load_policy("openpi", url=server.url, convention="server", version="1") for _ in range(3)]
+        for index, remote in enumerate(remotes):
+            remote.reset(EpisodeStart(episode_id="e", instruction="x", seed=index))
+        window = next(windows())
+        together = [np.float32(remote.act(window)) for remote in remotes]
+        for index, remote in enumerate(remotes):
+            alone = Looking()
+            alone.reset(EpisodeStart(episode_id="e", instruction="x", seed=index))
+            np.testing.assert_array_equal(together[index], alone.act(window))
+            remote.close()
+
+
+def test_failing_policy_costs_its_episode_and_the_server_goes_on():
+    logged = []
+    with served(lambda: Looking(fail=True), log=logged.append) as remote:
+        for _ in range(2):
+            remote.reset(EpisodeStart(episode_id="e", instruction="x", seed=0))
+            with pytest.raises(PolicyError, match="PolicyError: policy 'Looking' raised RuntimeError.*no weights"):
+                remote.act(next(windows()))
+
+
+class Approach(BasePolicy):
+    """Moves the tool towards a point, so that its action depends on the state that arrives."""
+
+    cameras = ("workspace", "wrist")
+    semantics = ActionSemantics(rate_hz=0)
+
+    def act(self, window):
+        action = hold_action(0.0 if "red" in window.instruction else 1.0)
+        action[:3] = 0.05 * (0.4 - np.array(window.newest.proprio.tcp_position))
+        action[3] = 0.1
+        return action
+
+
+@pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
+def test_served_policy_speaks_the_convention_of_a_benchmark(wire):
+    libero = load_convention("libero")
+    window = ObservationWindow(
+        instruction="red",
+        observations=[
+            Observation(
+                seq=0,
+                stamp_ns=0,
+                images={name: np.zeros((256, 256, 3), np.uint8) for name in ("workspace", "wrist")},
+                proprio=Proprioception(
+                    tcp_position=(0.5, 0.1, 0.3), tcp_rotation_6d=(1, 0, 0, 0, -1, 0), gripper_opening=0.5
+                ),
+            )
+        ],
+        pad_mask=(True,),
+        episode_id="e",
+        seq=0,
+    )
+    with policy_server(Approach, wire, port=0, convention=libero) as server:
+        if wire == "openvla":
+            request = {
+                "image": np.zeros((224, 224, 3), np.uint8),
+                "wrist_image": np.zeros((224, 224, 3), np.uint8),
+                "state": observe(libero, window)["observation/state"],
+                "instruction": "red",
+            }
+            for double in (False, True):
+                asked = urllib.request.Request(
+                    f"{server.url}/act", openvla.encode(request, double=double), {"Content-Type": "application/json"}
+                )
+                raw = openvla.decode(urllib.request.urlopen(asked).read())
+        else:
+            with load_policy(wire, url=server.url, convention="server", version="1") as remote:
+                remote.reset(EpisodeStart(episode_id="e", instruction="red", seed=0))
+                raw = remote.raw(window)[0]
+    # the motion in units of 0.05 m and 0.5 rad, and 1 closes
+    np.testing.assert_allclose(raw, [-0.1, 0.3, 0.1, 0.2, 0, 0, 1], atol=1e-6)
+
+
+def test_openvla_answers_errors_as_the_genuine_server_does():
+    logged = []
+    with policy_server(Approach, "openvla", port=0, convention=load_convention("libero"), log=logged.append) as server:
+        asked = urllib.request.Request(f"{server.url}/act", b'{"x": 1}', {"Content-Type": "application/json"})
+        assert json.loads(urllib.request.urlopen(asked).read()) == "error"
+    assert "needs an instruction" in logged[0]
+
+
+def test_web_pages_cannot_use_a_server():
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    with policy_server(Looking, "openpi", port=0) as server:
+        assert urllib.request.urlopen(server.url.replace("ws", "http") + "/healthz").read() == b"OK\n"
+        with pytest.raises(InvalidStatus), connect(server.url, origin="https://example.org", legacy=True):
+            pass
+
+
+def test_what_cannot_be_served_is_refused():
+    class Privileged(Looking):
+        privileged = True
+
+    with pytest.raises(ConfigError, match="privileged"):
+        policy_server(Privileged, "openpi")
+    with pytest.raises(ConfigError, match="expected one of: openpi, openvla, vla_eval"):
+        policy_server(Looking, "groot")
+    roboxim = load_convention("roboxim")
+    blind = replace(roboxim, images=roboxim.images[:1])
+    with pytest.raises(ConfigError, match="needs camera wrist, the convention"):
+        policy_server(Looking, "openpi", convention=blind)
