@@ -108,6 +108,7 @@ class RemotePolicy(BasePolicy):
         self.convention = load_convention(convention) if isinstance(convention, str) else convention
         self.wire = wire
         self.wire.prompt_key = self.convention.prompt.key
+        self.wire.action_keys = self.convention.action.keys
         self.name = name or wire.name()
         self.version = version
         self.cameras = self.convention.cameras
@@ -176,8 +177,8 @@ class RemotePolicy(BasePolicy):
             PolicyError: As `act`.
         """
         answer = self.wire.ask(self.request(window))
-        if len(answer) == 1:
-            return next(iter(answer.values()))
+        if set(answer) == {"actions"}:
+            return answer["actions"]
         try:
             return joined_answer(self.convention, answer)
         except InvalidRequestError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 from roboxim_bringup.attach import attach_options
@@ -106,6 +108,61 @@ def _serve_wire(
         if host not in ("127.0.0.1", "::1", "localhost"):
             click.echo("anybody who can reach this address can use the policy", err=True)
         stop.wait()
+
+
+@command.command("check")
+@click.option("--policy", "spec", type=Named("policy"), required=True, help="A remote policy: openpi, vla_eval, ...")
+@click.option(
+    "-o", "--option", "options", multiple=True, metavar="KEY=VALUE",
+    help="Argument of the policy, e.g. url=ws://host:8000; may be repeated.",
+)  # fmt: skip
+@click.option("--task", type=Named("task"), default="", help="Task of config/tasks, or a YAML file.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the episode.")
+@click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
+@click.option(
+    "--sheet", type=click.Path(dir_okay=False, path_type=Path), default=Path("policy_check.png"), show_default=True,
+    help="Where to write the sheet of the pictures that were sent.",
+)  # fmt: skip
+def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: str, sheet: Path) -> None:
+    r"""Ask a policy server in one episode before you evaluate it, and show what looks wrong.
+
+    \b
+    roboxim policy check --policy openpi --option url=ws://host:8000 --option convention=libero --option version=pi05
+
+    The observations are those of an episode of the expert. The command writes the pictures as they were sent, shows the
+    answers in metres, radians and opening, and sends the expert's own actions backwards and forwards through the
+    convention. Ends with exit code 1 when something looks wrong.
+    """
+    from roboxim_bringup.runs.policies import choose_policies
+    from roboxim_core.errors import ConfigError
+
+    (chosen,) = choose_policies([spec], (), options)
+    if not chosen.is_remote:
+        raise ConfigError(
+            f"policy '{spec}' has no server; the check is for openpi, vla_eval, openvla, groot and remote"
+        )
+
+    from roboxim_bringup.policy_check import check_policy, save_sheet
+    from roboxim_bringup.task_choice import task_text
+    from roboxim_policies.base import load_policy
+    from roboxim_policies.remote import RemotePolicy
+
+    policy = load_policy(chosen.spec, **chosen.options)
+    assert isinstance(policy, RemotePolicy)
+    with policy:
+        found = check_policy(
+            policy, task_text(task), seed=seed, renderer=renderer, on_step=lambda text: click.echo(text, err=True)
+        )
+    save_sheet(found, sheet)
+    for line in found.lines:
+        click.echo(line)
+    click.echo(f"\nround trip  {found.round_trip}")
+    click.echo(f"pictures    {sheet}")
+    for text in found.suspicions:
+        click.echo(f"suspicious  {text}")
+    if not found.passed:
+        raise click.exceptions.Exit(1)
+    click.echo("nothing looks wrong")
 
 
 @command.command("list")

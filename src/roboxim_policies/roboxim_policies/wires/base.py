@@ -91,6 +91,8 @@ class Wire(ABC):
         """Waits for a time [s] before a further try to connect."""
         self.prompt_key = "prompt"
         """Key of the instruction in requests."""
+        self.action_keys: tuple[str, ...] = ("actions",)
+        """Keys of the actions in answers, on wires whose answers are maps that the model chooses."""
         self._metadata: Metadata | None = None
         self._is_open = False
 

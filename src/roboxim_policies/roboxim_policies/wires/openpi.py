@@ -30,7 +30,6 @@ from roboxim_policies.wires.base import (
     Answer,
     Metadata,
     Request,
-    Rows,
     Wire,
     plain_metadata,
 )
@@ -170,7 +169,7 @@ class OpenPiWire(Wire):
         connection = self._connection()
         connection.require_silence()
         connection.send(encode(self._enveloped(request)), deadline)
-        return {"actions": self._actions(self._message(deadline, "reply"))}
+        return self._actions(self._message(deadline, "reply"))
 
     def _enveloped(self, request: Request) -> dict[str, Any]:
         if self._dialect == Dialect.OPENPI:
@@ -184,18 +183,21 @@ class OpenPiWire(Wire):
         keyed = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
         return {"examples": [example], **parts.extras, **keyed}
 
-    def _actions(self, reply: Any) -> Rows:
+    def _actions(self, reply: Any) -> Answer:
         if self._dialect == Dialect.STARVLA and isinstance(reply, dict):
             if reply.get("ok") is not True:
                 error = reply.get("error")
                 text = error.get("message") if isinstance(error, dict) else error
                 raise fault(f"{self.server} reported an error: {quoted(text)}")
             reply = reply.get("data")
-        if isinstance(reply, dict):
-            if "actions" not in reply:
-                raise invalid(f"{self.server} answered without 'actions', only with {echo(sorted(map(str, reply)))}")
-            reply = reply["actions"]
-        return rows_of(reply, f"the actions of {self.server}", most=MOST_ROWS)
+        if not isinstance(reply, dict):
+            reply = {"actions": reply}
+        found = {}
+        for key in self.action_keys:
+            if key not in reply:
+                raise invalid(f"{self.server} answered without '{key}', only with {echo(sorted(map(str, reply)))}")
+            found[key] = rows_of(reply[key], f"'{key}' of {self.server}", most=MOST_ROWS)
+        return found
 
     def _message(self, deadline: Deadline, what: str) -> Any:
         message = self._connection().receive(deadline, what)

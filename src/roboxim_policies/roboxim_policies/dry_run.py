@@ -1,0 +1,195 @@
+"""The classic faults of a policy that is asked the wrong way, found in a few answers.
+
+The findings are hints: a model may hold still on purpose. They compare the answers with what the convention allows, and
+with what the expert does in the same situations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions.rows import ArmTrack, convert_rows
+from roboxim_core.conventions import Convention, decode_actions, from_actions
+from roboxim_core.conventions.images import Picture
+from roboxim_core.errors import RoboximError
+from roboxim_core.rotations import IDENTITY_ROTATION, Floats, encode
+
+SATURATED = 0.5
+"""Share of numbers at a bound from which on answers count as saturated."""
+SPEED_RATIO = 8.0
+"""Ratio to the expert's mean speed from which on a speed is suspicious."""
+BLANK = 2.0
+"""Standard deviation of a picture's numbers, 0..255, below which it shows nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoundTrip:
+    """What became of the expert's actions, sent backwards and forwards through a convention."""
+
+    motion: float
+    """Largest error of a translation [m]."""
+    rotation: float
+    """Largest error of a rotation's component [rad]."""
+    opening: float
+    """Largest error of the gripper's opening."""
+    clipped: int
+    """Number of actions with a number that the policy cannot say (``input_range``)."""
+    count: int
+    """Number of actions."""
+    failure: str = ""
+    """Why the actions cannot be expressed at all; empty: they can."""
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the actions come back, up to rounding."""
+        return not self.failure and not self.clipped and max(self.motion, self.rotation, self.opening) < 1e-4
+
+    def __str__(self) -> str:
+        """Return the result in words."""
+        if self.failure:
+            return f"the expert's actions cannot be expressed: {self.failure}"
+        text = (
+            f"{self.count} actions of the expert come back with errors of at most {self.motion:.1e} m, "
+            f"{self.rotation:.1e} rad, {self.opening:.1e} of the opening"
+        )
+        clipped = f"; {self.clipped} of them are beyond the policy's range and would be clipped"
+        return text + clipped * bool(self.clipped)
+
+
+def round_trip(convention: Convention, actions: Floats, track: ArmTrack) -> RoundTrip:
+    """Send the expert's actions backwards and forwards through a convention.
+
+    Args:
+        convention: The convention.
+        actions: Actions of RoboXim's default meaning, at the convention's rate, shape (n, 7).
+        track: State of the arm before each action.
+    """
+    default = ActionSemantics(rate_hz=convention.rate_hz)
+    try:
+        raw = from_actions(convention, actions, track, source=default)
+        back = decode_actions(convention, raw)
+        if convention.semantics.differing(default):
+            back = convert_rows(back, convention.semantics, default, track)
+    except RoboximError as error:
+        return RoundTrip(motion=0, rotation=0, opening=0, clipped=0, count=len(actions), failure=str(error))
+    low, high = _bounds(convention)
+    motion = raw[:, list(convention.action.order or range(convention.action.natural_size))[:-1]]
+    inside = ((motion >= low - 1e-9) & (motion <= high + 1e-9)).all(axis=1)
+    errors = np.abs(back - actions)[inside]
+    return RoundTrip(
+        motion=float(errors[:, :3].max(initial=0)), rotation=float(errors[:, 3:-1].max(initial=0)),
+        opening=float(errors[:, -1].max(initial=0)), clipped=int((~inside).sum()), count=len(actions),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """A policy's answers at several ticks of the expert's episode, and what the expert did there."""
+
+    raw: Sequence[Floats]
+    """The policy's numbers at each tick, each of shape (n, D)."""
+    pictures: Mapping[str, Picture]
+    """The pictures of the first request, by key, as they were sent."""
+    expert: Floats
+    """The expert's actions at these ticks, of RoboXim's default meaning, shape (ticks, 7)."""
+    expert_speed: float
+    """Mean speed of the expert's tool centre point in its episode [m/s]."""
+
+
+def suspicions(convention: Convention, answers: Answers) -> list[str]:
+    """Return in words what looks wrong; empty: nothing."""
+    found = _of_pictures(convention, answers.pictures)
+    raw = np.concatenate(list(answers.raw))
+    firsts = np.stack([rows[0] for rows in answers.raw])
+    if len(firsts) > 1 and float(np.ptp(firsts, axis=0).max()) == 0.0:
+        found.append(
+            f"constant: the answers to {len(firsts)} different observations are equal; does the server read the "
+            "request?"
+        )
+    low, high = _bounds(convention)
+    motion = raw[:, list(convention.action.order or range(convention.action.natural_size))[:-1]]
+    share = float(((motion <= low) | (motion >= high)).mean())
+    if share >= SATURATED:
+        found.append(
+            f"saturated: {share:.0%} of the numbers of motion are at or beyond the convention's bounds; is another "
+            "scale or un-normalisation expected?"
+        )
+    decoded = decode_actions(convention, raw)
+    found += _of_motion(convention, decoded, answers)
+    found += _of_gripper(decode_actions(convention, firsts)[:, -1], answers.expert[:, -1])
+    return found
+
+
+def _bounds(convention: Convention) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest number of each component of the motion; infinite where there is no bound."""
+    action = convention.action
+    if action.control.is_joint_space:
+        spans = [action.joint_range] * (action.natural_size - 1)
+    else:
+        spans = [action.translation_range] * 3 + [action.rotation_range] * action.rotation.size
+    low, high = zip(*[span or (-np.inf, np.inf) for span in spans], strict=True)
+    return np.array(low, dtype=float), np.array(high, dtype=float)
+
+
+def _of_pictures(convention: Convention, pictures: Mapping[str, Picture]) -> list[str]:
+    found = []
+    for image in convention.images:
+        picture = pictures.get(image.key)
+        if image.turn_180:
+            found.append(
+                f"picture '{image.key}' is sent upside down (turn_180): RoboXim's pictures are upright. Clients of "
+                "LIBERO turn its pictures because robosuite's are upside down; its policies expect upright ones"
+            )
+        if picture is not None and float(np.std(picture)) < BLANK:
+            found.append(f"picture '{image.key}' shows nothing: all of its pixels are nearly equal")
+    return found
+
+
+def _of_motion(convention: Convention, decoded: Floats, answers: Answers) -> list[str]:
+    meaning = convention.semantics
+    if meaning.control.is_joint_space:
+        steps = np.abs(decoded[:, :-1])
+        if meaning.control == "joint_position" and float(steps.max()) <= 1.0:
+            return ["joint positions are all within 1 rad: are they un-normalised?"]
+        return []
+    if meaning.control == "end_effector_absolute":
+        far = float(np.linalg.norm(decoded[:, :3], axis=1).max())
+        return [f"a commanded position is {far:.2g} m away from the robot's base: wrong unit or frame?"] * (far > 2.0)
+    found = []
+    lengths = np.linalg.norm(decoded[:, :3], axis=1)
+    mean = float(lengths.mean())
+    if mean > meaning.max_translation_m:
+        found.append(
+            f"un-normalised? the mean motion is {mean:.2g} m per tick, the convention allows "
+            f"{meaning.max_translation_m:g} m; the numbers may still be normalised (unnorm_key, normalisation), or in "
+            "another unit"
+        )
+    elif meaning.rate_hz and answers.expert_speed > 0 and mean > 0:
+        ratio = mean * meaning.rate_hz / answers.expert_speed
+        if not 1 / SPEED_RATIO <= ratio <= SPEED_RATIO:
+            found.append(
+                f"wrong rate or scale? the mean speed is {mean * meaning.rate_hz:.2g} m/s, the expert's "
+                f"{answers.expert_speed:.2g} m/s; the convention says {meaning.rate_hz:g} Hz"
+            )
+    elif mean == 0.0:
+        found.append("the arm does not move in any answer")
+    identity = encode(IDENTITY_ROTATION, meaning.rotation)
+    if float(np.abs(decoded[:, 3:-1] - identity).max()) == 0.0:
+        found.append("all rotations are exactly zero: are they left out, or at other places of the action?")
+    return found
+
+
+def _of_gripper(openings: Floats, expert: Floats) -> list[str]:
+    clear = np.abs(openings - 0.5) > 0.2
+    if clear.sum() < 2:
+        return []
+    opposite = (openings[clear] > 0.5) != (expert[clear] > 0.5)
+    if not opposite.all():
+        return []
+    return [
+        f"inverted gripper? in all {int(clear.sum())} situations it is open where the expert's is closed and vice versa"
+    ]

@@ -1,0 +1,87 @@
+"""The dry run names each classic fault, and nothing when an answer is the expert's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from roboxim_core.actions.rows import ArmTrack, PoseRows
+from roboxim_core.conventions import load_convention
+from roboxim_policies.dry_run import Answers, round_trip, suspicions
+
+LIBERO, BRIDGE, ROBOXIM = (load_convention(name) for name in ("libero", "bridge", "roboxim"))
+EXPERT = np.array([[0.01, 0.005 * i, -0.01, 0.02, 0.01 * i, 0.0, i % 2] for i in range(6)])
+SPEED = 0.3
+
+
+def answers(raw, convention=LIBERO, picture=None):
+    picture = np.arange(224 * 224 * 3, dtype=np.uint8).reshape(224, 224, 3) if picture is None else picture
+    pictures = {image.key: picture for image in convention.images}
+    return Answers(raw=[np.atleast_2d(row) for row in raw], pictures=pictures, expert=EXPERT, expert_speed=SPEED)
+
+
+def honest():
+    """Return the expert's actions in LIBERO's numbers, about."""
+    raw = EXPERT / np.array([0.05] * 3 + [0.5] * 3 + [1.0])
+    raw[:, 6] = 1 - 2 * EXPERT[:, 6]  # -1 opens
+    return raw
+
+
+def test_expert_itself_is_not_suspicious():
+    assert suspicions(LIBERO, answers(honest())) == []
+
+
+def changed(column, value):
+    raw = honest()
+    raw[:, column] = value
+    return raw
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        (np.repeat(honest()[:1], 6, axis=0), "constant: the answers to 6 different observations"),
+        (np.sign(honest()), "saturated: "),
+        (changed(slice(3, 6), 0.0), "all rotations are exactly zero"),
+        (changed(6, 2 * EXPERT[:, 6] - 1), "inverted gripper"),
+        (changed(slice(0, 3), 0.0), "does not move"),
+        (honest() * np.array([0.01] * 3 + [1] * 4), "wrong rate or scale"),
+    ],
+)
+def test_classic_fault_is_named(raw, words):
+    assert any(words in found for found in suspicions(LIBERO, answers(raw)))
+
+
+def test_numbers_that_are_still_normalised_are_named():
+    raw = np.random.default_rng(0).uniform(-1, 1, (6, 7))
+    assert any("un-normalised?" in found for found in suspicions(BRIDGE, answers(raw, BRIDGE)))
+
+
+def test_upside_down_and_empty_pictures_are_named():
+    turned = replace(LIBERO, images=tuple(replace(image, turn_180=True) for image in LIBERO.images))
+    assert "sent upside down" in suspicions(turned, answers(honest()))[0]
+    black = answers(honest(), picture=np.zeros((224, 224, 3), np.uint8))
+    assert "shows nothing" in suspicions(LIBERO, black)[0]
+
+
+def track(count):
+    rng = np.random.default_rng(1)
+    rotations = Rotation.from_rotvec(rng.normal(size=(count, 3)) * 0.1) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])
+    poses = PoseRows(positions=rng.normal(size=(count, 3)), rotations=rotations)
+    return ArmTrack(commanded=poses, measured=poses)
+
+
+@pytest.mark.parametrize("convention", [LIBERO, BRIDGE, ROBOXIM])
+def test_actions_of_the_expert_come_back(convention):
+    found = round_trip(convention, EXPERT, track(len(EXPERT)))
+    assert found.is_exact, str(found)
+    assert found.count == 6
+
+
+def test_action_that_the_policy_cannot_say_is_counted():
+    far = EXPERT * np.array([10.0] + [1] * 6)
+    found = round_trip(LIBERO, far, track(len(EXPERT)))
+    assert found.clipped == 6
+    assert "beyond the policy's range" in str(found)
+    assert not found.is_exact

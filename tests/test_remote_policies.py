@@ -1,0 +1,153 @@
+"""Policies behind a wire through the whole system: the same episodes as in process, and runs that survive servers."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import ConfigError, PolicyError
+from roboxim_core.policies import CameraRequirement
+from roboxim_policies import BasePolicy, load_policy
+from roboxim_policies.serving import policy_server
+
+
+class Seeing(BasePolicy):
+    """Draws its actions from the pictures, the measurements and the seed."""
+
+    cameras = (
+        CameraRequirement(name="workspace", width=48, height=32),
+        CameraRequirement(name="wrist", width=40, height=40),
+    )
+    semantics = ActionSemantics(rate_hz=0)
+    horizon = 2
+
+    def reset(self, start):
+        self.rng = np.random.default_rng(start.seed)
+
+    def act(self, window):
+        mean = [window.newest.images[name].mean() for name in ("workspace", "wrist")]
+        motion = self.rng.normal(size=(2, 7)) * 0.01 + (sum(mean) + window.newest.proprio.joint_positions[3]) / 1e5
+        motion[:, 6] = self.rng.integers(0, 2)
+        return motion.astype(np.float32)
+
+
+def outcome(folder, policy):
+    config = RunConfig(output_dir=str(folder), max_steps=6, settle_ticks=2)
+    with CoreGraph(folder, policy=policy) as graph:
+        return EpisodeRunner(graph.ports, config).run_index(0)
+
+
+@pytest.mark.slow
+def test_episode_over_the_wire_is_the_same_as_in_process(tmp_path):
+    here = outcome(tmp_path / "here", Seeing())
+    with ExitStack() as stack:
+        server = stack.enter_context(policy_server(Seeing, "openpi", port=0, size=64))
+        remote = load_policy("openpi", url=server.url, convention="server", version="1")
+        there = outcome(tmp_path / "there", stack.enter_context(remote))
+    assert here.steps == there.steps == 6
+    assert there.final_state_hash == here.final_state_hash
+    assert there.verdict == here.verdict
+
+
+def remote_spec(server, **options):
+    options = {"url": server.url, "convention": "server", "version": "1", "reconnect_s": 0.0, **options}
+    return PolicySpec(spec="openpi", name="there", options=options)
+
+
+def config(out, policies, **more):
+    return EvaluationConfig(
+        policies=policies, out=out, **{"episodes": 2, "workers": 1, "max_steps": 8, "size": 64, **more}
+    )
+
+
+def essence(result):
+    return replace(result, bag="", wall_s=0.0, inference_s=0.0)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_evaluation_over_the_wire_equals_the_one_in_process_and_continues_with_the_same_model_only(tmp_path):
+    with policy_server(lambda: load_policy("random"), "openpi", port=0, size=64) as server:
+        local = PolicySpec(spec="random", name="here")
+        found = evaluate(config(tmp_path, [local, remote_spec(server)], workers=2))
+        assert [essence(r) for r in found["here"].results] == [essence(r) for r in found["there"].results]
+        port = server.port
+    stored = json.loads((tmp_path / "there" / "run.json").read_text())
+    assert stored["server"]["wire"] == "openpi"
+    assert stored["server"]["convention"]["name"] == "random (its own)"
+    assert stored["server"]["metadata"]["roboxim"]["policy"] == "random"
+    assert len(stored["server_probe"]["replies"]) == 3
+    with pytest.raises(PolicyError, match="cannot be reached"):
+        evaluate(config(tmp_path, [remote_spec(server)], episodes=3))
+    complaint = "2 episodes of another model.*replies to the probe differ"
+    with policy_server(lambda: load_policy("random", scale=0.1), "openpi", port=port, size=64) as server:
+        more = config(tmp_path, [remote_spec(server)], episodes=3)
+        pytest.raises(ConfigError, evaluate, more).match(complaint)
+    with policy_server(lambda: load_policy("random"), "openpi", port=port, size=64) as server:
+        assert len(evaluate(config(tmp_path, [remote_spec(server)], episodes=3)).results) == 3
+
+
+class Dying(BasePolicy):
+    """Serves, but raises in the episodes whose seed is odd."""
+
+    semantics = ActionSemantics(rate_hz=0)
+
+    def reset(self, start):
+        self.seed = start.seed
+
+    def act(self, window):
+        if self.seed and window.seq == 2 and window.episode_id.endswith("00001-00"):
+            raise RuntimeError("out of memory")
+        return [0.0] * 6 + [1.0]
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_failing_server_costs_its_episode_and_the_run_goes_on(tmp_path):
+    with policy_server(Dying, "openpi", port=0) as server:
+        found = evaluate(config(tmp_path, [remote_spec(server)], episodes=3, max_steps=4))
+    reasons = [(result.outcome, result.reason) for result in found.results]
+    assert reasons[1] == ("error", "policy_fault")
+    assert "out of memory" in found.results[1].message
+    assert [reasons[0][0], reasons[2][0]] == ["failure", "failure"]
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_bc_over_the_wire_equals_bc_in_process(tmp_path):
+    from roboxim_core.proprioception import Proprioception
+    from roboxim_policies.bc.config import BCConfig
+    from roboxim_policies.bc.data import Demonstration, assemble
+    from roboxim_policies.bc.train import Trainer
+
+    rng = np.random.default_rng(0)
+    demonstrations = [
+        Demonstration(
+            images={name: rng.integers(0, 255, (8, 32, 32, 3), np.uint8) for name in ("workspace", "wrist")},
+            proprio=np.stack([Proprioception(tcp_position=(0.5, 0.01 * i, 0.3)).vector() for i in range(8)]),
+            actions=np.float32(rng.normal(size=(8, 7)) * 0.01 + np.array([0] * 6 + [0.5])),
+            instruction="Pick up the red cube",
+        )
+        for _ in range(4)
+    ]
+    sizes = {"workspace": (32, 32), "wrist": (32, 32)}
+    data = assemble(demonstrations, camera_sizes=sizes, semantics=ActionSemantics(), robot="panda")
+    small = BCConfig(
+        steps=4, batch=4, warmup_steps=1, chunk=4, execute=2, channels=8, keypoints=8, hidden=32,
+        image_sizes={"workspace": 32, "wrist": 32}, checkpoint_every=4,
+    )  # fmt: skip
+    Trainer(small, data, tmp_path / "bc").run()
+    checkpoint = {"checkpoint": str(tmp_path / "bc")}
+    with policy_server(lambda: load_policy("bc", **checkpoint), "openpi", port=0) as server:
+        local = PolicySpec(spec="bc", name="here", options=checkpoint)
+        found = evaluate(config(tmp_path / "out", [local, remote_spec(server)], size=0))
+    assert [essence(r) for r in found["here"].results] == [essence(r) for r in found["there"].results]
