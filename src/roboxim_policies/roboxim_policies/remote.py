@@ -41,6 +41,8 @@ from roboxim_policies.wires.vla_eval import VlaEvalWire
 
 SERVERS_OWN = "server"
 """Name of a convention that the server itself declares; RoboXim's own servers do."""
+Version = str | int | float
+"""What a model is, as a user writes it: ``pi05_libero`` or ``3``."""
 PROBES = 3
 """Replies that a probe keeps."""
 PROBE_INSTRUCTION = "pick up the red cube"
@@ -85,7 +87,7 @@ def _spread(replies: Floats) -> float:
 class RemotePolicy(BasePolicy):
     """A policy that a server computes, asked over a wire and understood by a convention."""
 
-    def __init__(self, wire: Wire, convention: str | Convention, *, version: str, name: str = "") -> None:
+    def __init__(self, wire: Wire, convention: str | Convention, *, version: Version, name: str = "") -> None:
         """Join a wire and a convention. Connects only if the convention is the server's own.
 
         Args:
@@ -98,7 +100,7 @@ class RemotePolicy(BasePolicy):
             ConfigError: When there is no such convention, or ``version`` is empty.
             PolicyError: When the convention is the server's own and the server does not declare one.
         """
-        if not version:
+        if not str(version):
             raise ConfigError(
                 "a remote policy needs version=, e.g. --option version=pi05_libero: RoboXim cannot hash a model that a "
                 "server holds, and reports must say which one it was"
@@ -110,7 +112,7 @@ class RemotePolicy(BasePolicy):
         self.wire.prompt_key = self.convention.prompt.key
         self.wire.action_keys = self.convention.action.keys
         self.name = name or wire.name()
-        self.version = version
+        self.version = str(version)
         self.cameras = self.convention.cameras
         self.window = self.convention.window
         self.horizon = self.convention.chunking.horizon
@@ -323,7 +325,7 @@ def changed_facts(stored: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 
 @POLICIES.register("remote")
 def remote_policy(
-    wire: str, url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S,
+    wire: str, url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S,
     reconnect_s: float = RECONNECT_S, key_env: str = "",
 ) -> RemotePolicy:  # fmt: skip
     """A policy behind any wire, e.g. a plug-in's.
@@ -346,7 +348,7 @@ def remote_policy(
 
 @POLICIES.register("openpi")
 def openpi_policy(
-    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
     key_env: str = "", dialect: str = "", unnorm_key: str = "",
 ) -> RemotePolicy:  # fmt: skip
     """A policy served by openpi, RoboArena, StarVLA, or ``roboxim policy serve --wire openpi``.
@@ -372,7 +374,7 @@ def openpi_policy(
 
 @POLICIES.register("vla_eval")
 def vla_eval_policy(
-    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
     image_format: str = "raw",
 ) -> RemotePolicy:  # fmt: skip
     """A policy served by a model server of vla-eval.
@@ -394,7 +396,7 @@ def vla_eval_policy(
 
 @POLICIES.register("openvla")
 def openvla_policy(
-    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
     unnorm_key: str = "", double_encoding: bool = False,
 ) -> RemotePolicy:  # fmt: skip
     """A policy served by OpenVLA or OpenVLA-OFT (``POST /act``).
@@ -419,7 +421,7 @@ def openvla_policy(
 
 @POLICIES.register("groot")
 def groot_policy(
-    url: str, convention: str, version: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
+    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
     key_env: str = "", sim_policy_wrapper: bool = False,
 ) -> RemotePolicy:  # fmt: skip
     """A policy served by Isaac-GR00T, N1.5 to N1.7.
