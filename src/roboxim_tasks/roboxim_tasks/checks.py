@@ -113,6 +113,8 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
     for path, objects, role in [*places, (("distractors",), config.distractors, Role())]:
         with document.section(path):
             objects.models.require_words("models", "ids of object models")
+        for model in objects.always if isinstance(objects, DistractorConfig) else ():
+            document.require((*path, "always"), model, library.object_ids)
         models = [str(model) for model in objects.models.values]
         for model in models:
             document.require((*path, "models"), model, library.object_ids)

@@ -17,6 +17,7 @@ from typing import Any
 from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.merging import merged
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.seeds import CELL, CELL_NUMBER
@@ -316,22 +317,6 @@ def _models(cell: Any, names: Mapping[str, str]) -> Any:
         if names
         else {}
     )
-
-
-def merged(base: Any, change: Any) -> Any:
-    """Return plain data with keys replaced recursively in mappings; lists and choices are replaced as a whole.
-
-    A key whose change is None is removed and has its default then.
-
-    Every key keeps its line number, see `roboxim_core.config.line_of`.
-    """
-    if not isinstance(change, Mapping) or "values" in change or "lower" in change:
-        return change
-    base = base if isinstance(base, Mapping) else {}
-    items = {**base, **{key: merged(base.get(key), value) for key, value in change.items()}}
-    items = {key: value for key, value in items.items() if key not in change or value is not None}
-    lines = {key: line_of(change, key) if key in change else line_of(base, key) for key in items}
-    return LocatedMap(items, lines) if any(lines.values()) else items
 
 
 def any_task_config(data: Any, *, source: str) -> TaskConfig | TaskMix:

@@ -257,9 +257,28 @@ def generate_distractors(
     begin = 0
     for number in range(1, count + 1):
         role = distractor_role(number)
-        thing, begin = _distractor(context, role, begin, objects)
-        distractors[role] = thing
+        if number <= len(config.always):
+            distractors[role] = _fixed_distractor(context, role, config.always[number - 1], objects)
+        else:
+            distractors[role], begin = _distractor(context, role, begin, objects)
     return distractors
+
+
+def _fixed_distractor(
+    context: GenerationContext, role: str, model: str, objects: Mapping[str, PhysicalObject]
+) -> PhysicalObject:
+    """Return a distractor of a model that every scene has.
+
+    Raises:
+        TaskError: With code ``RESET_INFEASIBLE`` when the instruction could mean it.
+    """
+    thing = generate_object(context, role, Choice(values=(model,)), {})
+    if context.wording.could_be_any(thing, objects):
+        raise TaskError(
+            f"the instruction could mean the {description(thing)} that distractors.always puts into every scene",
+            ErrorCode.RESET_INFEASIBLE,
+        )
+    return thing
 
 
 def _distractor(

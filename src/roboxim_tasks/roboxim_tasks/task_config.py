@@ -52,6 +52,8 @@ class DistractorConfig:
     """Fewest distractors."""
     maximum: int = 0
     """Most distractors."""
+    always: tuple[str, ...] = ()
+    """Ids of the models of the first distractors, which every scene has; the others are drawn from ``models``."""
     models: Choice = Choice(values=("cube",))
     """Ids of object models."""
     modifiers: dict[str, Choice] = field(default_factory=dict)
@@ -63,8 +65,11 @@ class DistractorConfig:
         """Check the range.
 
         Raises:
-            ConfigError: When the range of numbers is empty or too large, or ``stay_m`` is negative.
+            ConfigError: When the range of numbers is empty or too large, ``stay_m`` is negative, or ``minimum`` leaves
+                no room for ``always``.
         """
+        if len(self.always) > self.minimum:
+            raise ConfigError(f"always names {len(self.always)} distractors, minimum is {self.minimum}; raise it")
         if self.stay_m < 0:
             raise ConfigError(f"stay_m must be >= 0, got {self.stay_m:g}")
         if not 0 <= self.minimum <= self.maximum <= MAX_DISTRACTORS:

@@ -74,6 +74,7 @@ def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -
     return float(np.mean(norm.sf(limits - lead) + norm.cdf(-limits - lead)))
 
 
+@lru_cache(maxsize=4096)
 def detectable(design: Design, rate: float = 0.8, *, chance: float = 0.8, alpha: float = 0.05) -> float | None:
     """Return the smallest drop from a success rate that a design finds with a chance, 0..1; none: not even to 0.
 
@@ -98,7 +99,7 @@ def _logit_scale(rate: float) -> float:
 @lru_cache(maxsize=64)
 def _sample_spreads(freedom: int) -> Array:
     """Return equally likely standard deviations of a sample, relative to the true one."""
-    spreads: Array = np.sqrt(chi2.ppf((np.arange(2000) + 0.5) / 2000, freedom) / freedom)
+    spreads: Array = np.sqrt(chi2.ppf((np.arange(500) + 0.5) / 500, freedom) / freedom)
     return spreads
 
 

@@ -118,19 +118,22 @@ class ConditionDifference:
         return float(max(by_trainings, by_rollouts))
 
 
-def condition_difference(first: Arm, second: Arm, pairs: Sequence[Pairs] = ()) -> ConditionDifference:
+def condition_difference(
+    first: Arm, second: Arm, pairs: Sequence[Pairs] = (), *, same_cells: bool = True
+) -> ConditionDifference:
     """Compare two conditions over the cells that both met.
 
     Args:
         first: Outcomes of the first condition.
         second: Outcomes of the second one, replicate by replicate with the same cells and scenes.
         pairs: Outcomes of each replicate on the scenes that both met; empty: the scenes differ.
+        same_cells: Whether to require equal cells; otherwise their difficulty is part of the difference.
 
     Raises:
         InvalidRequestError: If replicates or cells differ.
     """
     require_same_replicates(first, second)
-    if set(first.cells) != set(second.cells):
+    if same_cells and set(first.cells) != set(second.cells):
         odd = ", ".join(sorted(set(first.cells) ^ set(second.cells)))
         raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
     differences = first.rates - second.rates

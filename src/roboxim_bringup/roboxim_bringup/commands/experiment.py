@@ -1,0 +1,171 @@
+"""List experiments, and plan them: counts, time, disk, and the difference that they can show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_bringup.named import Named
+
+
+@click.group()
+def command() -> None:
+    """List experiments, and plan them: counts, time, disk, and the difference that they can show."""
+
+
+@command.command("list")
+def list_experiments() -> None:
+    """List the experiments and benchmarks, with the time that each scale takes on this machine.
+
+    A file that is invalid is reported as an error at the end, after the others.
+    """
+    from roboxim_bringup.experiment_files import load_benchmark, load_experiment
+    from roboxim_bringup.experiment_plan import hours
+    from roboxim_bringup.runs.calibration import stored_rates
+    from roboxim_core.config_folders import config_names
+    from roboxim_core.errors import ConfigError
+    from roboxim_eval.experiments import cost_of, design_of, scale_names
+
+    rates = stored_rates()
+    broken = []
+    click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
+    for name in config_names("experiments"):
+        try:
+            config = load_experiment(name)
+            scales = []
+            for scale in scale_names(config):
+                design = design_of(load_experiment(name, scale))
+                scales.append(scale if rates is None else f"{scale} {hours(cost_of(design, rates).total_s)}")
+        except ConfigError as error:
+            broken.append(str(error))
+            continue
+        click.echo(f"  {name:<30} {config.thesis or '-':<7} {config.about}")
+        click.echo(f"  {'':<30} {'':<7} {', '.join(scales)}")
+    click.secho("benchmarks (roboxim experiment plan --benchmark NAME --scale SCALE)", bold=True)
+    for name in config_names("benchmark"):
+        benchmark = load_benchmark(name)
+        click.echo(f"  {name:<30} {benchmark.thesis or '-':<7} {benchmark.about}")
+        click.echo(f"  {'':<30} {'':<7} {', '.join(benchmark.experiments)}")
+    if rates is None:
+        click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
+    if broken:
+        raise ConfigError("\n".join(broken))
+
+
+@command.command("plan")
+@click.argument("name", type=Named("experiment"), default="")
+@click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
+@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
+@click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
+@click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
+@click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def plan(
+    name: str, benchmark: str, scale: str, trainer: str, budget: str, write: Path | None, as_json: bool
+) -> None:  # fmt: skip
+    r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts nothing.
+
+    \b
+    roboxim experiment plan skill_object --scale laptop
+    roboxim experiment plan skill_object --scale laptop --budget 8h
+    roboxim experiment plan --benchmark transfer --scale night
+    """
+    import json
+
+    from roboxim_bringup.experiment_files import (
+        benchmark_experiments,
+        checked_design,
+        load_benchmark,
+        load_experiment,
+        write_mixes,
+    )
+    from roboxim_bringup.experiment_plan import hours, plan_data, plan_lines
+    from roboxim_bringup.runs.calibration import stored_rates
+    from roboxim_core.errors import ConfigError
+    from roboxim_eval.experiments import cost_of
+    from roboxim_eval.experiments.cost import fitted
+
+    if bool(name) == bool(benchmark):
+        raise ConfigError("name one experiment, or --benchmark NAME")
+    rates = stored_rates()
+    configs = (
+        benchmark_experiments(load_benchmark(benchmark), scale) if benchmark else {name: load_experiment(name, scale)}
+    )
+    if budget:
+        if rates is None:
+            raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
+        seconds = duration_s(budget) / len(configs)
+        for key, config in configs.items():
+            sized = fitted(config, rates, seconds, trainer)
+            if sized is None:
+                raise ConfigError(
+                    f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
+                )
+            configs[key] = sized
+    designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
+    if as_json:
+        click.echo(json.dumps([plan_data(key, scale, design, rates) for key, design in designs.items()], indent=2))
+    else:
+        for key, design in designs.items():
+            click.echo("\n".join(plan_lines(key, scale, design, rates)))
+        if len(designs) > 1 and rates is not None:
+            costs = [cost_of(design, rates) for design in designs.values()]
+            disk = sum(cost.disk_bytes for cost in costs) / 1e9
+            click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
+    if write is not None:
+        for key, design in designs.items():
+            for path in write_mixes(design, write / key if benchmark else write):
+                click.echo(f"wrote {path}", err=as_json)
+
+
+@command.command("calibrate")
+@click.option("--experiment", type=Named("experiment"), default="skill_object", show_default=True, help="Whose tasks.")
+@click.option("--scale", default="laptop", show_default=True, help="Its scale, which states the image size.")
+@click.option("--episodes", type=click.IntRange(2), default=8, show_default=True, help="Demonstrations.")
+@click.option("--rollouts", type=click.IntRange(1), default=4, show_default=True, help="Rollouts.")
+@click.option("--steps", type=click.IntRange(20), default=60, show_default=True, help="Training steps.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, steps: int, workers: int | None) -> None:
+    """Measure this machine's rates by a small run of every stage, and store them for plan and list."""
+    import tempfile
+
+    from roboxim_bringup.experiment_files import checked_design, load_experiment, write_mixes
+    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, store_rates
+
+    config = load_experiment(experiment, scale)
+    design = checked_design(experiment, config)
+    size = parse_size(config.image_size)
+    with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
+        mix = write_mixes(design, Path(folder))[0].rename(Path(folder) / f"{experiment}.yaml")
+        settings = CalibrationConfig(
+            mix=mix, size=size if isinstance(size, tuple) else (size, size), episodes=episodes, rollouts=rollouts,
+            steps=steps, **({} if workers is None else {"workers": workers}),
+        )  # fmt: skip
+        with EventPrinter() as printer:
+            rates = calibrate(settings, on_event=printer)
+    hourly = 3600 / rates.demonstration_s
+    click.echo(f"demonstrations   {hourly:.0f} an hour, {rates.demonstration_bytes / 1e6:.1f} MB each")
+    click.echo(f"exports          {rates.export_s:.2f} s, {rates.dataset_bytes / 1e6:.2f} MB each")
+    click.echo(f"training         {rates.steps_per_s:.1f} steps a second")
+    click.echo(f"rollouts         {rates.rollout_s:.1f} s, {rates.rollout_bytes / 1e6:.1f} MB each")
+    click.echo(f"start of a stage {rates.start_s:.0f} s")
+    click.echo(f"stored in {store_rates(rates)}")
+
+
+def duration_s(text: str) -> float:
+    """Return a duration given as e.g. ``8h``, ``90min`` or ``45 min`` [s].
+
+    Raises:
+        ConfigError: When the text is no duration.
+    """
+    import re
+
+    from roboxim_core.errors import ConfigError
+
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(h|min|s|d)\s*", text)
+    if not found or not float(found[1]):
+        raise ConfigError(f"expected a duration such as 8h, 90min or 2d, got '{text}'")
+    return float(found[1]) * {"s": 1, "min": 60, "h": 3600, "d": 86400}[found[2]]

@@ -1,0 +1,122 @@
+"""The plan of an experiment in words: what it runs, how long it takes, and what it can show. Nothing is started."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from roboxim_eval.experiments import Cost, Design, Rates, cost_of
+
+NO_RATES = (
+    "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"
+)
+
+
+def plan_lines(name: str, scale: str, design: Design, rates: Rates | None) -> Iterator[str]:
+    """Yield the plan of an experiment, line by line.
+
+    Args:
+        name: Name of the experiment.
+        scale: Its scale.
+        design: The experiment.
+        rates: This machine's rates; none: never measured.
+    """
+    config = design.config
+    yield f"{name}, scale {scale}" + (f" (thesis {config.thesis})" if config.thesis else "")
+    yield f"  {config.about}"
+    yield f"  cells           {len(design.cells)}, {sum(cell.unseen for cell in design.cells)} of them held out"
+    if design.generations:
+        sizes = ", ".join(f"{key} {sum(counts.values())}" for key, counts in design.datasets.items())
+        many = f" in {design.generations} generations" if design.generations > 1 else ""
+        yield f"  demonstrations  {design.episodes}{many}; datasets: {sizes}"
+        yield from (f"    {line}" for line in _table(design))
+    if design.trainings:
+        steps = f"{design.steps:,} steps in all" if design.steps else "steps unknown"
+        where = "" if design.trainer.command else ", elsewhere: name each policy with --policy CONDITION.R=SPEC"
+        yield f"  trainings       {len(design.trainings)}, {steps}{where}"
+    yield f"  rollouts        {design.rollouts:,} of {len(design.evaluations)} policies"
+    cost = None if rates is None else cost_of(design, rates)
+    yield f"  time            {NO_RATES if cost is None else time_text(cost)}"
+    if cost is not None and rates is not None:
+        yield f"  disk            {cost.disk_bytes / 1e9:.1f} GB"
+        yield f"  rates           of {rates.measured}: {rates.source}; {rates.workers} workers on {rates.machine}"
+    yield from _power_lines(design)
+    yield from (f"  deviation       {sentence}" for sentence in config.deviations)
+
+
+def time_text(cost: Cost) -> str:
+    """Return the time of all stages, e.g. ``3.1 h: 0.3 h demonstrations, 1.2 h trainings, 1.6 h rollouts``."""
+    parts = [f"{hours(cost.generate_s)} demonstrations"] if cost.generate_s else []
+    parts.append("trainings elsewhere" if cost.train_s is None else f"{hours(cost.train_s)} trainings")
+    parts.append(f"{hours(cost.evaluate_s)} rollouts")
+    return f"{hours(cost.total_s)}: {', '.join(parts)}"
+
+
+def hours(seconds: float) -> str:
+    """Return a duration in hours, or in minutes below an hour."""
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds / 60:.0f} min"
+
+
+def _power_lines(design: Design) -> Iterator[str]:
+    from roboxim_eval.statistics.power import SPREAD_AT, TRAINING_SPREAD, detectable
+    from roboxim_eval.statistics.power import Design as Size
+    from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+
+    scenes, replicates = design.compared_scenes, design.config.replicates.count
+    if not scenes:
+        return
+    drop = detectable(Size(replicates=replicates, scenes=scenes))
+    seen = "no drop" if drop is None else f"a drop from 80 to {100 * (0.8 - drop):.0f} %"
+    yield f"  finds           {seen} with a chance of 80 % ({replicates} trainings, {scenes} rollouts each)"
+    if replicates < LEAST_REPLICATES:
+        yield (
+            f"  warning         fewer than {LEAST_REPLICATES} trainings compare checkpoints, not ways to train; "
+            "verdicts will say so"
+        )
+    else:
+        yield (
+            f"                  if trainings of one recipe spread by {100 * TRAINING_SPREAD:.1f} points at "
+            f"{100 * SPREAD_AT:.0f} %, an assumption"
+        )
+
+
+def _table(design: Design) -> Iterator[str]:
+    """Yield the demonstrations by cell.
+
+    A row is a combination of the first factors, a column a level of the last one. Each place has the numbers of all
+    datasets; held-out cells are in brackets.
+    """
+    *rows, column = design.config.factors
+    levels = list(dict.fromkeys(cell.levels[column] for cell in design.cells))
+    if len(design.datasets) > 3:
+        return
+    found: dict[str, dict[str, str]] = {}
+    for cell in design.cells:
+        text = "/".join(str(counts.get(cell.key, "-")) for counts in design.datasets.values())
+        row = " ".join(cell.levels[factor] for factor in rows) or "all"
+        found.setdefault(row, {})[cell.levels[column]] = f"[{text}]" if cell.unseen else text
+    width = max(map(len, found))
+    widths = {level: max(len(level), *(len(row.get(level, "")) for row in found.values())) for level in levels}
+    yield " ".join((" " * width, *(f"{level:>{widths[level]}}" for level in levels)))
+    for row, cells in found.items():
+        yield " ".join((f"{row:<{width}}", *(f"{cells.get(level, ''):>{widths[level]}}" for level in levels)))
+
+
+def plan_data(name: str, scale: str, design: Design, rates: Rates | None) -> Mapping[str, Any]:
+    """Return the plan as plain data, for scripts."""
+    cost = None if rates is None else cost_of(design, rates)
+    return {
+        "experiment": name,
+        "scale": scale,
+        "cells": {cell.key: "unseen" if cell.unseen else "seen" for cell in design.cells},
+        "demonstrations": design.demonstrations,
+        "generations": design.generations,
+        "datasets": design.datasets,
+        "trainings": len(design.trainings),
+        "steps": design.steps,
+        "rollouts": design.rollouts,
+        "scenes": design.compared_scenes,
+        "replicates": design.config.replicates.count,
+        "hours": None if cost is None else cost.total_s / 3600,
+        "disk_bytes": None if cost is None else cost.disk_bytes,
+    }

@@ -1,0 +1,168 @@
+"""The shipped experiments, their plans, and the command."""
+
+import json
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_bringup.commands.experiment import command, duration_s
+from roboxim_bringup.experiment_files import (
+    benchmark_experiments,
+    checked_design,
+    load_benchmark,
+    load_experiment,
+    mixes,
+    write_mixes,
+)
+from roboxim_bringup.experiment_plan import plan_lines
+from roboxim_bringup.runs.calibration import rates_file, store_rates, stored_rates
+from roboxim_core.config_folders import config_names
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import Rates, design_of, scale_names
+from roboxim_tasks.config import load_task_config, task_mix
+
+RATES = Rates(
+    machine="test", measured="2026-01-01", source="test", workers=2, demonstration_s=1.2, demonstration_bytes=1e7,
+    dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0, rollout_bytes=1e7,
+    start_s=10,
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize("name", config_names("experiments"))
+def test_every_shipped_experiment_is_valid_at_every_scale(name):
+    config = load_experiment(name)
+    assert scale_names(config) == ("smoke", "laptop", "night", "full")
+    for scale in ("smoke", "laptop", "night"):
+        design_of(load_experiment(name, scale))
+    checked_design(name, config)
+
+
+@pytest.mark.parametrize(
+    ("name", "datasets", "demonstrations", "trainings", "scenes"),
+    [
+        ("pick_cube", {"cube": 200}, 200, 3, 50),
+        ("colors", {"all": 400}, 400, 5, 80),
+        ("objects", {"all": 600}, 600, 5, 120),
+        ("skills", {"all": 500}, 500, 5, 100),
+        ("cross_domain", {"four_objects": 400}, 400, 2, 40),
+        ("area", {"leave_out": 300}, 300, 5, 50),
+        ("camera", {"leave_out": 300}, 300, 5, 50),
+        ("skill_object", {"leave_out": 324, "baseline": 324}, 432, 10, 120),
+        ("camera_object", {"leave_out": 324, "baseline": 324}, 432, 10, 120),
+        ("camera_skill", {"leave_out": 306, "baseline": 306}, 408, 10, 60),
+    ],
+)
+def test_the_experiments_of_the_thesis_have_its_counts(name, datasets, demonstrations, trainings, scenes):
+    design = design_of(load_experiment(name))
+    assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == datasets
+    assert (design.episodes, len(design.trainings)) == (demonstrations, trainings)
+    assert design.compared_scenes == scenes
+
+
+def test_datasets_are_balanced_over_the_levels_of_both_factors():
+    for name in ("skill_object", "camera_object", "camera_skill"):
+        design = design_of(load_experiment(name))
+        for counts in design.datasets.values():
+            for factor in design.config.dimensions:
+                by_level = {}
+                for cell in design.cells:
+                    level = cell.levels[factor]
+                    by_level[level] = by_level.get(level, 0) + counts.get(cell.key, 0)
+                assert len(set(by_level.values())) == 1, (name, factor, by_level)
+
+
+def test_the_triple_experiment_saw_no_two_of_the_three_together():
+    design = design_of(load_experiment("triple"))
+    seen = [set(cell.levels.values()) for cell in design.cells if not cell.unseen]
+    held_out = [set(cell.levels.values()) for cell in design.cells if cell.unseen]
+    assert len(held_out) == 3
+    assert all(len(one & other) < 2 for one in held_out for other in seen)
+    assert {frozenset(set().union(*seen))} == {frozenset(set().union(*held_out))}, "but each of them alone"
+
+
+def test_the_mixes_are_files_for_generate_and_evaluate(tmp_path):
+    design = design_of(load_experiment("camera_skill_worded", "smoke"))
+    paths = write_mixes(design, tmp_path)
+    names = {path.stem: load_task_config(str(path)) for path in paths}
+    assert names["demonstrations"].seed_by == "cell"
+    assert sum(names["dataset_leave_out"].counts) == 12
+    assert set(names["evaluate_blind"].keys) == {"pick_up camera=right", "place_on camera=front"}
+
+
+def test_worded_scenes_could_have_each_instruction():
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.seeds import SeedPath
+    from roboxim_tasks.episodes import EpisodeGenerator
+
+    generator = EpisodeGenerator(ModelLibrary())
+    design = design_of(load_experiment("skill_object_worded"))
+    mix = task_mix(mixes(design)["demonstrations"])
+    for index in range(0, 18, 3):
+        task = generator.draw(SeedPath(run_seed=1, purpose="demo", index=index), mix).task
+        models = [thing.model for thing in task.objects.values()]
+        assert models.count("plate") == 1
+        assert len(models) == 4
+
+
+def test_a_plan_says_counts_time_disk_and_power():
+    design = design_of(load_experiment("skill_object", "laptop"))
+    text = "\n".join(plan_lines("skill_object", "laptop", design, RATES))
+    assert "432; datasets: leave_out 324, baseline 324" in text
+    assert "[-/18]" in text
+    assert "1,440 of 9 policies" in text
+    assert "3.0 h: 10 min demonstrations, 1.2 h trainings, 1.6 h rollouts" in text
+    assert "a drop from 80 to 48 % with a chance of 80 % (3 trainings, 120 rollouts each)" in text
+    unknown = "\n".join(plan_lines("skill_object", "laptop", design, None))
+    assert "roboxim experiment calibrate" in unknown
+    assert "GB" not in unknown
+    smoke = design_of(load_experiment("skill_object", "smoke"))
+    assert "compare checkpoints, not ways to train" in "\n".join(plan_lines("skill_object", "smoke", smoke, RATES))
+
+
+def test_the_command_plans_and_lists():
+    store_rates(RATES)
+    run = CliRunner()
+    planned = run.invoke(command, ["plan", "skill_object", "--scale", "laptop", "--json"], catch_exceptions=False)
+    data = json.loads(planned.stdout)[0]
+    assert (data["demonstrations"]["pick_up target=cube"], data["trainings"], data["rollouts"]) == (18, 6, 1440)
+    assert data["hours"] == pytest.approx(2.98, abs=0.01)
+    fitted = run.invoke(
+        command, ["plan", "skill_object", "--scale", "laptop", "--budget", "8h"], catch_exceptions=False
+    )
+    assert int(re.search(r"\((\d+) trainings", fitted.stdout)[1]) >= 5
+    assert float(re.search(r"time +([\d.]+) h", fitted.stdout)[1]) <= 8
+    night = run.invoke(command, ["plan", "--benchmark", "transfer", "--scale", "night"], catch_exceptions=False)
+    assert night.stdout.count("scale night") == 3
+    assert "in all: " in night.stdout
+    with pytest.raises(ConfigError, match="did you mean 'skill_object'"):
+        run.invoke(command, ["plan", "skill_objec"], catch_exceptions=False)
+    with pytest.raises(ConfigError, match="one experiment"):
+        run.invoke(command, ["plan"], catch_exceptions=False)
+
+
+def test_the_benchmark_has_the_three_experiments_and_fits_a_night():
+    configs = benchmark_experiments(load_benchmark("transfer"), "night")
+    assert list(configs) == ["skill_object", "camera_object", "camera_skill"]
+    designs = [design_of(config) for config in configs.values()]
+    assert sum(len(design.trainings) for design in designs) == 18
+    assert all(set(e.counts) <= {c.key for c in d.cells if c.unseen} for d in designs for e in d.evaluations)
+
+
+def test_rates_are_stored_for_this_machine():
+    assert stored_rates() is None
+    assert store_rates(RATES) == rates_file()
+    assert stored_rates() == RATES
+    rates_file().write_text("{}")
+    assert stored_rates() is None, "those of another version are measured again"
+
+
+def test_durations():
+    assert [duration_s(text) for text in ("8h", "90min", "1.5 h", "2d")] == [28800, 5400, 5400, 172800]
+    with pytest.raises(ConfigError, match="8h"):
+        duration_s("soon")

@@ -1,0 +1,31 @@
+"""Scores of a benchmark by dimension, from the analyses of its experiments (section 6.3 of the thesis)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import Analysis, ExperimentConfig
+from roboxim_eval.statistics.scores import DimensionScore, dimension_scores
+
+
+def benchmark_scores(experiments: Mapping[str, tuple[ExperimentConfig, Analysis]]) -> dict[str, DimensionScore]:
+    """Return the score of each dimension: the mean over the experiments that vary it.
+
+    Args:
+        experiments: Name to the experiment and its analysis.
+
+    Raises:
+        ConfigError: When an experiment has no scores, since it holds nothing out or has no baseline.
+    """
+    found = {}
+    for name, (config, analysis) in experiments.items():
+        if analysis.scores is None:
+            raise ConfigError(f"experiment '{name}' has no scores: it needs held-out cells and a baseline")
+        ratio = analysis.scores.relative.ratio
+        found[name] = (
+            tuple(config.dimensions.values()),
+            analysis.scores.absolute.value,
+            None if ratio is None else ratio.value,
+        )
+    return dimension_scores(found)

@@ -1,0 +1,163 @@
+"""Results of an experiment: from counts by cell to scores and verdicts.
+
+Everything follows from the counts and from the pairs of outcomes on shared scenes, so that a stored card can be checked
+without the bags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.experiments.config import CompareConfig
+from roboxim_eval.experiments.design import Design
+from roboxim_eval.statistics.multiple import holm
+from roboxim_eval.statistics.paired import Pairs, independent_difference
+from roboxim_eval.statistics.rates import success_rate
+from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, condition_difference
+from roboxim_eval.statistics.scores import Scores, scores
+from roboxim_eval.statistics.tables import Arm, Count
+from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict, condition_verdict
+
+MOST_ERRORS = 0.01
+"""Share of episodes that ended in errors above which a policy is not measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcomes:
+    """Outcomes of an experiment's final evaluations."""
+
+    counts: Mapping[str, Sequence[Mapping[str, Count]]]
+    """Condition to the counts by cell of each replicate."""
+    pairs: Mapping[int, Sequence[Pairs]] = field(default_factory=dict)
+    """Number of a comparison to the outcomes of its conditions on shared scenes, for each replicate."""
+    failed: Sequence[tuple[str, Collection[str]]] | None = None
+    """Failed held-out episodes of the primary comparison's first condition, judged again; none: not judged again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A comparison with its verdict."""
+
+    config: CompareConfig
+    """The comparison."""
+    verdict: Verdict
+    """The verdict; its p value is adjusted for all comparisons of the file (Holm)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """All results of an experiment."""
+
+    comparisons: tuple[Comparison, ...]
+    """The comparisons, the primary one first."""
+    scores: Scores | None
+    """Scores of the held-out cells; none: the experiment has no held-out cells and baseline."""
+    warnings: tuple[str, ...]
+    """What weakens the results, in sentences."""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """A sentence for each comparison, the primary one first, then the warnings."""
+        return (*(comparison.verdict.sentence for comparison in self.comparisons), *self.warnings)
+
+
+def analyse(design: Design, outcomes: Outcomes) -> Analysis:
+    """Return the scores and verdicts of an experiment.
+
+    Args:
+        design: The experiment.
+        outcomes: Outcomes of its final evaluations.
+
+    Raises:
+        ConfigError: When a condition has no outcomes, or outcomes lack a cell of its evaluation.
+        InvalidRequestError: When conditions have different numbers of replicates.
+    """
+    arms = {name: _arm(design, name, outcomes) for name in design.config.conditions}
+    compares = sorted(enumerate(design.config.compare), key=lambda item: item[1] is not design.config.primary)
+    found = [(compare, _differences(design, arms, compare, outcomes.pairs.get(n, ()))) for n, compare in compares]
+    adjusted = holm([_p_value(difference) for _, (difference, _) in found])
+    margin = design.config.decide.margin
+    comparisons = tuple(
+        Comparison(config=compare, verdict=_verdict(compare, difference, pairs, p_value, margin))
+        for (compare, (difference, pairs)), p_value in zip(found, adjusted, strict=True)
+    )
+    own = _scores(design, arms, outcomes)
+    warnings = (*(own.warnings if own else ()), *_errors(arms))
+    return Analysis(comparisons=comparisons, scores=own, warnings=warnings)
+
+
+def _arm(design: Design, condition: str, outcomes: Outcomes) -> Arm:
+    if condition not in outcomes.counts:
+        raise ConfigError(f"no outcomes of condition '{condition}'; {one_of(outcomes.counts, condition)}")
+    arm = Arm(replicates=tuple(outcomes.counts[condition]))
+    wanted = next(e for e in design.evaluations if e.condition == condition and not e.checkpoint)
+    return arm.within(list(wanted.counts))
+
+
+def _keys(design: Design, where: str) -> list[str]:
+    return [cell.key for cell in chosen(design.cells, where)]
+
+
+def _differences(
+    design: Design, arms: Mapping[str, Arm], compare: CompareConfig, pairs: Sequence[Pairs]
+) -> tuple[ConditionDifference, Sequence[Pairs]]:
+    first = arms[compare.first].within(_keys(design, compare.where))
+    second = arms[compare.second].within(_keys(design, compare.against or compare.where))
+    return condition_difference(first, second, pairs, same_cells=not compare.against), pairs
+
+
+def _p_value(difference: ConditionDifference) -> float:
+    return difference.p_value if difference.replicates >= LEAST_REPLICATES else 1.0
+
+
+def _verdict(
+    compare: CompareConfig, difference: ConditionDifference, pairs: Sequence[Pairs], p_value: float, margin: float
+) -> Verdict:
+    first, second = compare.first, compare.second
+    if compare.against:
+        first, second = f"{first} in {compare.where} cells", f"{second} in {compare.against} cells"
+    elif compare.where != "all":
+        first, second = f"{first} in {compare.where} cells", f"{second} there"
+    if difference.replicates > 1:
+        return condition_verdict(first, second, difference, margin=margin, p_value=p_value)
+    if pairs:
+        return checkpoint_verdict(first, second, pairs[0], margin=margin)
+    apart = independent_difference(*difference.rollouts)
+    verdict = condition_verdict(first, second, difference, margin=margin)
+    return replace(
+        verdict,
+        sentence=f"{verdict.sentence} These two checkpoints differ by {apart} on different scenes "
+        f"(p {apart.p_value:.2g}).",
+    )
+
+
+def _scores(design: Design, arms: Mapping[str, Arm], outcomes: Outcomes) -> Scores | None:
+    primary, unseen = design.config.primary, _keys(design, "unseen")
+    if primary is None or primary.against or primary.where != "unseen" or not unseen:
+        return None
+    blind = design.config.blind
+    order = outcomes.pairs.get(design.config.compare.index(primary), ())
+    swapped = [Pairs(both=p.both, first=p.second, second=p.first, neither=p.neither) for p in order]
+    return scores(
+        arms[primary.first],
+        arms[primary.second],
+        unseen=unseen,
+        blind=arms[blind] if blind else None,
+        failed=outcomes.failed,
+        pairs=swapped,
+        refuse_below=design.config.decide.refuse_below,
+    )
+
+
+def _errors(arms: Mapping[str, Arm]) -> Iterable[str]:
+    for name, arm in arms.items():
+        count = arm.pooled
+        if count.errors > MOST_ERRORS * count.episodes:
+            rate = success_rate(count.errors, count.episodes)
+            yield (
+                f"{name}: {rate} of the episodes ended in errors, more than {100 * MOST_ERRORS:.0f} %; its results are "
+                "not to be relied on."
+            )

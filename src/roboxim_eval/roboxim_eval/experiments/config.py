@@ -1,0 +1,387 @@
+"""The experiment file: ``config/experiments/NAME.yaml``.
+
+It states cells (combinations of factor levels), which of them are held out, the datasets of each training condition,
+the trainings, the evaluations and the comparisons. Held-out cells are listed once, so that training and evaluation
+cannot disagree. `roboxim_eval.experiments.cells` expands it to ordinary task mixes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from roboxim_core import limits
+from roboxim_core.config import from_plain, place
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.merging import merged
+
+TASK = "task"
+"""The factor whose levels are tasks of ``config/tasks``."""
+WHERE = ("all", "seen", "unseen")
+"""Groups of cells."""
+VARIES = ("training", "data")
+FULL = "full"
+"""The scale of the file as it stands."""
+Match = Mapping[str, str]
+"""Factor to level; a cell matches if it has all of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetConfig:
+    """Demonstrations of a training condition."""
+
+    cells: str = "all"
+    """``all``, ``seen`` (not held out) or ``unseen``."""
+    per_cell: int
+    """Demonstrations of each cell. Datasets with a cell in common have its first demonstrations in common."""
+    only: tuple[dict[str, str], ...] = ()
+    """Cells to choose among those: each matches all factors of one of these; empty: all of them."""
+    fault: str = ""
+    """A data fault of section 6.1.2 to plant, e.g. ``wrong_instruction``; empty: none."""
+    share: float = 0.0
+    """Share of the episodes with the fault, 0..1."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: When a value is unknown or out of range.
+        """
+        _require_where("cells", self.cells)
+        if not 1 <= self.per_cell <= limits.MIX_EPISODES:
+            raise ConfigError(f"per_cell must be from 1 to {limits.MIX_EPISODES}, got {self.per_cell}")
+        if not 0.0 <= self.share <= 1.0 or bool(self.fault) != bool(self.share):
+            raise ConfigError(f"share must be from 0 to 1, and above 0 with a fault alone; got {self.share:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionConfig:
+    """A condition: policies that are trained, or evaluated, in one way."""
+
+    about: str = ""
+    """What is special about it, one sentence."""
+    train: str = ""
+    """Dataset to train with."""
+    checkpoint_of: str = ""
+    """Condition whose checkpoints are evaluated in another way."""
+    given: bool = False
+    """Whether the policies exist already, e.g. public checkpoints; they are named by ``--policy CONDITION.R=SPEC``."""
+    instruction: str | None = None
+    """Instruction that the policy receives instead of the task's; empty: none at all."""
+    steps: int = 0
+    """Training steps; 0: the trainer's."""
+    set: dict[str, Any] = field(default_factory=dict)
+    """Keys of the task to replace in this condition's evaluation."""
+
+    def __post_init__(self) -> None:
+        """Check that the policies have one origin.
+
+        Raises:
+            ConfigError: When there is none, or more than one, or steps are negative.
+        """
+        if sum((bool(self.train), bool(self.checkpoint_of), self.given)) != 1:
+            raise ConfigError(
+                "give one of train (a dataset), checkpoint_of (a condition) and given: true (policies that exist)"
+            )
+        if self.steps < 0:
+            raise ConfigError(f"steps must be >= 0, got {self.steps}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainerConfig:
+    """How to train a policy."""
+
+    command: str = ""
+    """Command with ``{dataset}``, ``{out}``, ``{seed}`` and ``{steps}``; empty: the policies are trained elsewhere."""
+    policy: str = ""
+    """Policy that runs a checkpoint, as for ``roboxim evaluate --policy``; empty: named by ``--policy``."""
+    steps: int = 0
+    """Training steps."""
+
+    def __post_init__(self) -> None:
+        """Check the command.
+
+        Raises:
+            ConfigError: When a placeholder is missing or unknown.
+        """
+        if self.command:
+            try:
+                self.command.format(dataset="", out="", seed=0, steps=0)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ConfigError(
+                    f"command: unknown placeholder {error}; expected {{dataset}}, {{out}}, {{seed}}, {{steps}}"
+                ) from None
+            for name in ("dataset", "out", "seed"):
+                if f"{{{name}}}" not in self.command:
+                    raise ConfigError(f"command: needs {{{name}}}, got '{self.command}'")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig:
+    """Rollouts of each policy."""
+
+    per_cell: int = 20
+    """Rollouts of each cell."""
+    per_unseen_cell: int = 0
+    """Rollouts of each held-out cell, where it differs; 0: as ``per_cell``."""
+    cells: dict[str, str] = field(default_factory=dict)
+    """Condition to its cells: ``all``, ``seen`` or ``unseen``; conditions that are left out are evaluated in all."""
+    max_steps: int = 0
+    """Actions after which an episode has failed; 0: as the task says."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: When a value is unknown or out of range.
+        """
+        for name, cells in self.cells.items():
+            _require_where(f"cells.{name}", cells)
+        if self.per_cell < 1 or self.per_unseen_cell < 0 or self.max_steps < 0:
+            raise ConfigError("needs per_cell >= 1, per_unseen_cell >= 0 and max_steps >= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplicatesConfig:
+    """Repetitions of the whole comparison."""
+
+    count: int = 5
+    """Number of trainings of each condition; each has scenes of its own, the same in all conditions."""
+    vary: tuple[str, ...] = ("training",)
+    """What differs between replicates: ``training`` (the seed), and ``data`` (the demonstrations too)."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: When the number is out of range, or a name is unknown.
+        """
+        if not 1 <= self.count <= 1000:
+            raise ConfigError(f"count must be from 1 to 1000, got {self.count}")
+        for name in self.vary:
+            if name not in VARIES:
+                raise ConfigError(f"vary: unknown '{name}'; {one_of(VARIES, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveConfig:
+    """Learning curve, on scenes that the final evaluation never uses."""
+
+    every: int
+    """Training steps between checkpoints."""
+    per_checkpoint: int = 20
+    """Rollouts of each checkpoint, spread over the cells."""
+    replicates: int = 0
+    """Trainings with a curve, the first ones; 0: all."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: When one is out of range.
+        """
+        if self.every < 1 or self.per_checkpoint < 1 or self.replicates < 0:
+            raise ConfigError("needs every >= 1, per_checkpoint >= 1 and replicates >= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareConfig:
+    """A comparison of two conditions, or of one condition in two groups of cells."""
+
+    first: str
+    """Condition."""
+    second: str
+    """Condition that it is compared with."""
+    where: str = "all"
+    """Cells of the first condition: ``all``, ``seen`` or ``unseen``."""
+    against: str = ""
+    """Cells of the second condition; empty: the same as of the first."""
+    primary: bool = False
+    """Whether the experiment was designed for this comparison; the first sentence of the report is about it."""
+
+    def __post_init__(self) -> None:
+        """Check the groups of cells.
+
+        Raises:
+            ConfigError: When one is unknown.
+        """
+        _require_where("where", self.where)
+        if self.against:
+            _require_where("against", self.against)
+        if self.first == self.second and (not self.against or self.against == self.where):
+            raise ConfigError(f"'{self.first}' is compared with itself; give another second or against")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecideConfig:
+    """Limits of the verdicts."""
+
+    alpha: float = 0.05
+    """Probability of any false alarm within the file, two-sided."""
+    margin: float = 0.10
+    """Largest difference of success rates that counts as equally good."""
+    refuse_below: float = 0.10
+    """Lower bound of the baseline's success rate below which no ratio is stated."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a number is out of range.
+        """
+        for name in ("alpha", "margin"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name):g}")
+        if not 0.0 <= self.refuse_below < 1.0:
+            raise ConfigError(f"refuse_below must be from 0 to below 1, got {self.refuse_below:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentConfig:
+    """A YAML file of ``config/experiments``."""
+
+    about: str
+    """The question, one sentence."""
+    thesis: str = ""
+    """Section of the thesis, e.g. ``5.4.3``; empty: not in it."""
+    deviations: tuple[str, ...] = ()
+    """What differs from the thesis, a sentence each."""
+    factors: dict[str, Any]
+    """Factor to its levels. A list: tasks of ``config/tasks`` (factor ``task``) or object models (a role, e.g.
+    ``target``). A mapping: level to the keys of the task that it sets, e.g. ``camera: {left: {reset: ...}}``."""
+    dimensions: dict[str, str] = field(default_factory=dict)
+    """Factor to the benchmark's dimension that it varies, e.g. ``{task: skill, target: object}``."""
+    unseen: tuple[dict[str, str], ...] = ()
+    """Held-out cells: those that match all factors of one of these."""
+    cells: tuple[dict[str, str], ...] = ()
+    """Cells that exist: those that match all factors of one of these; empty: every combination."""
+    set: dict[str, Any] = field(default_factory=dict)
+    """Keys of every task to replace; a null removes a key."""
+    datasets: dict[str, DatasetConfig] = field(default_factory=dict)
+    """Datasets by name."""
+    conditions: dict[str, ConditionConfig]
+    """Conditions by name."""
+    trainers: dict[str, TrainerConfig] = field(default_factory=dict)
+    """Trainers by name; the first one is the default."""
+    evaluate: EvaluateConfig = EvaluateConfig()
+    """Rollouts."""
+    replicates: ReplicatesConfig = ReplicatesConfig()
+    """Trainings of each condition."""
+    curve: CurveConfig | None = None
+    """Learning curve; none: only the last checkpoint is evaluated."""
+    compare: tuple[CompareConfig, ...] = ()
+    """Comparisons."""
+    decide: DecideConfig = DecideConfig()
+    """Limits of the verdicts."""
+    image_size: str = "256x256"
+    """Width and height of the recorded images [px]."""
+    scales: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Scale to the keys of this file that it replaces, e.g. ``laptop: {replicates: {count: 3}}``."""
+
+    @property
+    def primary(self) -> CompareConfig | None:
+        """The comparison that the experiment was designed for; none: it compares nothing."""
+        return next((c for c in self.compare if c.primary), self.compare[0] if self.compare else None)
+
+    @property
+    def blind(self) -> str:
+        """Condition that evaluates the primary comparison's first condition without words; empty: none."""
+        first = self.primary.first if self.primary else ""
+        return next(
+            (name for name, c in self.conditions.items() if c.checkpoint_of == first and c.instruction == ""), ""
+        )
+
+
+def experiment_config(data: Any, *, source: str = "experiment", scale: str = FULL) -> ExperimentConfig:
+    """Build an experiment from plain data, at a scale.
+
+    Args:
+        data: As returned by `roboxim_core.config.parse_yaml`.
+        source: Name of the data's source, for messages.
+        scale: Name of one of the file's scales; ``full`` is the file as it stands unless the file redefines it.
+
+    Raises:
+        ConfigError: When keys are wrong; names each with its path, its line and the allowed values.
+    """
+    config: ExperimentConfig = from_plain(data, ExperimentConfig, source=source)
+    _check(config, data, source)
+    names = scale_names(config)
+    if scale not in names:
+        raise ConfigError(f"{source} has no scale '{scale}'; {one_of(names, scale)}")
+    if scale not in config.scales:
+        return config
+    scaled = merged(data, {**config.scales[scale], "scales": None})
+    where = f"{source}, scale '{scale}'"
+    small: ExperimentConfig = from_plain(scaled, ExperimentConfig, source=where)
+    _check(small, scaled, where)
+    return replace(small, scales=config.scales)
+
+
+def scale_names(config: ExperimentConfig) -> tuple[str, ...]:
+    """Return the names of an experiment's scales, ``full`` last."""
+    return (*(name for name in config.scales if name != FULL), FULL)
+
+
+def _check(config: ExperimentConfig, data: Any, source: str) -> None:
+    """Check that names refer to what the file defines.
+
+    Raises:
+        ConfigError: On the first one that does not; names its place.
+    """
+
+    def require(name: str, known: Iterable[str], *path: str | int) -> None:
+        names = tuple(known)
+        if name not in names:
+            raise ConfigError(f"{_at(source, data, path)}: unknown name '{name}'; {one_of(names, name)}")
+
+    for factor, levels in config.factors.items():
+        if not isinstance(levels, list | tuple | Mapping) or not levels:
+            raise ConfigError(
+                f"{_at(source, data, ('factors', factor))}: needs a list or a mapping of levels, not empty"
+            )
+        if not isinstance(levels, Mapping) and len(set(levels)) != len(levels):
+            raise ConfigError(f"{_at(source, data, ('factors', factor))}: a level appears twice")
+    if TASK not in config.factors:
+        raise ConfigError(f"{_at(source, data, ('factors',))}: needs the factor 'task', got {list(config.factors)}")
+    for key in ("unseen", "cells"):
+        for number, match in enumerate(getattr(config, key)):
+            _check_match(require, config, match, key, number)
+    for factor in config.dimensions:
+        require(factor, config.factors, "dimensions", factor)
+    for name, dataset in config.datasets.items():
+        for number, match in enumerate(dataset.only):
+            _check_match(require, config, match, "datasets", name, "only", number)
+    for name, condition in config.conditions.items():
+        if condition.train:
+            require(condition.train, config.datasets, "conditions", name, "train")
+        if condition.checkpoint_of:
+            trained = [other for other, c in config.conditions.items() if not c.checkpoint_of]
+            require(condition.checkpoint_of, trained, "conditions", name, "checkpoint_of")
+    for name in config.evaluate.cells:
+        require(name, config.conditions, "evaluate", "cells", name)
+    for number, compare in enumerate(config.compare):
+        require(compare.first, config.conditions, "compare", number, "first")
+        require(compare.second, config.conditions, "compare", number, "second")
+    if any(condition.train for condition in config.conditions.values()) and not config.trainers:
+        raise ConfigError(f"{_at(source, data, ('conditions',))}: conditions are trained, but there are no trainers")
+    for name, changes in config.scales.items():
+        for key in changes:
+            require(
+                key, ExperimentConfig.__dataclass_fields__.keys() - {"scales", "about", "thesis"}, "scales", name, key
+            )
+
+
+def _check_match(require: Any, config: ExperimentConfig, match: Match, *path: str | int) -> None:
+    for factor, level in match.items():
+        require(factor, config.factors, *path, factor)
+        require(level, tuple(config.factors[factor]), *path, factor)
+
+
+def _at(source: str, data: Any, path: tuple[str | int, ...]) -> str:
+    return f"{source} is not valid: {place(data, path)}"
+
+
+def _require_where(name: str, value: str) -> None:
+    if value not in WHERE:
+        raise ConfigError(f"{name}: unknown '{value}'; {one_of(WHERE, value)}")

@@ -1,0 +1,140 @@
+"""Cost of an experiment: time, disk, and the difference that it can find. Rates are measured, never assumed."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments.config import ExperimentConfig
+from roboxim_eval.experiments.design import Design, design_of
+from roboxim_eval.statistics.power import Design as Size
+from roboxim_eval.statistics.power import detectable
+from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """Measured rates of a machine; ``roboxim experiment calibrate`` measures and stores them."""
+
+    machine: str
+    """Processor and number of cores, for messages."""
+    measured: str
+    """Date of the measurement, ISO 8601."""
+    source: str
+    """What was measured, e.g. ``probe of 8 episodes`` or ``runs/demos``."""
+    workers: int
+    """Number of processes that ran episodes at a time."""
+    demonstration_s: float
+    """Wall time of a kept demonstration, with all workers busy [s]."""
+    demonstration_bytes: float
+    """Size of a demonstration's bag."""
+    dataset_bytes: float
+    """Size of a demonstration in an exported dataset."""
+    export_s: float
+    """Wall time of the export of a demonstration [s]."""
+    steps_per_s: float
+    """Training steps a second."""
+    checkpoint_bytes: float
+    """Size of a training's folder."""
+    rollout_s: float
+    """Wall time of a rollout, with all workers busy [s]."""
+    rollout_bytes: float
+    """Size of a rollout's bag."""
+    start_s: float
+    """Wall time of the start of a stage, before its first episode or step [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: When one is not positive.
+        """
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value > 0:
+                raise ConfigError(f"a rate must be > 0, got {name} {value!r}; measure again")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """Cost of an experiment on a machine."""
+
+    generate_s: float
+    """Time of generating and exporting the demonstrations [s]."""
+    train_s: float | None
+    """Time of the trainings [s]; none: they run elsewhere."""
+    evaluate_s: float
+    """Time of the rollouts [s]."""
+    disk_bytes: float
+    """Disk of bags, datasets and checkpoints."""
+    detectable: float | None
+    """Smallest drop from a success rate of 80 % that the primary comparison finds with a chance of 80 %, 0..1; none:
+    no drop, or nothing is compared."""
+
+    @property
+    def total_s(self) -> float:
+        """Time of all stages on this machine [s]."""
+        return self.generate_s + (self.train_s or 0.0) + self.evaluate_s
+
+
+def cost_of(design: Design, rates: Rates) -> Cost:
+    """Return the cost of an experiment.
+
+    Args:
+        design: The experiment.
+        rates: Measured rates of the machine.
+    """
+    exported = design.generations * sum(sum(counts.values()) for counts in design.datasets.values())
+    stages = design.generations * (1 + len(design.datasets))
+    here = bool(design.trainer.command)
+    train_s = design.steps / rates.steps_per_s + len(design.trainings) * rates.start_s
+    return Cost(
+        generate_s=design.episodes * rates.demonstration_s + exported * rates.export_s + stages * rates.start_s,
+        train_s=train_s if here else None,
+        evaluate_s=design.rollouts * rates.rollout_s + len(design.evaluations) * rates.start_s,
+        disk_bytes=design.episodes * rates.demonstration_bytes
+        + exported * rates.dataset_bytes
+        + (len(design.trainings) * rates.checkpoint_bytes if here else 0.0)
+        + design.rollouts * rates.rollout_bytes,
+        detectable=_detectable(design),
+    )
+
+
+def _detectable(design: Design) -> float | None:
+    scenes = design.compared_scenes
+    return detectable(Size(replicates=design.config.replicates.count, scenes=scenes)) if scenes else None
+
+
+REPLICATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20)
+SCENES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+"""Numbers of trainings, and factors on the rollouts of each cell, among which a budget chooses."""
+
+
+def fitted(config: ExperimentConfig, rates: Rates, budget_s: float, trainer: str = "") -> ExperimentConfig | None:
+    """Return the size of an experiment that finds the smallest difference within a budget.
+
+    More trainings find smaller differences than more scenes do, so they are bought first. Fewer than three are chosen
+    only if no more fit, since they show nothing about a way to train.
+
+    Args:
+        config: The experiment at its scale.
+        rates: Measured rates of the machine.
+        budget_s: Time [s].
+        trainer: Name of a trainer of the file; empty: the first one.
+
+    Returns:
+        The experiment with other replicates and rollouts; none: not even the smallest size fits.
+    """
+    found: list[tuple[bool, float, int, float, ExperimentConfig]] = []
+    for replicates, factor in itertools.product(REPLICATES, SCENES):
+        evaluate = replace(
+            config.evaluate,
+            per_cell=max(1, round(factor * config.evaluate.per_cell)),
+            per_unseen_cell=round(factor * config.evaluate.per_unseen_cell),
+        )
+        sized = replace(config, replicates=replace(config.replicates, count=replicates), evaluate=evaluate)
+        cost = cost_of(design_of(sized, trainer), rates)
+        if cost.total_s <= budget_s:
+            about_training = replicates >= LEAST_REPLICATES
+            found.append((about_training, -(cost.detectable or 1.0), replicates, factor, sized))
+    return max(found, key=lambda item: item[:4])[4] if found else None

@@ -1,0 +1,263 @@
+"""What an experiment runs: demonstrations, trainings, rollouts, and the graph of stages between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from roboxim_core.config import digest
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.experiments.cells import Cell, cells_of, chosen, mix_of
+from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig, TrainerConfig
+
+DEMONSTRATION_SEED = 1000
+EVALUATION_SEED = 2000
+CURVE_SEED = 3000
+"""Run seeds of the first replicate; the next replicates have the following ones. Curves never use final scenes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """One training."""
+
+    condition: str
+    """Its condition."""
+    replicate: int
+    """Number of the replicate, from 0."""
+    dataset: str
+    """The dataset, see `Design.datasets`."""
+    steps: int
+    """Training steps; 0: unknown, since the trainer does not state them."""
+    checkpoints: tuple[int, ...]
+    """Steps whose checkpoints are evaluated for the learning curve."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Rollouts of one policy."""
+
+    condition: str
+    """Its condition."""
+    replicate: int
+    """Number of the replicate, from 0."""
+    counts: dict[str, int]
+    """Cell to number of rollouts."""
+    checkpoint: int = 0
+    """Training steps of a checkpoint on the learning curve; 0: the final one."""
+
+    @property
+    def rollouts(self) -> int:
+        """Number of rollouts."""
+        return sum(self.counts.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """An experiment, expanded."""
+
+    config: ExperimentConfig
+    """The experiment at its scale."""
+    cells: tuple[Cell, ...]
+    """All cells."""
+    trainer: TrainerConfig
+    """The chosen trainer."""
+    demonstrations: dict[str, int]
+    """Cell to number of demonstrations of one generation: the largest number of any dataset that has the cell."""
+    generations: int
+    """Number of generations: one for each replicate if the data varies, else 1; 0: no dataset is needed."""
+    datasets: dict[str, dict[str, int]]
+    """Dataset to number of demonstrations by cell: the first ones of each cell."""
+    trainings: tuple[Training, ...]
+    """All trainings."""
+    evaluations: tuple[Evaluation, ...]
+    """All evaluations."""
+
+    @property
+    def episodes(self) -> int:
+        """Number of demonstrations in all generations."""
+        return self.generations * sum(self.demonstrations.values())
+
+    @property
+    def rollouts(self) -> int:
+        """Number of rollouts of all evaluations."""
+        return sum(evaluation.rollouts for evaluation in self.evaluations)
+
+    @property
+    def steps(self) -> int:
+        """Number of training steps of all trainings."""
+        return sum(training.steps for training in self.trainings)
+
+    @property
+    def compared_scenes(self) -> int:
+        """Rollouts of each training that the primary comparison counts; 0: it compares nothing."""
+        primary = self.config.primary
+        if primary is None:
+            return 0
+        keys = {cell.key for cell in chosen(self.cells, primary.where)}
+        mine = next(e for e in self.evaluations if e.condition == primary.first and not e.checkpoint)
+        return sum(count for key, count in mine.counts.items() if key in keys)
+
+
+def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
+    """Expand an experiment.
+
+    Args:
+        config: The experiment at its scale.
+        trainer: Name of a trainer of the file; empty: the first one.
+
+    Raises:
+        ConfigError: When a dataset has no cell, or a comparison needs cells that a condition is not evaluated in.
+    """
+    cells = cells_of(config)
+    chosen_trainer = _trainer(config, trainer)
+    datasets = {name: _counts(cells, name, dataset) for name, dataset in config.datasets.items()}
+    used = {c.train for c in config.conditions.values() if c.train}
+    demonstrations: dict[str, int] = {}
+    for name in used:
+        for cell, count in datasets[name].items():
+            demonstrations[cell] = max(count, demonstrations.get(cell, 0))
+    order = {cell.key: number for number, cell in enumerate(cells)}
+    design = Design(
+        config=config,
+        cells=cells,
+        trainer=chosen_trainer,
+        demonstrations=dict(sorted(demonstrations.items(), key=lambda item: order[item[0]])),
+        generations=(config.replicates.count if "data" in config.replicates.vary else 1) if used else 0,
+        datasets={name: datasets[name] for name in datasets if name in used},
+        trainings=tuple(_trainings(config, chosen_trainer)),
+        evaluations=tuple(_evaluations(config, cells, chosen_trainer)),
+    )
+    _check_comparisons(design)
+    return design
+
+
+def _trainer(config: ExperimentConfig, name: str) -> TrainerConfig:
+    if not config.trainers:
+        return TrainerConfig()
+    if name and name not in config.trainers:
+        raise ConfigError(f"no trainer '{name}' in the experiment; {one_of(config.trainers, name)}")
+    return config.trainers[name or next(iter(config.trainers))]
+
+
+def _counts(cells: tuple[Cell, ...], name: str, dataset: DatasetConfig) -> dict[str, int]:
+    mine = chosen(cells, dataset.cells, dataset.only)
+    if not mine:
+        raise ConfigError(f"datasets.{name}: no cell is '{dataset.cells}' and matches 'only'")
+    return {cell.key: dataset.per_cell for cell in mine}
+
+
+def _trainings(config: ExperimentConfig, trainer: TrainerConfig) -> Iterator[Training]:
+    for replicate in range(config.replicates.count):
+        for name, condition in config.conditions.items():
+            if condition.train:
+                steps = condition.steps or trainer.steps
+                yield Training(
+                    condition=name, replicate=replicate, dataset=condition.train, steps=steps,
+                    checkpoints=_checkpoints(config, steps, replicate),
+                )  # fmt: skip
+
+
+def _checkpoints(config: ExperimentConfig, steps: int, replicate: int) -> tuple[int, ...]:
+    curve = config.curve
+    if curve is None or (curve.replicates and replicate >= curve.replicates):
+        return ()
+    return tuple(range(curve.every, steps + 1, curve.every))
+
+
+def _evaluations(config: ExperimentConfig, cells: tuple[Cell, ...], trainer: TrainerConfig) -> Iterator[Evaluation]:
+    evaluate = config.evaluate
+    for replicate in range(config.replicates.count):
+        for name, condition in config.conditions.items():
+            mine = chosen(cells, evaluate.cells.get(name, "all"))
+            each = {cell.key: (cell.unseen and evaluate.per_unseen_cell) or evaluate.per_cell for cell in mine}
+            if not each:
+                raise ConfigError(f"evaluate.cells.{name}: no cell is '{evaluate.cells[name]}'")
+            if condition.train and config.curve is not None:
+                seen = [cell.key for cell in mine if not cell.unseen] or list(each)
+                shares = _spread(config.curve.per_checkpoint, seen)
+                for checkpoint in _checkpoints(config, condition.steps or trainer.steps, replicate):
+                    yield Evaluation(condition=name, replicate=replicate, counts=shares, checkpoint=checkpoint)
+            yield Evaluation(condition=name, replicate=replicate, counts=each)
+
+
+def _spread(episodes: int, cells: list[str]) -> dict[str, int]:
+    """Return a number of episodes spread over cells as evenly as possible."""
+    counts = {cell: episodes // len(cells) + (place < episodes % len(cells)) for place, cell in enumerate(cells)}
+    return {cell: count for cell, count in counts.items() if count}
+
+
+def _check_comparisons(design: Design) -> None:
+    final = {e.condition: e.counts for e in design.evaluations if not e.checkpoint}
+    for number, compare in enumerate(design.config.compare):
+        for condition, where in ((compare.first, compare.where), (compare.second, compare.against or compare.where)):
+            needed = chosen(design.cells, where)
+            missing = [cell.key for cell in needed if cell.key not in final[condition]]
+            if not needed or missing:
+                raise ConfigError(
+                    f"compare.{number}: '{condition}' is not evaluated in "
+                    f"{'any cell: none is ' + repr(where) if not needed else ', '.join(missing)}; change evaluate.cells"
+                )
+
+
+# ------------------------------------------------------------------ stages
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A stage of work: the same inputs give the same result, wherever and however often it runs."""
+
+    name: str
+    """Unique name, e.g. ``train/leave_out.0``; the folder of its result."""
+    kind: str
+    """``generate``, ``export``, ``train`` or ``evaluate``."""
+    needs: tuple[str, ...]
+    """Stages that must be finished before."""
+    inputs: dict[str, Any]
+    """Everything that the result depends on, as plain data, besides the stages that it needs."""
+    sha: str
+    """Hash of the inputs and of the needed stages' hashes."""
+
+
+def stages_of(design: Design) -> tuple[Stage, ...]:
+    """Return the stages of an experiment in an order in which they can run."""
+    found: dict[str, Stage] = {}
+
+    def add(kind: str, name: str, needs: tuple[str, ...], **inputs: Any) -> str:
+        name = f"{kind}/{name}"
+        sha = digest({"kind": kind, "inputs": inputs, "needs": [found[need].sha for need in needs]})
+        found[name] = Stage(name=name, kind=kind, needs=needs, inputs=inputs, sha=sha)
+        return name
+
+    config = design.config
+    for replicate in range(design.generations):
+        add(
+            "generate", f"{replicate}", (), mix=mix_of(config, design.demonstrations),
+            episodes=sum(design.demonstrations.values()), seed=DEMONSTRATION_SEED + replicate, size=config.image_size,
+        )  # fmt: skip
+        for name, counts in design.datasets.items():
+            dataset = config.datasets[name]
+            add(
+                "export", f"{name}.{replicate}", (f"generate/{replicate}",), counts=counts, fault=dataset.fault,
+                share=dataset.share,
+            )  # fmt: skip
+    for training in design.trainings:
+        data = training.replicate if design.generations > 1 else 0
+        add(
+            "train", f"{training.condition}.{training.replicate}", (f"export/{training.dataset}.{data}",),
+            command=design.trainer.command, steps=training.steps, seed=training.replicate,
+            checkpoints=list(training.checkpoints),
+        )  # fmt: skip
+    for evaluation in design.evaluations:
+        condition = config.conditions[evaluation.condition]
+        trained = condition.checkpoint_of or (evaluation.condition if condition.train else "")
+        needs = (f"train/{trained}.{evaluation.replicate}",) if trained in config.conditions else ()
+        seed = (CURVE_SEED if evaluation.checkpoint else EVALUATION_SEED) + evaluation.replicate
+        at = f"@{evaluation.checkpoint}" if evaluation.checkpoint else ""
+        add(
+            "evaluate", f"{evaluation.condition}.{evaluation.replicate}{at}",
+            tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
+            episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
+            instruction=condition.instruction, max_steps=config.evaluate.max_steps,
+        )  # fmt: skip
+    return tuple(found.values())

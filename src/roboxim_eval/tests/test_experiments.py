@@ -1,0 +1,353 @@
+"""Experiments: the file, cells and mixes, stages, and results of planted policies (simulated tables)."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from roboxim_core.config import parse_yaml
+from roboxim_core.errors import ConfigError
+from roboxim_eval.benchmark import benchmark_config, benchmark_scores
+from roboxim_eval.experiments import (
+    Outcomes,
+    Rates,
+    analyse,
+    cells_of,
+    cost_of,
+    design_of,
+    experiment_config,
+    mix_of,
+    scale_names,
+    stages_of,
+)
+from roboxim_eval.experiments.cost import fitted
+from roboxim_eval.statistics.paired import Pairs
+from roboxim_eval.statistics.tables import Count
+
+TEXT = """
+about: Do policies combine a skill and an object that they never saw together?
+thesis: "5.4.3"
+factors:
+  task: {pick_up: {}, rotate: {arguments: {direction: {values: [clockwise]}}}}
+  target: [cube, apple, onion]
+dimensions: {task: skill, target: object}
+unseen:
+  - {task: pick_up, target: cube}
+  - {task: rotate, target: apple}
+set: {distractors: {minimum: 0, maximum: 0}}
+datasets:
+  leave_out: {cells: seen, per_cell: 27}
+  baseline: {cells: all, per_cell: 18}
+conditions:
+  leave_out: {train: leave_out}
+  baseline: {train: baseline}
+  blind: {checkpoint_of: leave_out, instruction: ""}
+trainers:
+  bc: {command: "roboxim train bc {dataset} --out {out} --seed {seed} --steps {steps}", policy: bc, steps: 4000}
+evaluate: {per_cell: 20, cells: {blind: unseen}}
+replicates: {count: 5}
+compare:
+  - {first: leave_out, second: baseline, where: unseen, primary: true}
+  - {first: leave_out, second: blind, where: unseen}
+scales:
+  smoke: {replicates: {count: 1}, evaluate: {per_cell: 2}, trainers: {bc: {steps: 50}}}
+"""
+RATES = Rates(
+    machine="test", measured="2026-01-01", source="test", workers=2, demonstration_s=1.2, demonstration_bytes=1e7,
+    dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0, rollout_bytes=1e7,
+    start_s=10,
+)  # fmt: skip
+
+
+def config(text=TEXT, scale="full", **changes):
+    data = parse_yaml(text)
+    data.update(changes)
+    return experiment_config(data, source="test.yaml", scale=scale)
+
+
+# ------------------------------------------------------------------ the file
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("target: cube}", "target: cub}", ["unseen.0.target (line 9)", "'cub'", "did you mean 'cube'"]),
+        ("{task: pick_up, target", "{skill: pick_up, target", ["unseen.0.skill (line 9)", "'skill'", "target, task"]),
+        ("train: baseline}", "train: base_line}", ["conditions.baseline.train", "did you mean 'baseline'"]),
+        ("checkpoint_of: leave_out", "checkpoint_of: blind", ["conditions.blind.checkpoint_of", "'blind'"]),
+        ("{train: leave_out}", "{train: leave_out, given: true}", ["conditions.leave_out", "give one of"]),
+        ("second: baseline,", "second: base,", ["compare.0.second (line 24)", "'base'"]),
+        ("cells: seen,", "cells: unknown,", ["datasets.leave_out", "unknown 'unknown'", "seen"]),
+        ("per_cell: 27", "per_cells: 27", ["per_cells", "did you mean 'per_cell'"]),
+        ("{out}", "{output}", ["trainers.bc", "unknown placeholder 'output'"]),
+        ("{seed}", "1", ["trainers.bc", "needs {seed}"]),
+        ("count: 5", "count: 0", ["replicates.count", "from 1"]),
+        ("smoke: {replicates", "smoke: {thesis", ["scales.smoke.thesis"]),
+        ("  task: {", "  skill: {", ["factors", "needs the factor 'task'"]),
+        ("[cube, apple, onion]", "[cube, apple, cube]", ["factors.target", "appears twice"]),
+        (
+            "cells: {blind: unseen}",
+            "cells: {baseline: seen}",
+            ["compare.0", "'baseline' is not evaluated in", "pick_up"],
+        ),
+    ],
+)
+def test_a_wrong_experiment_is_refused_at_the_door(old, new, said):
+    assert old in TEXT
+    with pytest.raises(ConfigError) as caught:
+        design_of(config(TEXT.replace(old, new, 1)))
+    for words in said:
+        assert words in str(caught.value)
+
+
+def test_a_scale_replaces_keys_of_the_file():
+    assert scale_names(config()) == ("smoke", "full")
+    small = config(scale="smoke")
+    assert (small.replicates.count, small.evaluate.per_cell, small.trainers["bc"].steps) == (1, 2, 50)
+    assert small.evaluate.cells == {"blind": "unseen"}
+    assert small.trainers["bc"].policy == "bc"
+    with pytest.raises(ConfigError, match="no scale 'smok'.*did you mean 'smoke'"):
+        config(scale="smok")
+
+
+# ------------------------------------------------------------------ cells, mixes, stages
+
+
+def test_cells_are_named_as_mixes_record_them():
+    assert [cell.key for cell in cells_of(config()) if cell.unseen] == ["pick_up target=cube", "rotate target=apple"]
+    camera = TEXT.replace("  target: [cube", "  camera: {left: {reset: {}}, right: {}}\n  target: [cube")
+    keys = [cell.key for cell in cells_of(config(camera))]
+    assert keys[0] == "pick_up target=cube camera=left"
+    assert len(keys) == 12
+    some = config(camera, cells=[{"camera": "left", "target": "cube"}, {"camera": "right", "target": "apple"}])
+    assert len(cells_of(some)) == 4
+    with pytest.raises(ConfigError, match="unseen: no cell matches"):
+        cells_of(config(camera, cells=[{"target": "onion"}]))
+
+
+def test_a_mix_has_a_part_for_each_cell():
+    mix = mix_of(config(), {"pick_up target=apple": 3, "rotate target=cube": 2}, {"distractors": {"models": None}})
+    assert mix == {
+        "seed_by": "cell",
+        "cells": [
+            {"tasks": ["pick_up"], "episodes": 3, "models": {"target": ["apple"]}},
+            {
+                "tasks": ["rotate"], "episodes": 2, "models": {"target": ["cube"]},
+                "set": {"arguments": {"direction": {"values": ["clockwise"]}}},
+            },
+        ],
+        "set": {"distractors": {"minimum": 0, "maximum": 0, "models": None}},
+    }  # fmt: skip
+
+
+def test_arms_share_the_demonstrations_of_the_cells_that_they_share():
+    design = design_of(config())
+    assert sum(design.datasets["leave_out"].values()) == 4 * 27
+    assert sum(design.datasets["baseline"].values()) == 6 * 18
+    assert design.episodes == 4 * 27 + 2 * 18, "not the sum of both"
+    assert design.demonstrations["pick_up target=cube"] == 18
+    assert design.compared_scenes == 40
+    varied = design_of(config(replicates={"count": 5, "vary": ["training", "data"]}))
+    assert varied.episodes == 5 * design.episodes
+
+
+def test_every_condition_and_replicate_is_trained_and_evaluated():
+    design = design_of(config())
+    assert {(t.condition, t.replicate) for t in design.trainings} == {
+        (name, r) for name in ("leave_out", "baseline") for r in range(5)
+    }
+    assert len(design.evaluations) == 15
+    assert design.rollouts == 5 * (120 + 120 + 40)
+
+
+def test_curves_and_final_evaluations_never_meet_the_same_scenes():
+    design = design_of(config(curve={"every": 1000, "per_checkpoint": 10, "replicates": 1}))
+    assert [t.checkpoints for t in design.trainings if t.replicate == 0] == [(1000, 2000, 3000, 4000)] * 2
+    assert not any(t.checkpoints for t in design.trainings if t.replicate)
+    curve = [e for e in design.evaluations if e.checkpoint]
+    assert all(e.rollouts == 10 and not set(e.counts) & {"pick_up target=cube"} for e in curve)
+    stages = [stage for stage in stages_of(design) if stage.kind == "evaluate"]
+    seeds = {bool(stage.inputs["checkpoint"]): set() for stage in stages}
+    for stage in stages:
+        seeds[bool(stage.inputs["checkpoint"])].add(stage.inputs["seed"])
+    assert not seeds[True] & seeds[False]
+
+
+def test_arms_of_a_replicate_meet_the_same_scenes_and_replicates_meet_others():
+    stages = {s.name: s for s in stages_of(design_of(config())) if s.kind == "evaluate"}
+    assert stages["evaluate/leave_out.1"].inputs["seed"] == stages["evaluate/baseline.1"].inputs["seed"]
+    assert stages["evaluate/leave_out.1"].inputs["seed"] != stages["evaluate/leave_out.2"].inputs["seed"]
+    assert stages["evaluate/blind.1"].needs == ("train/leave_out.1",)
+    assert stages["evaluate/blind.1"].inputs["instruction"] == ""
+
+
+def test_a_changed_input_changes_the_stages_behind_it_alone():
+    def changed(**changes):
+        before = {s.name: s.sha for s in stages_of(design_of(config()))}
+        after = {s.name: s.sha for s in stages_of(design_of(config(**changes)))}
+        return {name.split("/")[0] for name in before if before[name] != after[name]}
+
+    assert changed(evaluate={"per_cell": 10, "cells": {"blind": "unseen"}}) == {"evaluate"}
+    data = copy.deepcopy(dict(parse_yaml(TEXT)["datasets"]))
+    data["baseline"] = {"cells": "all", "per_cell": 12}
+    assert changed(datasets=data) == {"generate", "export", "train", "evaluate"}
+    assert changed(about="Other words") == set()
+    names = [s.name for s in stages_of(design_of(config()))]
+    for stage in stages_of(design_of(config())):
+        assert all(names.index(need) < names.index(stage.name) for need in stage.needs)
+
+
+# ------------------------------------------------------------------ cost
+
+
+def test_the_cost_follows_from_measured_rates():
+    design = design_of(config())
+    cost = cost_of(design, RATES)
+    assert cost.train_s == pytest.approx(10 * (4000 / 5.7 + 10))
+    assert cost.evaluate_s == pytest.approx(1400 * 4.0 + 15 * 10)
+    assert cost.generate_s == pytest.approx(144 * 1.2 + 216 * 0.1 + 3 * 10)
+    assert cost.disk_bytes == pytest.approx((144 + 10 + 1400) * 1e7 + 216 * 1e6)
+    assert 0.1 < cost.detectable < 0.3
+    away = cost_of(design_of(config(trainers={"external": {}})), RATES)
+    assert away.train_s is None
+    assert away.total_s == pytest.approx(cost.generate_s + cost.evaluate_s)
+    with pytest.raises(ConfigError, match="steps_per_s"):
+        Rates(**{**vars(RATES), "steps_per_s": 0.0})
+
+
+def test_a_budget_buys_the_smallest_difference_that_can_be_found():
+    cheap, dear = (fitted(config(), RATES, hours * 3600) for hours in (2, 6))
+    assert cost_of(design_of(cheap), RATES).total_s <= 2 * 3600
+    assert cheap.replicates.count >= 3
+    assert dear.replicates.count > cheap.replicates.count
+    assert cost_of(design_of(dear), RATES).detectable < cost_of(design_of(cheap), RATES).detectable
+    assert fitted(config(), RATES, 60.0) is None
+
+
+# ------------------------------------------------------------------ planted policies
+
+
+def planted(design, rate, *, seed=0, spread=0.0, failed=None, pairs=None):
+    """Return the outcomes of policies whose success rates are planted: `rate(condition, cell)`."""
+    rng = np.random.default_rng(seed)
+    counts = {}
+    for name in design.config.conditions:
+        wanted = next(e.counts for e in design.evaluations if e.condition == name and not e.checkpoint)
+        unseen = {cell.key: cell.unseen for cell in design.cells}
+        counts[name] = []
+        for _ in range(design.config.replicates.count):
+            shift = rng.normal() * spread / 0.16
+            row = {}
+            for key, episodes in wanted.items():
+                p = rate(name, unseen[key])
+                p = 1 / (1 + math.exp(-(math.log(p / (1 - p)) + shift))) if 0 < p < 1 else p
+                row[key] = Count(successes=int(rng.binomial(episodes, p)), episodes=episodes)
+            counts[name].append(row)
+    return Outcomes(counts=counts, failed=failed, pairs=pairs or {})
+
+
+def test_a_policy_that_combines_is_as_good():
+    design = design_of(config(evaluate={"per_cell": 100}))
+    found = analyse(design, planted(design, lambda name, unseen: 0.05 if name == "blind" else 0.85))
+    primary = found.comparisons[0].verdict
+    assert primary.kind == "as_good"
+    assert "leave_out in unseen cells is as good as baseline there within 10 points" in found.sentences[0]
+    assert found.comparisons[1].verdict.kind == "higher", "words help"
+    assert found.scores.relative.ratio.low < 1 < found.scores.relative.ratio.high
+    assert found.warnings == ()
+
+
+def test_a_policy_that_memorises_is_lower_and_named():
+    design = design_of(config())
+    failed = [("pick_up target=cube", ["rotate target=cube"])] * 60 + [("rotate target=apple", [])] * 4
+    rate = {"leave_out": {True: 0.02, False: 0.9}, "baseline": {True: 0.9, False: 0.9}, "blind": {True: 0.02}}
+    found = analyse(design, planted(design, lambda name, unseen: rate[name][unseen], failed=failed))
+    assert found.comparisons[0].verdict.kind == "lower"
+    assert found.scores.relative.ratio.value < 0.1
+    assert found.scores.substitution.rate.rate > 0.9
+    assert "pick_up target=cube -> rotate target=cube" in found.scores.substitution.worst
+    assert "needs no words here" in " ".join(found.warnings)
+
+
+def test_a_policy_that_only_looks_is_warned_of():
+    design = design_of(config())
+    found = analyse(design, planted(design, lambda name, unseen: 0.8, seed=1))
+    assert "needs no words here" in found.warnings[0]
+    assert "not shown to be better than a policy without words" in found.scores.relative.refused
+
+
+def test_a_weakened_baseline_is_seen_in_the_competence():
+    design = design_of(config())
+    rate = {"leave_out": {True: 0.5, False: 0.9}, "baseline": {True: 0.5, False: 0.6}, "blind": {True: 0.05}}
+    found = analyse(design, planted(design, lambda name, unseen: rate[name][unseen]))
+    assert any("Competence differs" in warning for warning in found.warnings)
+
+
+def test_a_baseline_that_fails_has_no_ratio_but_a_gap():
+    design = design_of(config())
+    found = analyse(design, planted(design, lambda name, unseen: 0.03))
+    assert found.scores.relative.ratio is None
+    assert found.scores.gap.interval().low < 0 < found.scores.gap.interval().high
+
+
+def test_one_training_compares_checkpoints_alone():
+    design = design_of(config(replicates={"count": 1}))
+    pairs = {0: [Pairs(both=5, first=0, second=30, neither=5)], 1: [Pairs(both=5, first=2, second=1, neither=32)]}
+    outcomes = planted(design, lambda name, unseen: 0.5, pairs=pairs)
+    found = analyse(design, outcomes)
+    assert found.comparisons[0].verdict.question == "checkpoint"
+    assert found.comparisons[0].verdict.kind == "lower"
+    apart = analyse(design, planted(design, lambda name, unseen: 0.5))
+    assert apart.comparisons[0].verdict.kind == "cannot_tell"
+    assert "These two checkpoints differ by" in apart.sentences[0]
+
+
+def test_seen_and_unseen_cells_of_one_condition_are_compared():
+    text = TEXT.replace(
+        "  - {first: leave_out, second: baseline, where: unseen, primary: true}\n",
+        "  - {first: leave_out, second: leave_out, where: unseen, against: seen, primary: true}\n",
+    )
+    design = design_of(config(text))
+    rate = {"leave_out": {True: 0.2, False: 0.9}, "baseline": {True: 0.5, False: 0.9}, "blind": {True: 0.05}}
+    found = analyse(design, planted(design, lambda name, unseen: rate[name][unseen]))
+    assert found.sentences[0].startswith("leave_out in unseen cells is lower than leave_out in seen cells by")
+    assert found.scores is None
+    with pytest.raises(ConfigError, match="compared with itself"):
+        config(text.replace(", against: seen", ""))
+
+
+def test_several_comparisons_are_adjusted():
+    design = design_of(config())
+    found = analyse(design, planted(design, lambda name, unseen: 0.5, seed=3))
+    own = [c.verdict.p_value for c in found.comparisons]
+    assert max(own) >= max(
+        analyse(design_of(config(compare=[{"first": c.config.first, "second": c.config.second, "where": "unseen"}])),
+                planted(design, lambda name, unseen: 0.5, seed=3)).comparisons[0].verdict.p_value
+        for c in found.comparisons
+    )  # fmt: skip
+
+
+def test_many_errors_are_named():
+    design = design_of(config())
+    outcomes = planted(design, lambda name, unseen: 0.5)
+    broken = {cell: Count(successes=0, episodes=20, errors=5) for cell in outcomes.counts["baseline"][0]}
+    counts = {**outcomes.counts, "baseline": [broken, *outcomes.counts["baseline"][1:]]}
+    found = analyse(design, Outcomes(counts=counts))
+    assert any(warning.startswith("baseline: 30 of 600") for warning in found.warnings)
+    with pytest.raises(ConfigError, match="no outcomes of condition 'blind'"):
+        analyse(design, Outcomes(counts={name: outcomes.counts[name] for name in ("leave_out", "baseline")}))
+
+
+def test_a_benchmark_averages_by_dimension():
+    design = design_of(config(evaluate={"per_cell": 100}))
+    good = analyse(design, planted(design, lambda name, unseen: 0.05 if name == "blind" else 0.8))
+    halves = {"leave_out": 0.4, "baseline": 0.8, "blind": 0.02}
+    half = analyse(design, planted(design, lambda name, unseen: halves[name]))
+    camera = config(dimensions={"task": "skill", "target": "camera"})
+    found = benchmark_scores({"one": (design.config, good), "two": (camera, half)})
+    assert found["skill"].relative == pytest.approx(0.75, abs=0.05)
+    assert found["object"].relative == pytest.approx(1.0, abs=0.06)
+    assert found["camera"].absolute == pytest.approx(0.4, abs=0.05)
+    with pytest.raises(ConfigError, match="experiments must be different"):
+        benchmark_config({"about": "b", "experiments": ["a", "a"]})
