@@ -97,6 +97,10 @@ def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refu
     Raises:
         InvalidRequestError: If the replicates differ in number.
     """
+    if len(unseen.replicates) < LEAST_REPLICATES:
+        return Relative(
+            ratio=None, refused=f"fewer than {LEAST_REPLICATES} trainings of each condition have no interval"
+        )
     s = condition_rate(baseline)
     if s.low < refuse_below:
         return Relative(
@@ -168,14 +172,16 @@ def scores(
         words=words,
         competence=competence,
         substitution=None if failed is None else substitutions(failed),
-        warnings=tuple(_warnings(words, competence)),
+        warnings=tuple(_warnings(condition_rate(u).low >= refuse_below, words, competence)),
     )
 
 
-def _warnings(words: ConditionDifference | None, competence: ConditionDifference | None) -> Iterable[str]:
+def _warnings(
+    succeeds: bool, words: ConditionDifference | None, competence: ConditionDifference | None
+) -> Iterable[str]:
     if words is None:
         yield "No policy without words was evaluated, so the scene alone may explain the success."
-    elif not words.interval().low > 0:
+    elif succeeds and words.replicates >= LEAST_REPLICATES and not words.interval().low > 0:
         yield (
             "This experiment needs no words here: without the instruction the same checkpoints are not shown to be "
             f"worse ({_points(words.interval())})."
@@ -189,7 +195,7 @@ def _warnings(words: ConditionDifference | None, competence: ConditionDifference
 
 
 def _points(interval: Interval) -> str:
-    return f"{100 * interval.low:+.0f} to {100 * interval.high:+.0f} points"
+    return f"{round(100 * interval.low):+d} to {round(100 * interval.high):+d} points"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,7 +65,7 @@ def condition_verdict(
         kind = "as_good"
         sentence = (
             f"{first} is as good as {second} within {100 * margin:.0f} points: the difference is "
-            f"{_signed(interval)}, over {many}."
+            f"{_signed(narrow)}, over {many}."
         )
     else:
         kind = "cannot_tell"
@@ -74,8 +74,8 @@ def condition_verdict(
             more, f"; about {more} more trainings each would decide {100 * margin:.0f} points"
         )
         sentence = (
-            f"Cannot tell whether {first} differs from {second}: {100 * interval.low:+.0f} to "
-            f"{100 * interval.high:+.0f} points are compatible with {many}{needed}."
+            f"Cannot tell whether {first} differs from {second}: {_number(interval.low)} to "
+            f"{_number(interval.high)} points are compatible with {many}{needed}."
         )
     return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
 
@@ -98,9 +98,13 @@ def checkpoint_verdict(
     found = paired_difference(pairs)
     own = found.p_value if p_value is None else p_value
     interval = Interval(value=found.value, low=found.low, high=found.high)
-    scale = 1.6449 / 1.9600
-    within = found.value - scale * (found.value - found.low) > -margin
-    within = within and found.value + scale * (found.high - found.value) < margin
+    scale = 1.6449 / 1.9600  # of the 90 % interval, by which two one-sided tests at 5 % decide
+    narrow = Interval(
+        value=found.value,
+        low=found.value - scale * (found.value - found.low),
+        high=found.value + scale * (found.high - found.value),
+    )
+    within = -margin < narrow.low and narrow.high < margin
     where = f"on {pairs.scenes} scenes that both met"
     kind: Kind
     if own <= 0.05:
@@ -110,13 +114,13 @@ def checkpoint_verdict(
         kind = "as_good"
         sentence = (
             f"This checkpoint of {first} is as good as this one of {second} within {100 * margin:.0f} points: the "
-            f"difference is {_signed(interval)}, {where}."
+            f"difference is {_signed(narrow)}, {where}."
         )
     else:
         kind = "cannot_tell"
         sentence = (
             f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: "
-            f"{100 * interval.low:+.0f} to {100 * interval.high:+.0f} points are compatible, {where}."
+            f"{_number(interval.low)} to {_number(interval.high)} points are compatible, {where}."
         )
     return Verdict(
         kind=kind, question="checkpoint", difference=interval, p_value=own,
@@ -129,5 +133,11 @@ def _points(interval: Interval) -> str:
     return f"{100 * abs(interval.value):.0f} points ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})"
 
 
-def _signed(interval: Interval) -> str:
-    return f"{100 * interval.value:+.0f} points ({100 * interval.low:+.0f} to {100 * interval.high:+.0f})"
+def _signed(narrow: Interval) -> str:
+    """Format a difference with its 90 % interval, which lies within the margin."""
+    return f"{_number(narrow.value)} points (90 % interval {_number(narrow.low)} to {_number(narrow.high)})"
+
+
+def _number(difference: float) -> str:
+    """Format a difference in points with its sign, e.g. ``-7``; never ``-0``."""
+    return f"{round(100 * difference) + 0:+d}"
