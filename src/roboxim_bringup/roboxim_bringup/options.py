@@ -86,3 +86,20 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
     return int(found[1]), int(found[2] or found[1])
+
+
+def parse_counts(option: str, text: str) -> dict[str, int]:
+    """Parse ``train=90,val=10``.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    from roboxim_core.errors import ConfigError
+
+    found = {}
+    for part in filter(None, text.split(",")):
+        name, _, count = part.partition("=")
+        if not count.strip().isdecimal():
+            raise ConfigError(f"{option} is NAME=COUNT,..., e.g. train=90,val=10; got '{text}'")
+        found[name.strip()] = int(count)
+    return found

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,12 +15,14 @@ from typing import Any, Protocol
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
-from roboxim_datasets.episode import Episode, ImageSize
+from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue
 
 EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
-SPLITS = ("train", "val")
+SPLITS = ("train", "val", "test")
 """Splits that RoboXim writes, in this order."""
+RECORDED: Mapping[str, type[MetaValue]] = {key: kind for key, kind in METADATA.items() if key not in OWN_FIELDS}
+"""Metadata of an episode that comes from a bag, key to type."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +66,8 @@ class Description:
     """Description in a sentence."""
     skills: tuple[str, ...] = ()
     """Skills of the episodes; empty: the dataset does not say."""
+    metadata: Mapping[str, type[MetaValue]] = field(default_factory=lambda: RECORDED)
+    """Metadata that every episode has (`Episode.metadata`), key to type."""
 
 
 class Dataset(ABC):
@@ -106,6 +110,11 @@ class Dataset(ABC):
         Raises:
             RecorderError: With code ``BAG_DAMAGED``, naming the file.
         """
+
+    @property
+    def folder(self) -> Path:
+        """The folder that the dataset's files lie in."""
+        return self.path if self.path.is_dir() else self.path.parent
 
     @property
     def features(self) -> Features:
@@ -152,12 +161,23 @@ class Dataset(ABC):
             for index in range(self.splits[name]):
                 yield self.read(name, index)
 
+    def summaries(self) -> Mapping[str, Mapping[str, Sequence[float]]]:
+        """Return stored statistics: ``action`` or an observed vector, to statistic (``mean``, ``q01`` ...), to values.
+
+        Empty if the dataset has none.
+        """
+        return {}
+
+    @property
+    def usage(self) -> str:
+        """How the dataset is loaded, in Markdown, for its card; empty: nothing to say."""
+        return ""
+
     @cached_property
     def facts(self) -> dict[str, Any]:
         """How the dataset was made: the content of ``export.json``; empty if there is none."""
-        folder = self.path if self.path.is_dir() else self.path.parent
         try:
-            return read_json_object(folder / EXPORT_FILE)
+            return read_json_object(self.folder / EXPORT_FILE)
         except ConfigError:
             return {}
 

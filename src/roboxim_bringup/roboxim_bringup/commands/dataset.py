@@ -1,13 +1,15 @@
-"""Check, compare and convert datasets."""
+"""Describe, compare, convert, merge, split and check datasets."""
 
 from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 import click
 
 _PREFIX = "_dataset_"
+_path = click.Path(path_type=Path)
 
 
 class _Subcommands(click.Group):
@@ -27,6 +29,171 @@ class _Subcommands(click.Group):
         return command
 
 
+class _Formats(click.Group):
+    """A group with a subcommand for every registered format of datasets."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the formats."""
+        from roboxim_datasets.formats import FORMATS
+
+        return list(FORMATS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Build a format's command from its options."""
+        from roboxim_bringup.field_options import field_options
+        from roboxim_datasets.formats import FORMATS
+
+        if cmd_name not in FORMATS:
+            return None
+        options = FORMATS[cmd_name]().options
+        own = field_options(options)
+        doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
+
+        def convert(source: Path, target: Path, overwrite: bool, **given: Any) -> None:
+            _convert(cmd_name, options(**given), source, target, overwrite)
+
+        params: list[click.Parameter] = [
+            click.Argument(["source"], type=_path),
+            click.Argument(["target"], type=_path),
+            *own,
+            click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
+        ]
+        return click.Command(
+            cmd_name, params=params, callback=convert, short_help=doc,
+            help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
+        )  # fmt: skip
+
+
 @click.group(cls=_Subcommands)
 def command() -> None:
-    """Check, compare and convert datasets."""
+    """Describe, compare, convert, merge, split and check datasets of any format, RoboXim's or another tool's."""
+
+
+@command.command("info")
+@click.argument("dataset", type=_path)
+@click.option("--card", is_flag=True, help="Print the card (README.md) instead.")
+def info(dataset: Path, card: bool) -> None:
+    """Describe a dataset: format, episodes, cameras, meaning of the actions, tasks, origin."""
+    from roboxim_datasets import card as cards
+    from roboxim_datasets.formats import open_dataset
+
+    opened = open_dataset(dataset)
+    counts = cards.count(opened)
+    click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
+
+
+@command.command("diff")
+@click.argument("a", type=_path)
+@click.argument("b", type=_path)
+@click.option(
+    "--images", type=click.Choice(["auto", "exact", "psnr", "skip"]), default="auto", show_default=True,
+    help="Compare images exactly, or by their PSNR; auto: exactly if both datasets are lossless.",
+)  # fmt: skip
+@click.option("--psnr", default=30.0, show_default=True, help="Lowest PSNR of an image that counts as equal [dB].")
+@click.option("--ignore", multiple=True, metavar="NAME", help="Camera, vector or signal to leave out; may be repeated.")
+def diff(a: Path, b: Path, images: Any, psnr: float, ignore: tuple[str, ...]) -> None:
+    """Prove that two datasets of any formats are equal, or name what differs.
+
+    Actions, states and signals are compared bit for bit as float32; lengths, instructions, ids and the order too. The
+    exit code is 1 when they differ.
+    """
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.datasets import compare_datasets
+    from roboxim_datasets.compare import comparison_text
+
+    with EventPrinter() as printer:
+        found = compare_datasets(a, b, images=images, lowest_psnr_db=psnr, ignore_names=ignore, on_event=printer)
+    click.echo(comparison_text(found, {"a": str(a), "b": str(b)}))
+    if not found.equal:
+        raise SystemExit(1)
+
+
+@command.group("convert", cls=_Formats)
+def convert() -> None:
+    r"""Write a dataset in another format.
+
+    \b
+    roboxim dataset convert lerobot runs/demos-rlds runs/demos-lerobot --version 2.1
+    """
+
+
+def _convert(name: str, options: Any, source: Path, target: Path, overwrite: bool) -> None:
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.datasets import convert_dataset
+
+    with EventPrinter() as printer:
+        _print_written(convert_dataset(source, target, name, options, overwrite=overwrite, on_event=printer))
+
+
+@command.command("merge")
+@click.argument("sources", type=_path, nargs=-1, required=True)
+@click.argument("target", type=_path)
+@click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
+def merge(sources: tuple[Path, ...], target: Path, overwrite: bool) -> None:
+    """Write datasets of one format as one. They must have the same features, meaning of actions and robot.
+
+    The sources are only read. The same command continues an interrupted merge.
+    """
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.datasets import merge_datasets
+
+    with EventPrinter() as printer:
+        _print_written(merge_datasets(sources, target, overwrite=overwrite, on_event=printer))
+
+
+@command.command("split")
+@click.argument("source", type=_path)
+@click.argument("target", type=_path)
+@click.option(
+    "--into", required=True, metavar="train=90,val=10", help="Splits and their numbers of episodes; 0: the rest."
+)
+@click.option("--apart", is_flag=True, help="Write each split as a dataset of its own, TARGET/<split>.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
+def split(source: Path, target: Path, into: str, apart: bool, overwrite: bool) -> None:
+    """Divide the episodes of a dataset into other splits, each spread evenly over the whole.
+
+    LeRobot's trainers ignore splits: --apart gives them datasets of their own. The source is only read. The same
+    command continues an interrupted one.
+    """
+    from roboxim_bringup.options import parse_counts
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.datasets import split_dataset
+
+    with EventPrinter() as printer:
+        found = split_dataset(
+            source, target, parse_counts("--into", into), apart=apart, overwrite=overwrite, on_event=printer
+        )
+    for written in {written.path: written for written in found.values()}.values():
+        _print_written(written)
+
+
+@command.command("view")
+@click.argument("dataset", type=_path)
+@click.option("--episode", type=click.IntRange(0), default=0, show_default=True, help="Number, through all splits.")
+@click.option("--frames", type=click.IntRange(1), default=12, show_default=True, help="Frames of each camera.")
+@click.option(
+    "--out", type=_path, help="File to write: .html (frames and plots), .png or .jpg (frames). "
+    "[default: episode-<number>.html]",
+)  # fmt: skip
+def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
+    """Write a page or a picture of an episode: its frames, and the course of its actions and observations."""
+    from roboxim_core.errors import ConfigError
+    from roboxim_datasets.formats import open_dataset
+    from roboxim_datasets.view import contact_sheet, encoded, page
+
+    file = out or Path(f"episode-{episode}.html")
+    kinds = {".html": "", ".png": "PNG", ".jpg": "JPEG"}
+    if file.suffix not in kinds:
+        raise ConfigError(f"--out must end in {', '.join(kinds)}, got {file}")
+    opened = open_dataset(dataset)
+    found = opened.episode(episode)
+    if kinds[file.suffix]:
+        file.write_bytes(encoded(contact_sheet(found, frames), kinds[file.suffix]))
+    else:
+        file.write_text(page(found, opened.features.action, frames))
+    click.echo(f"{file}: {found.instruction} ({found.length} steps)")
+
+
+def _print_written(written: Any) -> None:
+    splits = ", ".join(f"{count} in {split}" for split, count in written.splits.items())
+    click.echo(f"{written.path}: {splits}")

@@ -119,7 +119,7 @@ def _export(
     name: str, own: dict[str, Any], source: tuple[Path, ...], target: Path, cameras: tuple[str, ...], size: str,
     split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, **common: Any,
 ) -> None:  # fmt: skip
-    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.options import parse_counts, parse_size
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.export import export_dataset
     from roboxim_recorder.export import EXPORTERS
@@ -144,23 +144,6 @@ def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:
     for word in (part for given in words for part in given.split(",")):
         camera, _, key = word.partition("=")
         found[camera] = key or USUAL_KEYS.get(camera, camera)
-    return found
-
-
-def parse_counts(option: str, text: str) -> dict[str, int]:
-    """Parse ``train=90,val=10``.
-
-    Raises:
-        ConfigError: When the text is something else.
-    """
-    from roboxim_core.errors import ConfigError
-
-    found = {}
-    for part in filter(None, text.split(",")):
-        name, _, count = part.partition("=")
-        if not count.strip().isdecimal():
-            raise ConfigError(f"{option} is NAME=COUNT,..., e.g. train=90,val=10; got '{text}'")
-        found[name.strip()] = int(count)
     return found
 
 

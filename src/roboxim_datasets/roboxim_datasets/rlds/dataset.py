@@ -11,14 +11,17 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_datasets.dataset import Dataset, Description
-from roboxim_datasets.episode import METADATA, SIGNAL_PREFIX, Episode
+from roboxim_datasets.dataset import SPLITS, Dataset, Description
+from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import to_rlds
 from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures
 from roboxim_datasets.rlds.loader_files import loader_files, statistics_of
 from roboxim_datasets.rlds.reader import RldsDataset, find_rlds
 from roboxim_datasets.rlds.writer import RldsWriter
+
+OWN = {key: kind for key, kind in METADATA.items() if key in OWN_FIELDS}
+"""Metadata that every episode has as separate fields, key to type."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +68,9 @@ class RldsDatasetWriter:
         """Add the statistics and loader files, and move the dataset to its final place."""
         self._writer.finish_shards()
         features = self._writer.features
-        statistics = statistics_of(self._writer.shard_files("train"), features)
-        own = loader_files(self._options.name, self._options.version, features, self._description, statistics)
+        shards = next((found for split in SPLITS if (found := self._writer.shard_files(split))), [])
+        statistics = statistics_of(shards, features)
+        own = loader_files(self._options.name, features, statistics)
         self._writer.complete({**own, **files})
 
 
@@ -105,7 +109,7 @@ class RldsFormat:
         features = RldsFeatures(
             images={found.keys[camera]: (size.height, size.width) for camera, size in found.cameras.items()},
             encoding=options.encoding,
-            metadata={key: META_NAMES[kind] for key, kind in METADATA.items()},
+            metadata={key: META_NAMES[kind] for key, kind in {**OWN, **description.metadata}.items()},
             vectors={name: len(names) for name, names in found.vectors.items()},
             signals={name.removeprefix(SIGNAL_PREFIX): len(names) for name, names in found.signals.items()},
             action={"steps/action": len(found.action)},

@@ -37,7 +37,7 @@ def to_rlds(episode: Episode, keys: Mapping[str, str], features: RldsFeatures, p
     for step in episode.steps(list(keys)):
         steps.append(step)
         for camera, key in keys.items():
-            images[key].append(pool.submit(encode_image, step.images[camera], features.encoding))
+            images[key].append(pool.submit(_encoded, step, camera, features.encoding))
     own: dict[str, MetaValue] = {
         "episode_id": episode.episode_id,
         "success": episode.success,
@@ -57,6 +57,12 @@ def to_rlds(episode: Episode, keys: Mapping[str, str], features: RldsFeatures, p
         reward=np.array([step.reward for step in steps], np.float32),
         metadata={key: value for key, value in {**episode.metadata, **own}.items() if key in features.metadata},
     )
+
+
+def _encoded(step: Step, camera: str, encoding: str) -> bytes:
+    """Return an image in an encoding, as the dataset that it comes from stores it if it can."""
+    kind, data = step.encoded.get(camera, ("", b""))
+    return data if kind == encoding else encode_image(step.images[camera], encoding)
 
 
 def _signal(step: Step, name: str) -> Array:
@@ -86,6 +92,7 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
             yield Step(
                 index=index,
                 images={camera: episode.frame(keys[camera], index) for camera in wanted.cameras},
+                encoded={camera: (features.encoding, episode.images[keys[camera]][index]) for camera in wanted.cameras},
                 proprio={name: values[index] for name, values in episode.vectors.items()},
                 action=episode.action[index],
                 action_executed=episode.signals[executed][index] if executed in episode.signals else None,

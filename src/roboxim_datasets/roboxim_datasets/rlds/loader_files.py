@@ -1,4 +1,4 @@
-"""Files beside an exported dataset: statistics, a README, and configurations for common loaders."""
+"""Files beside an exported dataset: statistics, and configurations for common loaders."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
-from roboxim_datasets.dataset import Description
 from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 
@@ -77,29 +75,28 @@ def dead_dimensions(statistics: dict[str, list[float]], names: Sequence[str]) ->
     return tuple(name for name, std in zip(names, statistics["std"], strict=True) if std < DEAD)
 
 
-def loader_files(
-    name: str, version: str, features: RldsFeatures, description: Description, statistics: dict[str, Any]
-) -> dict[str, str]:
+def loader_files(name: str, features: RldsFeatures, statistics: dict[str, Any]) -> dict[str, str]:
     """Return the files that help to load a dataset: name to text."""
-    keys, described = sorted(features.images), description.features
-    wrist = next((key for key in keys if "wrist" in key), None)
-    primary = "image" if "image" in keys else next(key for key in keys if key != wrist or len(keys) == 1)
+    primary, wrist = _views(features)
     return {
         STATISTICS_FILE: json.dumps(statistics, indent=2) + "\n",
         "openvla_register.py": _REGISTER.format(name=name, primary=primary, wrist=wrist),
-        "README.md": _README.format(
-            name=name,
-            version=version,
-            semantics=json.dumps(to_plain(description.semantics), indent=2) if description.semantics else "not stated",
-            episodes=statistics["num_trajectories"],
-            steps=statistics["num_transitions"],
-            state_names=", ".join(f"`{component}`" for component in described.vectors.get("state", ())),
-            dead=", ".join(dead_dimensions(statistics["action"], described.action)) or "none",
-            mask=f"[True] * {features.action_size - 1} + [False]",
-            primary=primary,
-            wrist=wrist,
-        ),
     }
+
+
+def loading_text(name: str, version: str, features: RldsFeatures) -> str:
+    """Return how a dataset is loaded, in Markdown."""
+    primary, wrist = _views(features)
+    mask = f"[True] * {features.action_size - 1} + [False]"
+    return _LOADING.format(name=name, version=version, primary=primary, wrist=wrist, mask=mask)
+
+
+def _views(features: RldsFeatures) -> tuple[str | None, str | None]:
+    """Return the image keys of the outer and of the wrist camera."""
+    keys = sorted(features.images)
+    wrist = next((key for key in keys if "wrist" in key), None)
+    others = [key for key in keys if key != wrist] or keys
+    return "image" if "image" in keys else next(iter(others), None), wrist
 
 
 _REGISTER = '''"""Registers the dataset `{name}` with OpenVLA: import this and call `register()` before training."""
@@ -120,35 +117,16 @@ def register() -> None:
     OXE_STANDARDIZATION_TRANSFORMS["{name}"] = lambda trajectory: trajectory
 '''
 
-_README = """# {name} {version}
-
-RLDS dataset exported by RoboXim from its bags: {episodes} episodes and {steps} steps in the split `train`.
-
-```python
+_LOADING = """```python
 import tensorflow_datasets as tfds
 builder = tfds.builder_from_directory("{name}/{version}")   # this folder
 ```
 
-A step is the observation of a tick and the action that leads to the next one:
-`observation/{{image keys, state, joint_positions}}`, `action`, `language_instruction`, `reward`, `discount`,
-`is_first`, `is_last`, `is_terminal`. Deltas below 1e-5 were set to 0. Dead action components: {dead}.
+A step has `observation/<image key or vector>`, `action`, `language_instruction`, `reward`, `discount`, `is_first`,
+`is_last`, `is_terminal`, and under `sim/` what loaders ignore.
 
-`state` is measured: {state_names}
-(also in every episode's `episode_metadata/state_layout`). `tcp` is the tool centre point in the base frame: its
-position [m], and its x and y axes, which are the first two columns of its rotation matrix and never jump.
-`joint_positions` are the arm's [rad], in the order of `episode_metadata/joint_names`.
-
-`sim/action_executed` is the executed action, of the same meaning as `action`: it holds the noise that was injected into
-the demonstration and that `action` corrects. Loaders ignore it.
-
-Meaning of the actions (in every episode's `episode_metadata/action_semantics` too):
-
-```json
-{semantics}
-```
-
-The gripper is absolute, 1 = open, 0 = closed: do not normalise it (mask `{mask}`).
-`dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states.
+`dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states. The gripper must not be
+normalised (mask `{mask}`).
 
 OpenVLA: `openvla_register.py`, action normalisation `BOUNDS_Q99`. Octo needs only arguments:
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import Episode, ImageSize
 from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
 from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, decode_episode, features_from_json
+from roboxim_datasets.rlds.loader_files import STATISTICS_FILE, loading_text
 from roboxim_datasets.rlds.tfrecord import read_record, read_records, record_positions
 
 INFO_FILE = "dataset_info.json"
@@ -49,6 +50,8 @@ class RldsReader:
             self.version: str = info["version"]
             self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
             """Split to the number of episodes in each of its shards."""
+            self.text = str(info.get("description", ""))
+            """Description of the dataset."""
             kinds = {str(s.get("fileFormat", info.get("fileFormat", "tfrecord"))) for s in (info, *info["splits"])}
         except (ConfigError, InvalidRequestError) as error:
             raise RecorderError(f"{self.path}: the dataset's description cannot be read: {error}") from None
@@ -139,6 +142,20 @@ class RldsDataset(Dataset):
         """Read an episode of a split."""
         return from_rlds(self.reader.record(split, index), self.reader.features)
 
+    def summaries(self) -> Mapping[str, Mapping[str, Sequence[float]]]:
+        """Return the statistics of actions and state, as OpenVLA and Octo cache them."""
+        try:
+            stored = read_json_object(self.path / STATISTICS_FILE)
+        except ConfigError:
+            return {}
+        names = {"action": "action", "proprio": "state"}
+        return {names[key]: value for key, value in stored.items() if key in names and isinstance(value, dict)}
+
+    @property
+    def usage(self) -> str:
+        """How the dataset is loaded."""
+        return loading_text(self.reader.name, self.reader.version, self.reader.features)
+
     @cached_property
     def description(self) -> Description:
         """What the features and the first episode say."""
@@ -163,6 +180,7 @@ class RldsDataset(Dataset):
             robot=episode.robot,
             joint_names=episode.joint_names,
             semantics=episode.semantics,
+            text=self.reader.text,
         )
 
 

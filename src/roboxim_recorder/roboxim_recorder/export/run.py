@@ -12,7 +12,9 @@ from typing import Literal
 from roboxim_core.config import digest, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_datasets.card import card_path, write_card
 from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter
+from roboxim_datasets.formats import FORMATS
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.content import Content, content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE, convention_text
@@ -110,6 +112,9 @@ def export_bags(
                 CONVENTION_FILE: convention_text(content.convention),
             }
             writer.complete(texts)
+    if name in FORMATS and not card_path(path).is_file():
+        with disk_errors(path):
+            write_card(FORMATS[name]().open(path))
     return _report(exporter, path, chosen, content, resumed)
 
 

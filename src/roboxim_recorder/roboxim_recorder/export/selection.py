@@ -9,13 +9,11 @@ from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_datasets.dataset import SPLITS
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import REPAIRED
 from roboxim_recorder.export.where import Condition, cell_of, facts_of, require_known
 from roboxim_recorder.run_bags import RunBags
-
-SPLIT_NAMES = ("train", "val", "test")
-"""Splits that an export can have, in this order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +76,8 @@ class Selection:
         if (self.image_height > 0) != (self.image_width > 0) or min(self.image_height, self.image_width) < 0:
             raise InvalidRequestError("give image_height and image_width both, or neither")
         for name in self.split:
-            if name not in SPLIT_NAMES:
-                raise InvalidRequestError(f"unknown split '{name}'; {one_of(SPLIT_NAMES, name)}")
+            if name not in SPLITS:
+                raise InvalidRequestError(f"unknown split '{name}'; {one_of(SPLITS, name)}")
         if self.split and (min(self.split.values()) < 0 or list(self.split.values()).count(0) > 1):
             raise InvalidRequestError(
                 f"split needs counts of at least 0, with one 0 (the rest) at most; got {self.split}"
@@ -273,7 +271,7 @@ def _split(sources: Sequence[Source], selection: Selection, left_out: Counter[st
         left_out["more than split"] += names.count("")
     order = sorted(range(len(sources)), key=lambda index: sources[index].cell)  # stable: by cell, then by order
     name_of = dict(zip(order, names, strict=True))
-    found = {split: [s for i, s in enumerate(sources) if name_of[i] == split] for split in SPLIT_NAMES}
+    found = {split: [s for i, s in enumerate(sources) if name_of[i] == split] for split in SPLITS}
     return {split: tuple(group) for split, group in found.items() if group}
 
 

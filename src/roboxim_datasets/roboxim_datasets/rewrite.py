@@ -1,0 +1,290 @@
+"""Writes a dataset from the episodes of others: in another format, several as one, or with other splits.
+
+The sources are only read. The result is atomic and resumable, as every writer is: it gets its final name only when it
+is whole, and the same call continues an interrupted one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import from_plain, to_json, to_plain
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_datasets.card import write_card
+from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
+from roboxim_datasets.episode import METADATA, OWN_FIELDS, MetaValue
+from roboxim_datasets.registry import FORMATS
+from roboxim_datasets.rlds.episodes import USUAL_KEYS
+
+CONVENTION_FILE = "convention.yaml"
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """An episode of a dataset."""
+
+    dataset: Dataset
+    """The dataset."""
+    split: str
+    """Its split."""
+    index: int
+    """Its number in the split."""
+
+
+Plan = Mapping[str, Sequence[Place]]
+"""Split of the new dataset to its episodes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written:
+    """A dataset that was written."""
+
+    path: Path
+    """The dataset."""
+    splits: dict[str, int]
+    """Split to number of episodes."""
+    resumed: int
+    """Episodes that an interrupted call had already written; all of them if the dataset was there."""
+
+
+def plan_of(*datasets: Dataset) -> dict[str, list[Place]]:
+    """Return the plan that keeps every episode in its split, one dataset after another."""
+    found: dict[str, list[Place]] = {}
+    for dataset in datasets:
+        for split, count in dataset.splits.items():
+            places = [Place(dataset=dataset, split=split, index=index) for index in range(count)]
+            found.setdefault(split, []).extend(places)
+    return found
+
+
+def split_plan(dataset: Dataset, counts: Mapping[str, int]) -> dict[str, list[Place]]:
+    """Return the plan that divides all episodes of a dataset anew.
+
+    The splits take turns so that each is spread evenly over the whole order.
+
+    Args:
+        dataset: The dataset.
+        counts: New split to its number of episodes; one may be 0: the rest.
+
+    Raises:
+        InvalidRequestError: When the counts are not those of the dataset.
+    """
+    places = [place for group in plan_of(dataset).values() for place in group]
+    rest, fixed = [name for name, count in counts.items() if not count], sum(counts.values())
+    if len(rest) > 1 or fixed > len(places) or (fixed < len(places) and not rest) or (fixed == len(places) and rest):
+        raise InvalidRequestError(
+            f"{dataset.path} has {len(places)} episodes; expected counts that add up to this, or one 0 for the rest, "
+            f"got {dict(counts)}"
+        )
+    wanted = {name: count or len(places) - fixed for name, count in counts.items()}
+    turns = sorted(((at + 0.5) / count, name) for name, count in wanted.items() for at in range(count))
+    found: dict[str, list[Place]] = {name: [] for name in wanted}
+    for place, (_, name) in zip(places, turns, strict=True):
+        found[name].append(place)
+    return found
+
+
+def options_like(dataset: Dataset) -> Any:
+    """Return options that write a dataset like another one of the format, as far as it states them."""
+    kind = FORMATS[dataset.format]().options
+    facts = dataset.facts
+    said = {**facts.get("config", {}), **facts.get("options", {})}
+    names = {item.name for item in fields(kind)}
+    return from_plain({key: said[key] for key in names & said.keys()}, kind, source=f"{dataset.path}/{EXPORT_FILE}")
+
+
+def write_dataset(
+    plan: Plan,
+    target: Path,
+    format: str,
+    options: Any = None,
+    *,
+    how: str,
+    overwrite: bool = False,
+    progress: Progress = lambda done, total: None,
+) -> Written:
+    """Write a dataset from episodes of others.
+
+    Args:
+        plan: What it consists of.
+        target: Folder to write into.
+        format: Registered name of the format.
+        options: Options of the format; None: the defaults.
+        how: How it is made, e.g. ``convert``, for ``export.json``.
+        overwrite: Whether an existing dataset is replaced when the new one is whole.
+        progress: Called with the episodes done and their total.
+
+    Raises:
+        ConfigError: On an unknown format.
+        InvalidRequestError: When the format does not hold what the episodes have.
+        RecorderError: ``EXPORT_REFUSED`` when the sources do not fit together, an episode occurs twice, the target lies
+            in a source or is another dataset; ``BAG_DAMAGED`` when a source cannot be read.
+    """
+    made = FORMATS[format]()
+    settings = options if options is not None else made.options()
+    sources = list(dict.fromkeys(place.dataset for places in plan.values() for place in places))
+    if not sources:
+        raise RecorderError("there are no episodes to write", ErrorCode.EXPORT_REFUSED)
+    path = made.path(target, settings)
+    _require_outside(path, sources)
+    description = common_description(sources)
+    convention = _common_convention(sources)
+    identity = _identity(plan, sources, format, settings)
+    splits = {split: len(places) for split, places in plan.items() if places}
+    if not overwrite and _identity_of(path) == identity:
+        return Written(path=path, splits=splits, resumed=sum(splits.values()))
+    facts = {
+        "format": format,
+        "identity": identity,
+        "how": how,
+        "options": to_plain(settings),
+        "sources": [{"format": source.format, "name": _name(source), **source.facts} for source in sources],
+    }
+    files: dict[str, str | bytes] = {EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n"}
+    if convention:
+        files[CONVENTION_FILE] = convention
+    with made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer:
+        order = sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
+        skip = {split: writer.resumed(split) for split in order}
+        done = resumed = sum(skip.values())
+        seen: set[str] = set()
+        for split in order:
+            for number, place in enumerate(plan[split]):
+                episode = place.dataset.read(place.split, place.index)
+                _require_new(episode.episode_id, seen, place.dataset)
+                if number >= skip[split]:
+                    writer.add(split, episode)
+                    done += 1
+                    progress(done, sum(splits.values()))
+        writer.complete(files)
+    write_card(made.open(path))
+    return Written(path=path, splits=splits, resumed=resumed)
+
+
+def common_description(sources: Sequence[Dataset]) -> Description:
+    """Return the description of datasets that fit together.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED``, naming what differs.
+    """
+    first = sources[0].description
+    for source in sources[1:]:
+        other = source.description
+        pairs = {
+            "cameras": (first.features.cameras, other.features.cameras),
+            "action": (first.features.action, other.features.action),
+            "vectors": (first.features.vectors, other.features.vectors),
+            "signals": (first.features.signals, other.features.signals),
+            "steps per second": (first.fps, other.fps),
+            "robot": (first.robot, other.robot),
+            "meaning of the actions": (first.semantics, other.semantics),
+        }
+        for what, (mine, theirs) in pairs.items():
+            if mine != theirs:
+                raise RecorderError(
+                    f"{sources[0].path} and {source.path} do not fit together: {what}: {mine} against {theirs}; export "
+                    "the bags again with the same options",
+                    ErrorCode.EXPORT_REFUSED,
+                )
+    keys = {camera: _neutral(camera, key) for camera, key in first.features.keys.items()}
+    text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {first.fps:g} Hz."
+    metadata = _metadata_kinds(sources)
+    return replace(first, features=replace(first.features, keys=keys), text=text, metadata=metadata)
+
+
+def _neutral(camera: str, key: str) -> str:
+    """Return an image key that every format can hold."""
+    return USUAL_KEYS.get(camera, camera) if "." in key or "/" in key else key
+
+
+def _metadata_kinds(sources: Sequence[Dataset]) -> dict[str, type[MetaValue]]:
+    """Return the metadata that the first episode of every source has, key to type."""
+    found: dict[str, type[MetaValue]] | None = None
+    for source in sources:
+        said = next(source.episodes()).metadata
+        kinds = {key: METADATA.get(key, type(value)) for key, value in said.items() if key not in OWN_FIELDS}
+        found = kinds if found is None else {key: kind for key, kind in found.items() if kinds.get(key) == kind}
+    return found or {}
+
+
+def _common_convention(sources: Sequence[Dataset]) -> str:
+    """Return the text of the convention beside the sources; empty: there is none.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED`` when they have different ones.
+    """
+    texts = [_text_beside(source, CONVENTION_FILE) for source in sources]
+    for source, text in zip(sources, texts, strict=True):
+        if text != texts[0]:
+            raise RecorderError(
+                f"{sources[0].path} and {source.path} were exported by different conventions ({CONVENTION_FILE}); "
+                "export the bags again by one of them",
+                ErrorCode.EXPORT_REFUSED,
+            )
+    return texts[0]
+
+
+def _text_beside(source: Dataset, name: str) -> str:
+    file = source.folder / name
+    return file.read_text() if file.is_file() else ""
+
+
+def _require_outside(path: Path, sources: Sequence[Dataset]) -> None:
+    """Refuse to write into a source, or over it."""
+    place = path.resolve()
+    for source in sources:
+        at = source.path.resolve()
+        if place == at or at in place.parents or place in at.parents:
+            raise RecorderError(
+                f"{path} is, or lies in, the source {source.path}; choose another", ErrorCode.EXPORT_REFUSED
+            )
+
+
+def _require_new(episode_id: str, seen: set[str], dataset: Dataset) -> None:
+    if episode_id and episode_id in seen:
+        raise RecorderError(
+            f"{dataset.path}: episode '{episode_id}' occurs twice; datasets of one run overlap, merge others",
+            ErrorCode.EXPORT_REFUSED,
+        )
+    seen.add(episode_id)
+
+
+def _identity(plan: Plan, sources: Sequence[Dataset], format: str, options: Any) -> str:
+    """Return a hash of everything that the written bytes depend on."""
+    found = hashlib.blake2b(f"{format} {to_json(options)}".encode(), digest_size=16)
+    numbers = {source: number for number, source in enumerate(sources)}
+    for source in sources:
+        found.update(fingerprint(source).encode())
+    for split, places in plan.items():
+        found.update(f"{split} {[(numbers[p.dataset], p.split, p.index) for p in places]}".encode())
+    return found.hexdigest()
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return a hash of a dataset's files: their names, sizes and times."""
+    files = [dataset.path] if dataset.path.is_file() else sorted(p for p in dataset.path.rglob("*") if p.is_file())
+    found = hashlib.blake2b(digest_size=16)
+    for file in files:
+        about = file.stat()
+        found.update(f"{file.relative_to(dataset.folder)} {about.st_size} {about.st_mtime_ns}\n".encode())
+    return found.hexdigest()
+
+
+def _identity_of(path: Path) -> str:
+    folder = path if path.is_dir() else path.parent
+    try:
+        return str(read_json_object(folder / EXPORT_FILE).get("identity", ""))
+    except ConfigError:
+        return ""
+
+
+def _name(dataset: Dataset) -> str:
+    """Return a name of a dataset without the path of this machine."""
+    return dataset.path.parent.name if dataset.format == "rlds" else dataset.path.name

@@ -1,0 +1,87 @@
+"""Datasets are converted, merged and split; the sources stay, and an interruption loses nothing."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_datasets.compare import compare
+from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.rewrite import options_like, plan_of, split_plan, write_dataset
+from roboxim_datasets.rlds import RldsOptions
+
+
+def ids(dataset):
+    return {split: [e.episode_id for e in dataset.episodes(split)] for split in dataset.splits}
+
+
+def test_a_merged_dataset_has_the_episodes_of_all_split_by_split(tmp_path, write):
+    a, b = write(tmp_path / "a", [0, 1], val=[2], encoding="jpeg"), write(tmp_path / "b", [3], val=[4], encoding="jpeg")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    written = write_dataset(plan_of(a, b), tmp_path / "m", "rlds", options_like(a), how="merge")
+    merged = open_dataset(written.path)
+    assert ids(merged) == {"train": ["demo-0", "demo-1", "demo-3"], "val": ["demo-2", "demo-4"]}
+    assert compare(merged, write(tmp_path / "x", [0, 1, 3], val=[2, 4], encoding="jpeg"), images="exact").equal
+    assert {file: file.read_bytes() for file in before} == before
+    facts = json.loads((written.path / "export.json").read_text())
+    assert (facts["how"], [source["name"] for source in facts["sources"]]) == ("merge", ["roboxim", "roboxim"])
+    again = write_dataset(plan_of(a, b), tmp_path / "m", "rlds", options_like(a), how="merge")
+    assert again.resumed == 5
+
+
+def test_what_does_not_fit_together_is_refused(tmp_path, write):
+    a, b = write(tmp_path / "a", [0]), write(tmp_path / "b", [0])
+    with pytest.raises(RecorderError, match="episode 'demo-0' occurs twice"):
+        write_dataset(plan_of(a, b), tmp_path / "m", "rlds", how="merge")
+    (b.path / "convention.yaml").write_text("rate_hz: 5\n")
+    with pytest.raises(RecorderError, match="different conventions"):
+        write_dataset(plan_of(a, b), tmp_path / "m", "rlds", how="merge")
+    for target in (a.path, a.path / "inside", tmp_path / "a"):
+        with pytest.raises(RecorderError, match="is, or lies in, the source") as caught:
+            write_dataset(plan_of(a), target, "rlds", RldsOptions(name="roboxim"), how="convert", overwrite=True)
+        assert caught.value.code == ErrorCode.EXPORT_REFUSED
+
+
+def test_an_interrupted_merge_goes_on(tmp_path, write):
+    a, options = write(tmp_path / "a", [0, 1, 2, 3]), RldsOptions(name="copy")
+
+    def interrupt(done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(plan_of(a), tmp_path / "out", "rlds", options, how="convert", progress=interrupt)
+    assert not (tmp_path / "out" / "copy" / "1.0.0").exists()
+    write_dataset(plan_of(a), tmp_path / "out", "rlds", options, how="convert")
+    whole = write_dataset(plan_of(a), tmp_path / "whole", "rlds", options, how="convert")
+    resumed = tmp_path / "out" / "copy" / "1.0.0"
+    for file in whole.path.iterdir():
+        assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name
+
+
+def test_a_dataset_is_divided_anew(tmp_path, write):
+    a = write(tmp_path / "a", [0, 1, 2, 3], val=[4, 5])
+    plan = split_plan(a, {"train": 0, "val": 2})
+    written = write_dataset(plan, tmp_path / "s", "rlds", options_like(a), how="split")
+    found = ids(open_dataset(written.path))
+    assert (len(found["train"]), len(found["val"])) == (4, 2)
+    assert sorted(found["train"] + found["val"]) == [f"demo-{i}" for i in range(6)]
+    for counts in ({"train": 5}, {"train": 7, "val": 0}, {"train": 6, "val": 0}, {"a": 0, "b": 0}):
+        with pytest.raises(InvalidRequestError, match="has 6 episodes; expected counts that add up"):
+            split_plan(a, counts)
+
+
+def test_the_card_says_what_a_dataset_consists_of(tmp_path, write):
+    a = write(tmp_path / "a", [0, 1], val=[2])
+    written = write_dataset(plan_of(a), tmp_path / "c", "rlds", RldsOptions(name="cubes"), how="convert")
+    text = (written.path / "README.md").read_text()
+    head, body = text.split("---\n", 2)[1:]
+    assert "task_categories:\n- robotics" in head
+    for words in (
+        "| `train` | 2 | 6 |", "| Pick up cube 1 | 1 |", "`dx`", "`tcp.x`, `tcp.y`", "end_effector_delta",
+        "roboxim dataset convert, from roboxim (rlds)", "tensorflow_datasets", "(preview.jpg)",
+    ):  # fmt: skip
+        assert words in body, words
+    assert (written.path / "preview.jpg").read_bytes()[:2] == b"\xff\xd8"
