@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.expert_episode import expert_episode
+from roboxim_bringup.known_answers import PlayingServer, in_convention, play_expert
+from roboxim_bringup.policy_check import ASKED, check_policy, save_sheet
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.config_folders import config_names
+from roboxim_core.conventions import load_convention
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, PolicyError
 from roboxim_core.policies import CameraRequirement
@@ -151,3 +156,34 @@ def test_bc_over_the_wire_equals_bc_in_process(tmp_path):
         local = PolicySpec(spec="bc", name="here", options=checkpoint)
         found = evaluate(config(tmp_path / "out", [local, remote_spec(server)], size=0))
     assert [essence(r) for r in found["here"].results] == [essence(r) for r in found["there"].results]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", config_names("conventions"))
+def test_server_that_plays_the_expert_succeeds_in_every_convention(name):
+    result = play_expert(load_convention(name), 0)
+    assert result is not None, "the expert does not solve this episode"
+    assert result.outcome == "success", f"{result.reason} {result.message}"
+    assert result.clipped == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inverted", [False, True])
+def test_check_of_a_server_names_an_inverted_gripper_and_nothing_in_the_expert(tmp_path, inverted):
+    convention = load_convention("roboxim")
+    raw = in_convention(convention, expert_episode())
+    if inverted:
+        raw[:, 6] = 1 - raw[:, 6]
+    server, horizon = PlayingServer(convention), convention.chunking.horizon
+    asked = [int(tick) for tick in np.linspace(0, len(raw) - 2, ASKED)]
+    server.play(np.concatenate([raw[np.minimum(tick + np.arange(horizon), len(raw) - 1)] for tick in asked]))
+    with ExitStack() as stack:
+        stack.enter_context(server.serving())
+        policy = stack.enter_context(load_policy("openpi", url=server.url, convention="roboxim", version="expert"))
+        found = check_policy(policy)
+    assert found.round_trip.is_exact
+    assert [text[:17] for text in found.suspicions] == ["inverted gripper?"] * inverted
+    assert found.passed != inverted
+    assert sum("opening" in line for line in found.lines) == ASKED
+    save_sheet(found, tmp_path / "sheet.png")
+    assert (tmp_path / "sheet.png").stat().st_size > 1000

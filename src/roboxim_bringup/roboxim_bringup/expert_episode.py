@@ -105,8 +105,8 @@ class _Watched:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sim, name)
 
-    def load(self, episode_id: str, scene: SceneSpec, *more: Any) -> StateRecord:
-        record: StateRecord = self._sim.load(episode_id, scene, *more)
+    def load(self, episode_id: str, scene: SceneSpec, *more: Any, **named: Any) -> StateRecord:
+        record: StateRecord = self._sim.load(episode_id, scene, *more, **named)
         self._scene = scene
         self._states: list[StateRecord] = [record]
         self._actions: list[Floats] = []

@@ -20,6 +20,8 @@ from roboxim_policies.remote import RemotePolicy
 ASKED = 6
 """Number of ticks of the expert's episode at which the policy is asked."""
 LABEL_PX = 20
+COLUMN_PX = 310
+"""Least width of a picture's column, for its words."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +149,7 @@ def _opening(opening: float) -> str:
 def _sheet(convention: Convention, pictures: Mapping[str, Picture]) -> Image.Image:
     """Draw the sent pictures beside each other, with their keys, cameras and sizes."""
     font = ImageFont.load_default(13)
-    width = sum(max(picture.shape[1], 224) for picture in pictures.values()) or 224
+    width = sum(max(picture.shape[1], COLUMN_PX) for picture in pictures.values()) or COLUMN_PX
     height = max((picture.shape[0] for picture in pictures.values()), default=0) + 3 * LABEL_PX
     sheet = Image.new("RGB", (width, height), "white")
     draw, left = ImageDraw.Draw(sheet), 0
@@ -158,7 +160,7 @@ def _sheet(convention: Convention, pictures: Mapping[str, Picture]) -> Image.Ima
         for line, text in enumerate(words):
             draw.text((left + 3, line * LABEL_PX + 2), text, "black", font)
         sheet.paste(Image.fromarray(np.ascontiguousarray(picture)), (left, 3 * LABEL_PX))
-        left += max(picture.shape[1], 224)
+        left += max(picture.shape[1], COLUMN_PX)
     return sheet
 
 

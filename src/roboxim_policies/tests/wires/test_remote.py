@@ -1,5 +1,7 @@
 """A remote policy understands its server by the convention, and refuses what does not fit."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fake_servers import GOOD, groot_fake, openpi_fake, vla_eval_fake
@@ -13,6 +15,9 @@ from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies.base import load_policy
 from roboxim_policies.fitting import misfits
 from roboxim_policies.remote import Probe, probe_window
+from roboxim_policies.wires import groot, openpi, vla_eval
+
+DATA = Path(__file__).parents[4] / "tests" / "data" / "wires"
 
 LIBERO, ROBOXIM, DROID = (load_convention(name) for name in ("libero", "roboxim", "droid_velocity"))
 START = EpisodeStart(episode_id="probe", instruction="pick up the red cube", seed=1)
@@ -142,3 +147,23 @@ def test_policy_over_vla_eval_leaves_out_what_the_server_does_not_want():
         assert set(server.requests[-1]) == {"images", "task_description"}
         assert set(server.requests[-1]["images"]) == {"image"}
         assert policy.convention.action.control == ControlMode.END_EFFECTOR_DELTA
+
+
+@pytest.mark.parametrize(
+    ("recording", "wire", "convention"),
+    [
+        ("openpi-libero/00_metadata.bin", "openpi", "libero"),
+        ("roboarena/00_metadata.bin", "openpi", "roboarena_joint_position"),
+        ("vla-eval/01_from_server_hello.bin", "vla_eval", "vla_eval_libero"),
+        ("groot-n15/03_response_modality.bin", "groot", "groot_libero"),
+        ("groot-n16/03_response_modality.bin", "groot", "groot_libero"),
+        ("groot-n17/03_response_modality.bin", "groot", "groot_libero"),
+    ],
+)
+def test_shipped_convention_fits_what_a_genuine_server_declared(recording, wire, convention):
+    data = (DATA / recording).read_bytes()
+    if wire == "groot":
+        metadata = {"modality_config": groot.serialiser_of(data).decode(data)}
+    else:
+        metadata = openpi.decode(data) if wire == "openpi" else vla_eval.decode(data)["payload"]
+    assert misfits(wire, metadata, load_convention(convention)) == []
