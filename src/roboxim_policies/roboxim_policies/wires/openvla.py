@@ -148,6 +148,7 @@ class OpenVlaWire(Wire):
         what = f"the reply of {self.server}"
         connection = self._connected(deadline)
         assert connection.sock is not None
+        connection.sock.settimeout(None)  # the watch ends what takes too long
         try:
             with _Watch(connection.sock, deadline.left(what)) as watch:
                 headers = {"Content-Type": "application/json", "Connection": "close"}

@@ -139,11 +139,12 @@ class VlaEvalWire(Wire):
         self._socket: WebSocket | None = None
         self._seq = 0
         self._began = 0
+        self._steps: int | None = None
         self._leave_out: tuple[str, ...] = ()
 
     def _open(self, deadline: Deadline) -> Metadata:
         self._socket = WebSocket(self.url, self.server, deadline)
-        self._seq = 0
+        self._seq, self._steps = 0, None
         seq = self._send(
             "hello",
             {"harness_version": HARNESS_VERSION, "protocol_version": PROTOCOL_VERSION, "benchmark": "RoboXim"},
@@ -162,6 +163,9 @@ class VlaEvalWire(Wire):
 
     def _begin(self, start: EpisodeStart, deadline: Deadline) -> None:
         self._connection().require_silence()
+        if self._steps is not None:  # the episode before, on the same connection
+            self._send("episode_end", {"metrics": {}, "steps": self._steps, "elapsed_sec": 0.0}, deadline)
+        self._steps = 0
         task = {"name": start.instruction, "episode_id": start.episode_id, "seed": start.seed}
         self._began = self._send("episode_start", {"task": task}, deadline)
 
@@ -176,6 +180,7 @@ class VlaEvalWire(Wire):
         if parts.numbers and "send_state" not in self._leave_out:
             payload["states"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()]).astype("<f4")
         reply = self._reply("action", self._send("observation", payload, deadline), deadline)
+        self._steps = (self._steps or 0) + 1
         if "actions" not in reply:
             raise invalid(f"{self.server} answered without 'actions', only with {echo(sorted(map(str, reply)))}")
         return {"actions": rows_of(reply["actions"], f"the actions of {self.server}", most=MOST_ROWS)}

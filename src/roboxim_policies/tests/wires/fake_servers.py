@@ -39,6 +39,8 @@ class Fake:
         self.released = threading.Event()
         """Lets a late answer go."""
         self.requests: list[object] = []
+        self.kinds: list[str] = []
+        """Types of vla-eval's messages."""
         self.url = ""
 
     def next(self, request: object) -> str:
@@ -136,6 +138,7 @@ def vla_eval_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fa
 
         for message in connection:
             request = vla_eval.decode(message)
+            fake.kinds.append(request["type"])
             if request["type"] == "hello":
                 send("hello", hello, request["seq"])
             if request["type"] == "episode_start" and fake.behaviours[:1] == ["no start"]:

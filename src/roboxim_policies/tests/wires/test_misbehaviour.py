@@ -190,6 +190,14 @@ def test_episode_that_cannot_begin_is_named(made):
         np.testing.assert_allclose(answer(wire), GOOD)
 
 
+def test_episode_of_vla_eval_is_ended_before_the_next(made):
+    with vla_eval_fake() as server:
+        wire = made("vla_eval", server.url)
+        for _ in range(2):
+            answer(wire)
+        assert server.kinds == ["hello", "episode_start", "observation", "episode_end", "episode_start", "observation"]
+
+
 def test_error_of_starvla_is_named(made):
     metadata = {"available_unnorm_keys": ["oxe_bridge"], "action_chunk_size": 3}
     with openpi_fake("reported", metadata=metadata) as server:
