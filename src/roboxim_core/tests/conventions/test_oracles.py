@@ -128,12 +128,12 @@ def test_the_gripper_has_the_polarity_and_threshold_of_the_source(name):
 @pytest.mark.parametrize("name", ["fractal", "octo_fractal"])
 def test_the_google_robots_gripper_moves_on_a_jump_and_then_stays_for_15_steps(name):
     convention = load_convention(name)
-    raw = np.zeros((40, 7))
-    raw[:, 6] = [0.9] * 3 + [0.3] * 2 + [1.0] * 20 + [0.4] * 5 + [1.0] * 10
-    openings = to_actions(convention, raw, _still(40))
-    # It falls by more than 0.5 at step 3. The rise at step 5 comes within 15 steps of that and counts for nothing, the
-    # fall at step 25 asks for what is commanded already, and the rise at step 30 opens.
-    np.testing.assert_array_equal(openings[:, 6], [1.0] * 3 + [0.0] * 27 + [1.0] * 10)
+    raw = np.zeros((30, 7))
+    for rise, opens in ((17, False), (18, True)):  # it falls by more than 0.5 at step 3, and stays for steps 3 to 17
+        raw[:, 6] = [0.9] * 3 + [0.3] * (rise - 3) + [1.0] * (30 - rise)
+        closed = [0.0] * (rise - 3)
+        expected = [1.0] * 3 + closed + [float(opens)] * (30 - rise)
+        np.testing.assert_array_equal(to_actions(convention, raw, _still(30))[:, 6], expected)
 
 
 def test_the_relative_gripper_of_rt1_stays_within_its_dead_zone():
