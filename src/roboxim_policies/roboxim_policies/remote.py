@@ -203,7 +203,7 @@ class RemotePolicy(BasePolicy):
             PolicyError: ``INVALID_ACTION`` when there are too few, too many, or they have no meaning.
         """
         chunking = self.convention.chunking
-        if chunking.ensemble == "none" and len(raw) < chunking.execute:
+        if len(raw) < chunking.execute:
             raise self._invalid(
                 f"the answer has {len(raw)} actions, the convention executes {chunking.execute}; the model may be "
                 "another one, or the convention's chunking is wrong"

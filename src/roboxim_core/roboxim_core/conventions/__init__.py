@@ -7,7 +7,6 @@ numbers, without a wire and without ROS. `roboxim_core.conventions.convention` e
 from roboxim_core.conventions.convention import (
     Chunking,
     Convention,
-    Ensemble,
     PromptInput,
     Request,
     decode_actions,
@@ -29,7 +28,6 @@ __all__ = [
     "ArmReadings",
     "Chunking",
     "Convention",
-    "Ensemble",
     "Frames",
     "GripperOutput",
     "ImageInput",

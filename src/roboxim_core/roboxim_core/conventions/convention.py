@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ from roboxim_core.conventions.images import ImageInput
 from roboxim_core.conventions.outputs import ActionOutput
 from roboxim_core.conventions.states import ArmReadings, StateInput
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
-from roboxim_core.policies import CameraRequirement, Observation, ObservationWindow
+from roboxim_core.policies import MAX_HORIZON, CameraRequirement, Observation, ObservationWindow
 from roboxim_core.rotations import Floats
 from roboxim_core.specs import Scalar
 
@@ -44,59 +43,29 @@ Request = dict[str, Any]
 """Key to uint8 or float array, string, or scalar."""
 
 
-class Ensemble(StrEnum):
-    """How the predictions that several chunks make for one tick are combined."""
-
-    NONE = "none"
-    """No overlap: ``execute`` actions of a chunk are executed, then the policy is asked again."""
-    NEWEST = "newest"
-    """Ask at every tick, and take the newest chunk's first action."""
-    MEAN = "mean"
-    """Ask at every tick, and take the mean."""
-    EXPONENTIAL = "exponential"
-    """Ask at every tick, and take the mean with weights exp(-weight * i), i = 0 for the oldest prediction: a positive
-    weight favours the oldest, as in ACT and Octo."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown kind of ensemble {value!r}; {one_of(list(cls), str(value))}")
-
-
 @dataclass(frozen=True, kw_only=True)
-class Chunking:
-    """How many actions an answer has, and how they are executed."""
+class Chunking(actions.Chunking):
+    """How many actions an answer has, and how they are executed; a run may say otherwise."""
 
     horizon: int = 1
     """Largest number of actions in an answer."""
-    execute: int = 0
-    """Number of actions executed per answer; 0: all."""
-    ensemble: Ensemble = Ensemble.NONE
-    """How overlapping predictions are combined."""
-    weight: float = 0.0
-    """Of ``exponential``."""
 
     def __post_init__(self) -> None:
-        """Check the ranges.
+        """Check the values.
 
         Raises:
-            InvalidRequestError: Naming the field.
+            InvalidRequestError: As `roboxim_core.actions.Chunking`, or when more is executed than answered.
         """
-        limits.require_range("chunking: horizon", self.horizon, 1, 10_000)
-        limits.require_range("chunking: execute", self.execute, 0, self.horizon)
-        limits.require_finite("chunking: weight", [self.weight], 1e3)
-        if self.ensemble != Ensemble.NONE and self.execute > 1:
-            raise InvalidRequestError("chunking: an ensemble asks at every tick; leave execute out, or set it to 1")
+        super().__post_init__()
+        limits.require_range("horizon", self.horizon, 1, MAX_HORIZON)
+        limits.require_range("execute", self.execute, 0, self.horizon)
 
     @property
     def execution(self) -> actions.Chunking:
-        """How the episode loop executes the answers, unless a run says otherwise."""
-        if self.ensemble == Ensemble.NONE:
-            return actions.Chunking(execute=self.execute)
-        if self.ensemble == Ensemble.NEWEST:
-            return actions.Chunking(execute=1)
-        if self.ensemble == Ensemble.EXPONENTIAL and self.weight:
-            return actions.Chunking(ensemble=actions.Ensemble.EXPONENTIAL, ensemble_decay=self.weight)
-        return actions.Chunking(ensemble=actions.Ensemble.MEAN)
+        """How the episode loop executes the answers, without the horizon."""
+        return actions.Chunking(
+            execute=self.execute, ensemble=self.ensemble, ensemble_decay=self.ensemble_decay, late_rows=self.late_rows
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,7 +366,6 @@ def _converted(
 __all__ = [
     "Chunking",
     "Convention",
-    "Ensemble",
     "PromptInput",
     "Request",
     "decode_actions",

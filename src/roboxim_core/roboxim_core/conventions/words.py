@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from roboxim_core.actions import ControlMode, DeltaBase, ReferenceFrame
-from roboxim_core.conventions.convention import Convention, Ensemble, decode_actions
+from roboxim_core.actions import ControlMode, DeltaBase, Ensemble, ReferenceFrame
+from roboxim_core.conventions.convention import Convention, decode_actions
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
@@ -81,15 +81,17 @@ def _timing(convention: Convention) -> str:
     rate = f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate"
     chunking = convention.chunking
     many = f"answers with up to {chunking.horizon} actions" if chunking.horizon > 1 else "answers with one action"
-    used = f", of which {chunking.execute} are executed" if 0 < chunking.execute < chunking.horizon else ""
-    ensembles = {
-        Ensemble.NEWEST: "It is asked at every tick, and the newest answer counts.",
-        Ensemble.MEAN: "It is asked at every tick, and the mean of the predictions for the tick is executed.",
-        Ensemble.EXPONENTIAL: "It is asked at every tick, and a mean of the predictions for the tick is executed, with "
-        f"weights exp(-{chunking.weight:g} i), i = 0 for the oldest.",
-    }
-    text = f"The policy acts at {rate} and {many}{used if chunking.ensemble == Ensemble.NONE else ''}."
-    return " ".join([text, ensembles.get(chunking.ensemble, "")]).strip()
+    text = f"The policy acts at {rate} and {many}"
+    asked = chunking.rows_per_request(chunking.horizon)
+    if chunking.ensemble == Ensemble.NEWEST:
+        return text + (
+            "." if asked == chunking.horizon else f", of which {asked} {'is' if asked == 1 else 'are'} executed."
+        )
+    when = "at every tick" if asked == 1 else f"every {asked} ticks"
+    weights = ""
+    if chunking.ensemble == Ensemble.EXPONENTIAL:
+        weights = f", with weights exp(-{chunking.ensemble_decay:g} i), i = 0 for the oldest,"
+    return f"{text}. It is asked {when}, and the mean of the predictions for a tick{weights} is executed."
 
 
 def _pictures(convention: Convention) -> list[str]:

@@ -52,7 +52,7 @@ def test_a_convention_survives_json(name):
         ("rate_hz: 10\nframes: {base_axes: [x, y, y]}", "x, y and z once each"),
         ("rate_hz: 10\nframes: {base_axes: [x, y, '-z']}", "both be right-handed"),
         ("rate_hz: 10\nprompt: {template: hello}", "must contain {instruction}"),
-        ("rate_hz: 10\nchunking: {horizon: 4, execute: 5}", "chunking: execute must be from 0 to 4"),
+        ("rate_hz: 10\nchunking: {horizon: 4, execute: 5}", "execute must be from 0 to 4"),
         ("rate_hz: 10\naction: {normalisation: {kind: quantiles}}", "needs a file, or first (q01) and second (q99)"),
         ("rate_hz: -1", "rate_hz must be from 0"),
     ],
@@ -168,10 +168,10 @@ def test_a_window_holds_the_newest_observations(tmp_path):
     ("text", "expected"),
     [
         ("{horizon: 10, execute: 5}", Chunking(execute=5)),
-        ("{horizon: 4, ensemble: newest}", Chunking(execute=1)),
+        ("{horizon: 4, ensemble: newest}", Chunking()),
         ("{horizon: 4, ensemble: mean}", Chunking(ensemble="mean")),
         (
-            "{horizon: 4, ensemble: exponential, weight: 0.01}",
+            "{horizon: 4, ensemble: exponential, ensemble_decay: 0.01}",
             Chunking(ensemble="exponential", ensemble_decay=0.01),
         ),
     ],
