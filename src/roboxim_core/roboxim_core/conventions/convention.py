@@ -153,15 +153,9 @@ class Convention:
     def run_semantics(self) -> ActionSemantics:
         """Meaning that `to_actions` converts to.
 
-        In end-effector space RoboXim's default, at this rate and with these limits; in joint space the same as
-        `semantics`, which the simulator's joint controller executes.
+        It is what the simulator executes, see `ActionSemantics.executed`.
         """
-        own = self.semantics
-        if own.control.is_joint_space:
-            return own
-        return ActionSemantics(
-            rate_hz=own.rate_hz, max_translation_m=own.max_translation_m, max_rotation_rad=own.max_rotation_rad
-        )
+        return self.semantics.executed(self.rate_hz)
 
     @property
     def cameras(self) -> tuple[CameraRequirement, ...]:

@@ -49,10 +49,19 @@ RT1 = {  # SimplerEnv: 1.75 is 0.05 m and 1.4 is 0.25 rad, clipped
     (0, 0, 0, 0, -0.7, 0): (0, 0, 0, 0, -0.125, 0),
     (0, 0, 0, 0, 0, 1.57): (0, 0, 0, 0, 0, 0.25),
 }
+SOFT = {  # the steady motion of robosuite's arm, see the test below
+    (1, 0, 0, 0, 0, 0): (0.013275, 0, 0, 0, 0, 0),
+    (0, -1, 0, 0, 0, 0): (0, -0.013275, 0, 0, 0, 0),
+    (0, 0, 2, 0, 0, 0): (0, 0, 0.013275, 0, 0, 0),
+    (0, 0, 0, 1, 0, 0): (0, 0, 0, 0.13275, 0, 0),
+    (0, 0, 0, 0, -1, 0): (0, 0, 0, 0, -0.13275, 0),
+    (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.13275),
+}
 MOTIONS = {
     **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], OSC),
     **dict.fromkeys(["bridge", "fractal", "octo_bridge", "octo_fractal", "roboxim", "rt1_fractal"], METRES),
     "rt1_widowx": RT1,
+    "libero_soft": SOFT,
 }
 JOINT_MOTIONS = {  # DROID: a velocity of 1 is 0.2 rad per step, clipped to [-1, 1]; positions are radians
     "droid_velocity": {1.0: 0.2, -0.5: -0.1, 1.5: 0.2},
@@ -62,6 +71,7 @@ JOINT_MOTIONS = {  # DROID: a velocity of 1 is 0.2 rad per step, clipped to [-1,
 }
 GRIPPERS = {  # number to opening, 1 = open
     "libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
+    "libero_soft": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     "vla_eval_libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     **dict.fromkeys(["oft_libero", "openvla_libero", "groot_libero"], {1.0: 1, 0.0: 0, 0.6: 1, 0.4: 0}),
     **dict.fromkeys(["bridge", "octo_bridge"], {1.0: 1, 0.0: 0, 0.51: 1, 0.49: 0, 1.3: 1, -0.2: 0}),
@@ -74,7 +84,7 @@ GRIPPERS = {  # number to opening, 1 = open
     "roboxim": {1.0: 1, 0.0: 0, 0.25: 0.25},
 }
 RATES = {
-    **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
+    **dict.fromkeys(["libero", "libero_soft", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
     **dict.fromkeys(["bridge", "octo_bridge"], 5),
     **dict.fromkeys(["fractal", "octo_fractal", "rt1_widowx", "rt1_fractal"], 3),
     **dict.fromkeys(JOINT_MOTIONS, 15),
@@ -82,7 +92,7 @@ RATES = {
 }
 BASES = {  # what a delta is added to
     **dict.fromkeys(MOTIONS, "measured"),
-    **dict.fromkeys(["bridge", "octo_bridge", "rt1_widowx", "roboxim"], "commanded"),
+    **dict.fromkeys(["bridge", "octo_bridge", "rt1_widowx", "roboxim", "libero_soft"], "commanded"),
 }
 
 
@@ -109,6 +119,17 @@ def test_joint_motions_have_the_units_and_the_order_of_the_source(name):
             raw[joint], wanted[joint] = number, expected
             wanted[7] = 1.0  # 0 is open
             np.testing.assert_allclose(to_actions(convention, raw, AT_REST), [wanted], atol=1e-12)
+
+
+def test_robosuites_soft_arm_moves_a_quarter_of_its_input_per_step():
+    """Integrate robosuite's law, acceleration = 150 (goal - x) - 2 sqrt(150) v, with a goal 1 ahead at every step."""
+    x = v = 0.0
+    for _ in range(20):
+        start = x
+        for _ in range(2000):
+            v += (150 * (start + 1 - x) - 2 * sqrt(150) * v) * 0.05 / 2000
+            x += v * 0.05 / 2000
+    assert x - start == pytest.approx(0.2655, abs=2e-4)
 
 
 def test_droid_velocity_closes_at_1():
@@ -179,7 +200,7 @@ def about_z(a):
     return np.array([[cos(a), -sin(a), 0], [sin(a), cos(a), 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("name", sorted(MOTIONS))
+@pytest.mark.parametrize("name", sorted(MOTIONS.keys() - {"libero_soft"}))  # which turns by 8 degrees at most
 def test_large_rotations_are_those_of_the_source(name):
     """Test a rotation of 40 degrees and more about a skew axis, where the representations differ by degrees."""
     convention = load_convention(name)
@@ -203,7 +224,12 @@ def proprioception(matrix, opening=1.0):
     )  # fmt: skip
 
 
-LIBERO_STATES = {"libero": "observation/state", "oft_libero": "state", "vla_eval_libero": "states"}
+LIBERO_STATES = {
+    "libero": "observation/state",
+    "libero_soft": "observation/state",
+    "oft_libero": "state",
+    "vla_eval_libero": "states",
+}
 
 
 @pytest.mark.parametrize("name", sorted(LIBERO_STATES))
@@ -271,9 +297,11 @@ KEYS = {
 }  # fmt: skip
 KEYS["droid_position"], KEYS["roboarena_joint_position"] = KEYS["droid_velocity"], KEYS["roboarena_joint_velocity"]
 KEYS["rt1_fractal"] = KEYS["rt1_widowx"]
-KEYS["roboxim"] = KEYS["libero"]
+KEYS["roboxim"] = KEYS["libero_soft"] = KEYS["libero"]
 SIZES = {
-    **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)),
+    **dict.fromkeys(
+        ["libero", "libero_soft", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)
+    ),
     **dict.fromkeys(["groot_libero", "vla_eval_libero", "octo_bridge", "octo_fractal", "roboxim"], (256, 256)),
     **dict.fromkeys(["rt1_widowx", "rt1_fractal"], (256, 320)),
 }
