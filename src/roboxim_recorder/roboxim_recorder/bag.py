@@ -214,6 +214,15 @@ class BagReader:
         with damage(self.path):
             return self.decoder.decode(topic, cdr)
 
+    def encode(self, topic: str, message: Any) -> bytes:
+        """Serialise a message that `decode` or `messages` returned, e.g. after a change.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when the message does not fit its topic.
+        """
+        with damage(self.path):
+            return self.decoder.encode(topic, message)
+
     def ticks(
         self, cameras: Sequence[str] | None = None, kinds: Collection[str] = topics.IMAGE_KINDS
     ) -> Iterator[BagTick]:

@@ -31,6 +31,10 @@ class Decoder:
         """Decode a message of a topic."""
         return self._store.deserialize_cdr(cdr, self.types[topic])
 
+    def encode(self, topic: str, message: Any) -> bytes:
+        """Serialise a message of a topic that `decode` returned, e.g. after a change."""
+        return bytes(self._store.serialize_cdr(message, self.types[topic]))
+
     def layout(self, topic: str) -> MessageLayout:
         """Return how a topic's messages lie in CDR."""
         return message_layout(self._schemas[topic])
