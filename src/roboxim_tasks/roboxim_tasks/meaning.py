@@ -1,0 +1,189 @@
+"""The meaning of an instruction's text in a scene: the tasks that it may ask for, to be judged.
+
+A text is matched with every skill's templates. The words in place of a role are matched with the descriptions of the
+scene's objects, those in place of another word with the skill's parameters. The skill's own generator then makes the
+task, so that it has every argument that the evaluator needs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from string import Formatter
+from typing import Any
+
+from roboxim_core.errors import RoboximError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
+from roboxim_tasks.config import task_config
+from roboxim_tasks.generators import GenerationContext
+from roboxim_tasks.roles import SPOKEN, task_objects
+from roboxim_tasks.skills import SKILLS, Skill
+
+DRAWER = re.compile(r"(?P<drawer>\w+) drawer of the (?P<whole>.+)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What a text asks for in a scene."""
+
+    understood: bool
+    """Whether the text follows a template of a known skill."""
+    tasks: tuple[TaskSpec, ...] = ()
+    """Tasks that it may ask for; empty: the scene allows none."""
+    absent: tuple[str, ...] = ()
+    """Descriptions in the text that fit no object of the scene."""
+
+
+def read_instruction(
+    text: str, scene: SceneSpec, library: ModelLibrary, templates: Mapping[str, Iterable[str]] | None = None
+) -> Reading:
+    """Return what an instruction asks for in a scene.
+
+    Args:
+        text: The instruction.
+        scene: The scene.
+        library: The models.
+        templates: Skill to further templates, beside the skill's own.
+    """
+    tasks: list[TaskSpec] = []
+    absent: list[str] = []
+    understood = False
+    for name in SKILLS:
+        skill = SKILLS[name]
+        for template in dict.fromkeys((*skill.templates, *(templates or {}).get(name, ()))):
+            words = _match(template, text, skill, library)
+            if words is None or not _roles(skill, words):
+                continue
+            understood = True
+            missing, parameters, choices = _objects(skill, words, scene, library)
+            absent += missing
+            for chosen in choices:
+                task = _task(skill, template, parameters, chosen, library)
+                if task is not None and task not in tasks:
+                    tasks.append(task)
+    return Reading(understood=understood, tasks=tuple(tasks), absent=tuple(dict.fromkeys(absent)) if not tasks else ())
+
+
+def asks_for_same(first: TaskSpec, second: TaskSpec) -> bool:
+    """Return whether two tasks are of the same skill, objects and words, thresholds aside."""
+    if first.skill != second.skill:
+        return False
+    texts = {n for n, v in first.arguments.items() if isinstance(v, str)} | {"angle_deg"}
+    return {t.entity for t in task_objects(first)} == {t.entity for t in task_objects(second)} and all(
+        first.arguments.get(name) == second.arguments.get(name) for name in texts
+    )
+
+
+def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dict[str, str] | None:
+    """Return the words in place of a template's names; none: the text does not follow it.
+
+    A role's words end with a noun of the library where that is possible, so that "Push the soda can back" is read
+    rightly.
+    """
+    nouns = sorted({library.object(model).name for model in library.object_ids}, key=len, reverse=True)
+    thing = rf"(?:[\w-]+ )*?(?:{'|'.join(map(re.escape, nouns))})|.+?"
+    pattern = ""
+    for literal, name, _, _ in Formatter().parse(template):
+        pattern += re.escape(literal)
+        if name:
+            said = f"(?P<{name}>{thing if name in skill.roles else '.+?'})"
+            pattern += f"(?P={name})" if f"(?P<{name}>" in pattern else said
+    found = re.fullmatch(pattern, text.strip().rstrip("."), re.IGNORECASE)
+    return found.groupdict() if found else None
+
+
+def _roles(skill: Skill, words: Mapping[str, str]) -> bool:
+    """Return whether the words in place of other names than roles fit the skill's parameters."""
+    return all(name in skill.roles or _parameter(skill, name, word) for name, word in words.items())
+
+
+def _parameter(skill: Skill, name: str, word: str) -> dict[str, Any]:
+    """Return the skill's parameter that a word of the instruction sets, by name; empty: it sets none."""
+    for field in fields(skill.Parameters):
+        if field.name == name or field.name.startswith(f"{name}_"):
+            default = getattr(skill.Parameters(), field.name)
+            if isinstance(default, str):
+                return {field.name: word.lower()}
+            try:
+                return {field.name: float(word)}
+            except ValueError:
+                return {}
+    return {}
+
+
+def _objects(
+    skill: Skill, words: Mapping[str, str], scene: SceneSpec, library: ModelLibrary
+) -> tuple[list[str], dict[str, Any], Iterator[dict[str, PhysicalObject]]]:
+    """Return descriptions that fit nothing, parameters, and the possible objects by role."""
+    parameters: dict[str, Any] = {}
+    fitting: dict[str, list[PhysicalObject]] = {}
+    missing = []
+    for name, word in words.items():
+        if name not in skill.roles:
+            parameters |= _parameter(skill, name, word)
+    for role in skill.roles:
+        said = words.get(role)
+        drawer = DRAWER.fullmatch(said) if said else None
+        if drawer and "drawer" in {field.name for field in fields(skill.Parameters)}:
+            parameters["drawer"], said = drawer["drawer"].lower(), drawer["whole"]
+        things = [_thing(entity.name, scene, library) for entity in scene.entities]
+        suited = [t for t in things if skill.roles[role].suits(library.object(t.model, t.modifiers))]
+        fitting[role] = [t for t in suited if said is None or said.lower() in _descriptions(t, library)]
+        if said is not None and not fitting[role]:
+            missing.append(said)
+    combined = (dict(zip(fitting, chosen, strict=True)) for chosen in itertools.product(*fitting.values()))
+    return missing, parameters, (c for c in combined if len({t.entity for t in c.values()}) == len(c))
+
+
+def _thing(entity: str, scene: SceneSpec, library: ModelLibrary) -> PhysicalObject:
+    spec = scene.entity(entity)
+    return PhysicalObject(
+        entity=entity, model=spec.model, name=library.entity_model(spec).name, modifiers=spec.modifiers
+    )
+
+
+def _descriptions(thing: PhysicalObject, library: ModelLibrary) -> set[str]:
+    """Return every true description of an object: its noun with any of the words for its modifiers."""
+    known = library.object_modifiers(thing.model)
+    values = [
+        str(thing.modifiers.get(kind, known[kind].default if kind in known else "")) for kind in SPOKEN
+    ]  # a modifier that is not given has the model's default
+    return {
+        " ".join((*(value for value, said in zip(values, chosen, strict=True) if said and value), thing.name)).lower()
+        for chosen in itertools.product((False, True), repeat=len(values))
+    }
+
+
+def _task(
+    skill: Skill, template: str, parameters: Mapping[str, Any], chosen: Mapping[str, PhysicalObject],
+    library: ModelLibrary,
+) -> TaskSpec | None:  # fmt: skip
+    """Make the task of a template about certain objects; none: the skill refuses it."""
+    objects = {
+        role: {
+            "models": {"values": [thing.model]},
+            "modifiers": {kind: {"values": [value]} for kind, value in thing.modifiers.items()},
+        }
+        for role, thing in chosen.items()
+    }
+    data = {
+        "skill": skill.name,
+        "parameters": dict(parameters),
+        "objects": objects,
+        "templates": {"values": [template]},
+    }
+    try:
+        config = task_config(data, source="an instruction", library=library)
+        context = GenerationContext(
+            seed=SeedPath(run_seed=0, purpose="test", index=0), config=config, library=library, roles=skill.roles,
+            mismatch=skill.mismatch,
+        )  # fmt: skip
+        task = skill.generate(context)
+    except RoboximError:
+        return None
+    named = {role: replace(thing, entity=chosen[role].entity) for role, thing in task.objects.items()}
+    return replace(task, objects=named)
