@@ -1,0 +1,91 @@
+"""Images that stand still or show nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
+from roboxim_datasets.audit.checks.control import longest_run
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Values
+
+EQUAL = 3.0
+EQUAL_FRAMES = 3
+MOVED_M = 0.005
+BLANK = 2.0
+
+
+@AUDIT_CHECKS.register("frozen_camera")
+class FrozenCamera(AuditCheck):
+    """A camera that repeats its image while the hand moves."""
+
+    title = "A camera stands still"
+    reason = "The images belong to other ticks than the actions: the policy learns to act on what was."
+    threshold = (
+        f"{EQUAL_FRAMES} or more images in a row of which no cell (1/32 of a side) changes by more than {EQUAL:g} of "
+        f"255, while the hand moves by more than {1000 * MOVED_M:g} mm; a camera at half the control rate passes"
+    )
+    needs = "images, and the position of the hand or a second camera"
+    order = 14
+
+    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
+        """Find repeated images."""
+        if not episode.episode.cameras:
+            raise CannotCheckError("the dataset has no images")
+        for camera, track in episode.tracks.items():
+            moved = _moved(episode, camera)
+            start, length = longest_run(track.change < EQUAL)
+            runs = []
+            change = track.change < EQUAL
+            while length + 1 >= EQUAL_FRAMES:
+                if moved[start : start + length].sum() > MOVED_M:
+                    runs.append((start, length + 1))
+                change[start : start + length] = False
+                start, length = longest_run(change)
+            if runs:
+                begin, frames = runs[0]
+                yield Finding(
+                    text=f"{camera}: {frames} equal images from tick {begin} on"
+                    + (f", and {len(runs) - 1} more such runs" if len(runs) > 1 else ""),
+                    episodes=(episode.name,),
+                    ticks=(begin, begin + frames - 1),
+                    cameras=(camera,),
+                    series={f"{camera}: largest change of a cell": tuple(track.change)},
+                )
+
+
+def _moved(episode: AuditEpisode, camera: str) -> Values:
+    """Return how far the hand moves between ticks [m], or any number beyond `MOVED_M` where another camera changes."""
+    if "tcp_position" in episode.proprio:
+        return np.asarray(np.linalg.norm(np.diff(episode.proprio["tcp_position"], axis=0), axis=1), float)
+    others = [track for name, track in episode.tracks.items() if name != camera]
+    if not others:
+        raise CannotCheckError("nothing tells whether the hand moves: no position, no second camera")
+    return np.asarray(np.where(np.max([track.change for track in others], axis=0) > 4 * EQUAL, 1.0, 0.0), float)
+
+
+@AUDIT_CHECKS.register("blank_camera")
+class BlankCamera(AuditCheck):
+    """Images of one brightness."""
+
+    title = "A camera shows nothing"
+    reason = "A policy cannot learn from an image without content, and its features get used to it."
+    threshold = f"a standard deviation of the brightness below {BLANK:g} of 255 in any image"
+    needs = "images"
+    order = 15
+
+    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
+        """Find images without content."""
+        if not episode.episode.cameras:
+            raise CannotCheckError("the dataset has no images")
+        for camera, track in episode.tracks.items():
+            blank = np.flatnonzero(track.deviation < BLANK)
+            if len(blank):
+                yield Finding(
+                    text=f"{camera}: {len(blank)} of {len(track.deviation)} images are blank, the first at tick "
+                    f"{blank[0]}",
+                    episodes=(episode.name,),
+                    ticks=(int(blank[0]),),
+                    cameras=(camera,),
+                )

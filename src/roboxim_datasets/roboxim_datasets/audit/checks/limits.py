@@ -1,0 +1,67 @@
+"""What a real robot could not, or should not, have done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding
+
+LIMIT_RAD = 0.01
+"""Controllers overshoot a limit a little: by up to 4 mrad in 48 clean episodes of all skills."""
+FORCE_N = 5.0
+
+
+@AUDIT_CHECKS.register("joint_limits")
+class JointLimits(AuditCheck):
+    """Joint positions beyond the robot's limits."""
+
+    title = "Joints are beyond their limits"
+    reason = "Units or the order of the joints are wrong, or the motion cannot be made by a real arm."
+    threshold = f"a joint more than {1000 * LIMIT_RAD:g} mrad beyond its limit"
+    needs = "joint positions, and the limits of a robot that RoboXim knows"
+    order = 18
+
+    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
+        """Find joints beyond their limits."""
+        joints = episode.field("joint_positions")
+        limits = np.array(episode.joint_limits)
+        if limits.shape != (joints.shape[1], 2):
+            raise CannotCheckError("the joints' limits are not known")
+        beyond = np.maximum(limits[:, 0] - joints, joints - limits[:, 1]).max(axis=1)
+        worst = int(beyond.argmax())
+        if beyond[worst] > LIMIT_RAD:
+            yield Finding(
+                text=f"a joint is up to {beyond[worst]:.3f} rad beyond its limit, in "
+                f"{int((beyond > LIMIT_RAD).sum())} of {len(beyond)} ticks",
+                episodes=(episode.name,),
+                ticks=(worst,),
+                series={"beyond the nearest limit [rad]": tuple(np.maximum(beyond, 0.0))},
+            )
+
+
+@AUDIT_CHECKS.register("collision")
+class Collision(AuditCheck):
+    """Contacts of the robot with the table or with other objects."""
+
+    title = "The robot hits something"
+    reason = "A policy that imitates collisions damages a real robot and what stands around it."
+    threshold = (
+        f"a normal force above {FORCE_N:g} N between the robot and the table or an object that is not the task's"
+    )
+    needs = "ground truth: the recorded contacts"
+    order = 19
+
+    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
+        """Find collisions."""
+        hits = [touch for touch in episode.require_truth().touches if touch.force_n > FORCE_N]
+        if hits:
+            worst = max(hits, key=lambda touch: touch.force_n)
+            yield Finding(
+                text=f"{worst.bodies} touch with {worst.force_n:.0f} N at tick {worst.tick}; in "
+                f"{len({touch.tick for touch in hits})} ticks in all",
+                episodes=(episode.name,),
+                ticks=(worst.tick,),
+            )
