@@ -1,0 +1,65 @@
+"""Find faults that spoil training data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Print the checks and end."""
+    if not value:
+        return
+    from roboxim_datasets.audit import AUDIT_CHECKS
+
+    for name, check in sorted(((n, AUDIT_CHECKS[n]) for n in AUDIT_CHECKS), key=lambda item: (item[1].order, item[0])):
+        click.echo(f"{name}: {check.title}")
+        click.echo(f"  threshold: {check.threshold}")
+        click.echo(f"  needs: {check.needs}")
+    context.exit()
+
+
+@click.command("audit")
+@click.argument("path", type=PATH)
+@click.option(
+    "--bags", multiple=True, type=PATH, help="Bags of a dataset's episodes, for ground truth; may be repeated."
+)
+@click.option("--check", "checks", multiple=True, metavar="NAME", help="Make this check only; may be repeated.")
+@click.option("--out", type=PATH, help="Folder of the report.  [default: PATH-audit]")
+@click.option("--replay", is_flag=True, help="Also execute the bags' actions again.")
+@click.option("--no-render", is_flag=True, help="Leave out the checks that need a renderer.")
+@click.option("--episodes", default=0, metavar="N", help="Audit the first N episodes only.  [default: all]")
+@click.option(
+    "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_checks, help="List the checks and exit."
+)
+def command(path: Path, no_render: bool, out: Path | None, **options: Any) -> None:
+    r"""Find faults that spoil training data, in bags or in a dataset of any format, RoboXim's or another's.
+
+    \b
+    roboxim dataset audit runs/demos
+    roboxim dataset audit runs/demos-rlds --bags runs/demos
+
+    Checks that need ground truth need bags. The report is PATH-audit/report.html, with audit.json beside it. The exit
+    code is 1 when a fault was found or an episode cannot be read.
+    """
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
+    from roboxim_datasets.audit.report import STATUS, summary_line
+
+    with EventPrinter() as printer:
+        audited = audit_dataset(path, out, AuditConfig(render=not no_render, **options), on_event=printer)
+    for check in audited.result.checks:
+        if check.findings or not check.checked:
+            faulty = f", {len(check.faulty_episodes)} of {check.checked} episodes" if check.faults else ""
+            click.echo(f"{check.title}: {STATUS[check.status]}{faulty}")
+        for finding in check.findings[:3]:
+            click.echo(f"  {', '.join(finding.episodes) or 'the dataset'}: {finding.text}")
+        for why, count in check.unchecked.items() if not check.checked else ():
+            click.echo(f"  {count} episodes: {why}")
+    click.echo(f"{summary_line(audited.result)}: {audited.page}")
+    if not audited.result.clean:
+        raise SystemExit(1)

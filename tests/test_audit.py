@@ -1,0 +1,166 @@
+"""The audit of bags and exports, end to end: clean demonstrations pass, planted faults are found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_bringup.commands._dataset_audit import command as audit_command
+from roboxim_bringup.commands._dataset_corrupt import command as corrupt_command
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
+from roboxim_bringup.runs.corruption import corrupt, fault_kinds
+from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, SimError
+from roboxim_recorder.check import check_bag
+from roboxim_recorder.run_bags import list_bags
+
+TASKS = Path(__file__).parents[1] / "config" / "tasks"
+SIDE_EFFECTS = {
+    "rotation_jump": {"saturation"},
+    "blank_camera": {"frozen_camera"},
+    "state_lag": {"frozen_camera"},
+    "camera_turned": {"frozen_camera"},
+    "camera_blocked": {"frozen_camera"},
+    "split_leak": {"duplicate"},
+}
+"""Fault to the checks that may find it, too: a camera that looks past the scene sees nothing move."""
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record three demonstrations of two skills."""
+    out = tmp_path_factory.mktemp("demonstrations")
+    try:
+        graph = CoreGraph(out)
+    except SimError as error:
+        pytest.skip(str(error))
+    with graph:
+        for index, task in enumerate(("pick_cube_distractors", "push_object", "pick_up")):
+            config = RunConfig(
+                purpose="demo", keep="successful", max_attempts=5, output_dir=str(out),
+                task_config=(TASKS / f"{task}.yaml").read_text(),
+                image_width=128, image_height=128, noise_translation_m=0.003, noise_rotation_rad=0.01, run_seed=3,
+            )  # fmt: skip
+            assert EpisodeRunner(graph.ports, config).run_index(index).outcome == "success"
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Export them, one for validation."""
+    out = tmp_path_factory.mktemp("exported") / "rlds"
+    export_rlds(demonstrations, out, ExportConfig(val_fraction=0.4, uneven=True))
+    return out
+
+
+@pytest.mark.slow
+def test_clean_demonstrations_have_no_finding(demonstrations: Path, exported: Path, tmp_path: Path) -> None:
+    audited = audit_dataset(demonstrations, tmp_path / "bags", AuditConfig(replay=True))
+    assert [(check.name, finding.text) for check, finding in audited.result.findings()] == []
+    assert {check.name for check in audited.result.checks if not check.checked} == {"split_leak"}
+    config = AuditConfig(bags=(demonstrations,), replay=True)
+    audited = audit_dataset(exported, tmp_path / "rlds", config)
+    assert [(check.name, finding.text) for check, finding in audited.result.findings()] == []
+    assert {check.name for check in audited.result.checks if not check.checked} == {"clock"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [name for name, kind in fault_kinds().items() if kind.bags])
+def test_faults_planted_in_bags_are_found(fault: str, demonstrations: Path, tmp_path: Path) -> None:
+    kind = fault_kinds()[fault]
+    made = corrupt(demonstrations, tmp_path / "copy", fault, 1.0, seed=1)
+    assert made.planted
+    config = AuditConfig(replay=kind.found_by == "replay")
+    result = audit_dataset(made.path, tmp_path / "report", config).result
+    assert set(result.check(kind.found_by).faulty_episodes) == set(made.planted)
+    assert {check.name for check in result.checks if check.faults} <= {kind.found_by, *SIDE_EFFECTS.get(fault, ())}
+    for bag in list_bags(made.path):
+        if fault != "clock":  # a stamp that differs from those of its messages is no whole bag
+            assert check_bag(bag).ok, check_bag(bag).problems
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [name for name, kind in fault_kinds().items() if kind.datasets])
+def test_faults_planted_in_a_dataset_are_found(
+    fault: str, demonstrations: Path, exported: Path, tmp_path: Path
+) -> None:
+    kind = fault_kinds()[fault]
+    made = corrupt(exported, tmp_path / "copy", fault, 0.34, seed=1)
+    listed = json.loads(made.listing.read_text())
+    assert (listed["planted"], listed["found_by"]) == (made.planted, kind.found_by)
+    of_simulator = kind.found_by == "replay"
+    config = AuditConfig(bags=(demonstrations,) * of_simulator, replay=of_simulator, render=False)
+    result = audit_dataset(made.path, tmp_path / "report", config).result
+    assert set(result.check(kind.found_by).faulty_episodes) == set(made.planted)
+
+
+@pytest.mark.slow
+def test_the_commands(demonstrations: Path, tmp_path: Path) -> None:
+    runner = CliRunner()
+    copy = tmp_path / "copy"
+    arguments = [str(demonstrations), str(copy), "--fault", "wrong_instruction", "--rate", "0.3"]
+    planted = runner.invoke(corrupt_command, arguments)
+    assert planted.exit_code == 0, planted.output
+    assert "1 planted" in planted.output
+    found = runner.invoke(audit_command, [str(copy), "--check", "wrong_instruction"])
+    assert found.exit_code == 1, "faults are an exit code of 1"
+    page = tmp_path / "copy-audit" / "report.html"
+    assert str(page) in found.output
+    assert "data:image/webp" in page.read_text(), "pictures show the finding"
+    clean = runner.invoke(audit_command, [str(demonstrations), "--check", "idle", "--out", str(tmp_path / "clean")])
+    assert clean.exit_code == 0, clean.output
+
+
+@pytest.mark.slow
+def test_a_damaged_bag_is_reported_and_the_others_are_audited(demonstrations: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(demonstrations / "episodes", copy)
+    broken = sorted(copy.iterdir())[0]
+    file = next(broken.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-5000])
+    result = audit_dataset(copy, tmp_path / "report", AuditConfig(render=False)).result
+    assert list(result.unreadable) == [broken.name]
+    assert not result.clean
+    assert result.check("idle").checked == 2
+
+
+def test_wrong_requests_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    bags = tmp_path / "bags" / "e0"
+    bags.mkdir(parents=True)
+    (bags / "e0_0.mcap").touch()
+    cases = [
+        ((bags.parent, "no_such_fault", 0.1), ConfigError, "no_such_fault"),
+        ((bags.parent, "split_leak", 0.1), ConfigError, "only in a dataset"),
+        ((bags.parent, "rotation_jump", 0.0), InvalidRequestError, "rate"),
+    ]
+    for (source, fault, rate), error, match in cases:
+        with pytest.raises(error, match=match):
+            corrupt(source, tmp_path / "out", fault, rate)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    with pytest.raises(RecorderError, match="exists"):
+        corrupt(bags.parent, tmp_path / "out", "rotation_jump", 0.5)
+    with pytest.raises(ConfigError, match="unknown audit check 'speed'"):
+        AuditConfig(checks=("speed",))
+    with pytest.raises(ConfigError, match="no such folder"):
+        audit_dataset(tmp_path / "nothing")
+    with pytest.raises(ConfigError, match="no dataset"):
+        audit_dataset(tmp_path / "out")
+
+
+def test_every_fault_names_a_check_and_a_place() -> None:
+    from roboxim_datasets.audit import AUDIT_CHECKS
+
+    kinds = fault_kinds()
+    for kind in kinds.values():
+        assert kind.found_by in AUDIT_CHECKS
+        assert kind.bags or kind.datasets
+        assert kind.title
+    found = {kind.found_by for kind in kinds.values()}
+    assert found == set(AUDIT_CHECKS), "every check has a fault that it must find"
