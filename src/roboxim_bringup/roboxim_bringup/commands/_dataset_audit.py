@@ -12,7 +12,7 @@ PATH = click.Path(path_type=Path)
 
 def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> None:
     """Print the checks and end."""
-    if not value:
+    if not value or context.resilient_parsing:
         return
     from roboxim_datasets.audit import AUDIT_CHECKS
 

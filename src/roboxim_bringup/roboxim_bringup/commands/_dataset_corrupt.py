@@ -11,7 +11,7 @@ PATH = click.Path(path_type=Path)
 
 def _list_faults(context: click.Context, _: click.Parameter, value: bool) -> None:
     """Print the faults and end."""
-    if not value:
+    if not value or context.resilient_parsing:
         return
     from roboxim_bringup.runs.corruption import fault_kinds
 
