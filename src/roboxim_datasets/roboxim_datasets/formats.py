@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError
-from roboxim_datasets import lerobot, rlds  # importing a format registers it
+from roboxim_datasets import hdf5, lerobot, rlds  # importing a format registers it
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.registry import FORMATS, DatasetFormat
 
-__all__ = ["FORMATS", "DatasetFormat", "lerobot", "open_dataset", "rlds"]
+__all__ = ["FORMATS", "DatasetFormat", "hdf5", "lerobot", "open_dataset", "rlds"]
 
 
 def open_dataset(path: Path | str, *, format: str = "") -> Dataset:
