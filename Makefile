@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds planner-peers render-peers photo robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers photo robot-visuals lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -46,6 +46,13 @@ verify-rlds: setup ## read an exported dataset with TensorFlow Datasets: DATASET
 	@test -n "$(DATASET)" || { echo "DATASET is not set; run: make verify-rlds DATASET=folder"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py verify-rlds
 	.tools/verify-rlds-env/bin/python scripts/verify_rlds.py "$(DATASET)" $(ARGS)
+
+verify-lerobot: setup ## read an exported LeRobot or HDF5 dataset with lerobot or robomimic: DATASET=path
+	@test -n "$(DATASET)" || { echo "DATASET is not set; run: make verify-lerobot DATASET=folder"; exit 2; }
+	@if grep -qs '"v2' "$(DATASET)/meta/info.json"; then name=verify-lerobot-2; else name=verify-lerobot; fi; \
+	  script=verify_lerobot.py; test -f "$(DATASET)/meta/info.json" || script=verify_hdf5.py; \
+	  $(BIN)/python scripts/make_environment.py $$name && \
+	  .tools/$$name-env/bin/python scripts/$$script "$(DATASET)" $(ARGS)
 
 planner-peers: setup ## install mplib, toppra and RoboPlan, so that bench-planner measures them too
 	@$(BIN)/python scripts/make_environment.py planner-mplib

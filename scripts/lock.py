@@ -7,6 +7,7 @@ Locked versions do not change unless a requirement demands it or `--upgrade` is 
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,6 +15,13 @@ import tomllib
 from environments import LOCKS, ROOT, UV, clean_environment, index_settings
 
 MEMBERS = [ROOT / "src" / name / "pyproject.toml" for name in ("roboxim_interfaces", "roboxim_planner_native")]
+
+UNUSED_BY_VERIFICATION = (
+    "cmake", "cuda-", "egl-probe", "evdev", "imageio-ffmpeg", "nvidia-", "pynput", "python-xlib", "rerun-sdk",
+    "tensorboard", "torchcodec", "triton", "wandb",
+)  # fmt: skip
+"""Prefixes of packages that lerobot or robomimic require but that reading a dataset does not import: NVIDIA's
+libraries of 2.5 GB (see `scripts/torch_on_cpu.py`), input devices, viewers. torchcodec needs a system's FFmpeg."""
 
 
 def build_requirements() -> list[str]:
@@ -27,8 +35,8 @@ def group(name: str) -> list[str]:
     return tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"][name]
 
 
-def lock(name: str, requirements: list[str], *options: str) -> None:
-    """Resolve requirements into `requirements/NAME.lock`."""
+def lock(name: str, requirements: list[str], *options: str, without: tuple[str, ...] = ()) -> None:
+    """Resolve requirements into `requirements/NAME.lock`, without the packages whose names start as given."""
     command = [
         *(UV, "pip", "compile", "--quiet", "--python-version", "3.11", "--generate-hashes"),
         *("--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links"),
@@ -43,7 +51,9 @@ def lock(name: str, requirements: list[str], *options: str) -> None:
         text=True,
         check=True,
     )
-    text = (LOCKS / f"{name}.lock").read_text()
+    packages = re.split(r"^(?=[a-z0-9])", (LOCKS / f"{name}.lock").read_text(), flags=re.MULTILINE)
+    text = "".join(package for package in packages if not (without and package.startswith(without)))
+    (LOCKS / f"{name}.lock").write_text(text)
     if "://" in text:
         sys.exit(f"requirements/{name}.lock names a host; a lock must install from any index")
     print(f"requirements/{name}.lock: {sum(line[:1].isalnum() for line in text.splitlines())} packages")
@@ -61,6 +71,8 @@ def main() -> None:
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
     for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo"):
         lock(name, group(name), *upgrade)
+    for name in ("verify-lerobot", "verify-lerobot-2"):
+        lock(name, group(name), *upgrade, without=UNUSED_BY_VERIFICATION)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import threading
 
-from environments import LOCKS, TOOLS, Environment, SetupError, packages_key, say, show_progress, step
+from environments import LOCKS, ROOT, TOOLS, Environment, SetupError, packages_key, run, say, show_progress, step
 
 
 def main(name: str) -> int:
@@ -17,9 +17,13 @@ def main(name: str) -> int:
     stop = threading.Event()
     threading.Thread(target=show_progress, args=(stop,), daemon=True).start()
     try:
-        if not environment.has("packages", packages_key(lock)):
+        key = packages_key(lock)
+        if not environment.has("packages", key):
             with step(f"environment for {name}"):
                 environment.make(lock)
+        if "torch==" in lock.read_text() and not environment.has("torch", key):
+            with step(f"torch for {name}"), environment.writing("torch", key):
+                run(f"{name}-torch", environment.python, ROOT / "scripts" / "torch_on_cpu.py")
     except SetupError as error:
         say(str(error))
         return 1
