@@ -165,3 +165,18 @@ def test_every_package_is_type_checked_and_built():
     built = {Path(path).name for path in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]}
     python_packages = {path.parent.name for path in SRC.glob("*/setup.py")}
     assert checked == built == python_packages
+
+
+def test_only_the_video_worker_imports_pyav():
+    """Its wheel bundles GPL codecs, so it stays in a process of its own; see docs/data.md."""
+    importers = {
+        path.relative_to(SRC)
+        for package in ALLOWED
+        for path in modules(package)
+        if any(name.split(".")[0] == "av" for name in imports_of(path))
+    }
+    worker = Path("roboxim_datasets/roboxim_datasets/video/worker.py")
+    assert importers == {worker}
+    name = "roboxim_datasets.video.worker"
+    users = [path for package in ALLOWED for path in modules(package) if name in imports_of(path)]
+    assert not users

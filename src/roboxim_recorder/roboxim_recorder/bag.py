@@ -115,18 +115,19 @@ def _has_magic(file: Path) -> bool:
 class BagReader:
     """An episode's bag. Messages are decoded when asked for; nothing is kept open between calls."""
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, info: EpisodeInfo | None = None) -> None:
         """Open a bag.
 
         Args:
             path: The bag's folder, or its ``.mcap`` file.
+            info: Its info from an earlier reading, so that `info` need not decompress a chunk; None: not known.
 
         Raises:
             ConfigError: When the path is not a bag.
             RecorderError: With code ``BAG_DAMAGED`` when it is not a whole bag.
         """
         self.file = mcap_file(path)
-        self.path = Path(path)
+        self.path, self._known_info = Path(path), info
         with damage(self.path), self.file.open("rb") as stream:
             reader = SeekingReader(stream, validate_crcs=True)
             summary = reader.get_summary()
@@ -155,7 +156,7 @@ class BagReader:
         Raises:
             RecorderError: With code ``BAG_DAMAGED``.
         """
-        return self._only(topics.INFO, EpisodeInfo)
+        return self._known_info or self._only(topics.INFO, EpisodeInfo)
 
     @cached_property
     def result(self) -> EpisodeResult:

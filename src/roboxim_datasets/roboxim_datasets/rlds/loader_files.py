@@ -7,17 +7,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
 from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
+from roboxim_datasets.statistics import VectorStatistics, dead_components
 
 STATISTICS_FILE = "dataset_statistics.json"
-DEAD = 1e-5
-"""A component whose standard deviation is below this [m, rad or opening] counts as dead."""
 
 
 def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, Any]:
@@ -27,34 +23,26 @@ def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, A
         shards: TFRecord files.
         features: Features of their episodes.
     """
-    actions, states = [], []
     size, state = features.action_size, "steps/observation/state"
+    actions, states, episodes = VectorStatistics(size), VectorStatistics(features.vectors.get("state", 1)), 0
     for shard in shards:
         for payload in read_records(shard):
             example: dict[str, Any] = decode_example(payload, ("steps/action", state))
-            actions.append(example["steps/action"].reshape(-1, size))
+            actions.add(example["steps/action"].reshape(-1, size))
             if state in example:
-                states.append(example[state].reshape(-1, features.vectors["state"]))
-    action = np.concatenate(actions)
+                states.add(example[state].reshape(-1, features.vectors["state"]))
+            episodes += 1
     return {
-        "action": {**_summary(action), "mask": [True] * (size - 1) + [False]},
-        **({"proprio": _summary(np.concatenate(states))} if states else {}),
-        "num_transitions": len(action),
-        "num_trajectories": len(actions),
+        "action": {**_summary(actions), "mask": [True] * (size - 1) + [False]},
+        **({"proprio": _summary(states)} if states.count else {}),
+        "num_transitions": actions.count,
+        "num_trajectories": episodes,
     }
 
 
-def _summary(values: npt.NDArray[np.float32]) -> dict[str, list[float]]:
-    wide = values.astype(np.float64)
-    found = {
-        "mean": wide.mean(axis=0),
-        "std": wide.std(axis=0),
-        "min": wide.min(axis=0),
-        "max": wide.max(axis=0),
-        "q01": np.quantile(wide, 0.01, axis=0),
-        "q99": np.quantile(wide, 0.99, axis=0),
-    }
-    return {name: value.tolist() for name, value in found.items()}
+def _summary(statistics: VectorStatistics) -> dict[str, list[float]]:
+    found = statistics.summary({"q01": 0.01, "q99": 0.99})
+    return {name: found[name].tolist() for name in ("mean", "std", "min", "max", "q01", "q99")}
 
 
 def action_statistics(path: Path) -> dict[str, list[float]]:
@@ -72,7 +60,7 @@ def action_statistics(path: Path) -> dict[str, list[float]]:
 
 def dead_dimensions(statistics: dict[str, list[float]], names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the action components that (nearly) never change."""
-    return tuple(name for name, std in zip(names, statistics["std"], strict=True) if std < DEAD)
+    return dead_components(names, statistics["std"])
 
 
 def loader_files(name: str, features: RldsFeatures, statistics: dict[str, Any]) -> dict[str, str]:

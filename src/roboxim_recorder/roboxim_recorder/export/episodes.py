@@ -154,7 +154,7 @@ def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTi
     kinds = [kind for kind, of in by_kind.items() if of]
     observed: BagTick | None = None
     count = 0
-    for tick in BagReader(source.path).ticks(cameras=cameras, kinds=kinds):
+    for tick in BagReader(source.path, info=source.info).ticks(cameras=cameras, kinds=kinds):
         if observed is not None:
             if tick.step.phase != "act":
                 break
