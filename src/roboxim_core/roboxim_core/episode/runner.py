@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +11,30 @@ import numpy as np
 from roboxim_core.actions import ActionArray, LateRows
 from roboxim_core.config import to_json
 from roboxim_core.episode.acting import Acting, TickAction, holding_action
-from roboxim_core.episode.ports import Ports
+from roboxim_core.episode.ports import ActorPort, Ports
 from roboxim_core.episode.records import EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
 from roboxim_core.episode.start import start_refusal
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.policies import FREE, RECOVERY, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policies import (
+    FREE,
+    RECOVERY,
+    ActionChunk,
+    EpisodeStart,
+    Observation,
+    ObservationWindow,
+    PolicyDescription,
+)
 from roboxim_core.policy_guard import checked_answer
 from roboxim_core.rates import ticks
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
+Request = EpisodeStart | ObservationWindow
+"""What an episode asks its actor: to start, answered by None, and for actions."""
+Play = Generator[Request, ActionChunk | None, EpisodeResult]
+"""A running episode whose actions come from outside."""
 LEFT_WORKSPACE = "left_workspace"
 RECOVERED = "recovered"
 """Reason of an episode that succeeded after a second grasp, in a run that keeps first tries alone."""
@@ -158,7 +170,38 @@ class EpisodeRunner:
         return result
 
     def run_attempt(self, seed: SeedPath, cancelled: Callable[[], bool] = lambda: False) -> EpisodeResult:
-        """Run one episode. Returns and raises as `run_index` does."""
+        """Run one episode with the actor. Returns and raises as `run_index` does."""
+        actor, play = self.ports.actor, self.play(seed, cancelled)
+        try:
+            request = next(play)
+            while True:
+                try:
+                    answer = _answer(actor, request)
+                except BaseException as error:
+                    request = play.throw(error)
+                else:
+                    request = play.send(answer)
+        except StopIteration as end:
+            result: EpisodeResult = end.value
+            return result
+
+    def play(self, seed: SeedPath, cancelled: Callable[[], bool] = lambda: False) -> Play:
+        """Run one episode whose actions come from outside.
+
+        Args:
+            seed: Seed path of the episode.
+            cancelled: Called before every tick; True cancels the episode.
+
+        Yields:
+            First an `EpisodeStart`, whose answer is None, then an `ObservationWindow` whenever actions are due. Faults
+            of the actor are thrown in; closing the generator drops the episode.
+
+        Returns:
+            The result; without any request if the episode cannot begin.
+
+        Raises:
+            RoboximError: On a fault of sim, judge or recorder, or on cancellation (``CANCELLED``).
+        """
         started = self.ports.clock()
         try:
             draw = self.ports.scenes.draw(seed, self.config.task_config)
@@ -186,12 +229,20 @@ class EpisodeRunner:
             limit = ticks(draw.max_steps / draw.scene.control_rate_hz, scene.control_rate_hz)  # the same time
         episode = _Episode(self, info, seed, limit, cancelled)
         try:
-            return episode.run(started)
+            return (yield from episode.run(started))
         except BaseException:
             self.ports.recorder.abort()
             raise
         finally:
             self.ports.sim.release(info.episode_id)
+
+
+def _answer(actor: ActorPort, request: Request) -> ActionChunk | None:
+    """Return an actor's answer to what an episode asks it."""
+    if isinstance(request, EpisodeStart):
+        actor.reset(request)
+        return None
+    return actor.act(request)
 
 
 def _infeasible(seed: SeedPath, message: str, task: TaskSpec | None = None) -> EpisodeResult:
@@ -225,7 +276,7 @@ class _Episode:
         self.inference_s = 0.0
         self.last_inference_s = 0.0
 
-    def run(self, started: float) -> EpisodeResult:
+    def run(self, started: float) -> Play:
         ports, info = self.ports, self.info
         if self.config.records:
             ports.recorder.open(info)
@@ -239,7 +290,7 @@ class _Episode:
             )
             return _infeasible(self.seed, message, info.task)
         self._record("start", (), disturbance=False)
-        outcome, reason, message = self._act_until_end()
+        outcome, reason, message = yield from self._act_until_end()
         if outcome != "error":
             self._settle()
             outcome, reason = self._after_settling(outcome, reason)
@@ -268,7 +319,7 @@ class _Episode:
             return "failure", self.verdict.reason or "not_stable"
         return outcome, self.verdict.reason or reason
 
-    def _act_until_end(self) -> tuple[str, str, str]:
+    def _act_until_end(self) -> Generator[Request, ActionChunk | None, tuple[str, str, str]]:
         """Act until success, failure, the action limit or a policy fault; return outcome, reason, message."""
         start = EpisodeStart(
             episode_id=self.info.episode_id, instruction=self.info.task.instruction,
@@ -277,8 +328,8 @@ class _Episode:
             scene=self.info.scene if self.description.privileged else None,
         )  # fmt: skip
         try:
-            self._warm_up(start)
-            self.ports.actor.reset(start)
+            yield from self._warm_up(start)
+            yield start
             while True:
                 if self.cancelled():
                     raise RoboximError(f"episode {self.info.episode_id} was cancelled", ErrorCode.CANCELLED)
@@ -294,7 +345,7 @@ class _Episode:
                 if self.acting.finished(self.state.seq):
                     return "failure", "actor_finished", ""
                 if self.acting.due(self.state.seq):
-                    self._ask()
+                    yield from self._ask()
                 self._tick(self.acting.action(self.state))
         except (PolicyError, InvalidRequestError) as error:
             if isinstance(error, InvalidRequestError) and error.code != ErrorCode.INVALID_ACTION:
@@ -315,18 +366,18 @@ class _Episode:
             observation = replace(observation, state=self.state)
         self.window.add(observation)
 
-    def _warm_up(self, start: EpisodeStart) -> None:
+    def _warm_up(self, start: EpisodeStart) -> Generator[Request, ActionChunk | None, None]:
         """In real time, ask once before the first episode: loading and compiling are no thinking."""
         if self.config.real_time and not self.runner.warm:
-            self.ports.actor.reset(start)
+            yield start
             self._observe()
-            self.ports.actor.act(self.window.request(self.info))
+            yield self.window.request(self.info)
             self.window = _Window(self.config.window or self.description.window)
         self.runner.warm = True
 
-    def _ask(self) -> None:
+    def _ask(self) -> Generator[Request, ActionChunk | None, None]:
         before = self.ports.clock()
-        chunk = self.ports.actor.act(self.window.request(self.info))
+        chunk = yield self.window.request(self.info)
         self.last_inference_s = self.ports.clock() - before
         self.inference_s += self.last_inference_s
         self.acting.add(checked_answer(chunk, self.description), self.state, self.last_inference_s)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import time
+from collections.abc import Collection
 from typing import Any, ClassVar
 
 import numpy as np
@@ -110,6 +111,26 @@ def decode(data: bytes) -> Any:
     return unpack(data, decode_map)
 
 
+def observation(request: Request, prompt_key: str, *, leave_out: Collection[str] = ()) -> dict[str, Any]:
+    """Return a request as vla-eval's observation.
+
+    Args:
+        request: The request.
+        prompt_key: Key of the instruction.
+        leave_out: ``send_wrist_image`` and ``send_state`` leave these parts out.
+    """
+    parts = parts_of(request, prompt_key)
+    images = {
+        last_part(key): image
+        for key, image in parts.images.items()
+        if not ("send_wrist_image" in leave_out and "wrist" in key)
+    }
+    payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
+    if parts.numbers and "send_state" not in leave_out:
+        payload["states"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()]).astype("<f4")
+    return payload
+
+
 @WIRES.register("vla_eval")
 class VlaEvalWire(Wire):
     """A session with a model server of vla-eval."""
@@ -170,15 +191,7 @@ class VlaEvalWire(Wire):
         self._began = self._send("episode_start", {"task": task}, deadline)
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:
-        parts = parts_of(request, self.prompt_key)
-        images = {
-            last_part(key): image
-            for key, image in parts.images.items()
-            if not ("send_wrist_image" in self._leave_out and "wrist" in key)
-        }
-        payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
-        if parts.numbers and "send_state" not in self._leave_out:
-            payload["states"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()]).astype("<f4")
+        payload = observation(request, self.prompt_key, leave_out=self._leave_out)
         reply = self._reply("action", self._send("observation", payload, deadline), deadline)
         self._steps = (self._steps or 0) + 1
         if "actions" not in reply:
