@@ -18,6 +18,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from roboxim._registration import register_with_gymnasium
+
 if TYPE_CHECKING:
     from roboxim.api import evaluate, export_rlds, generate, rerender, train_bc
     from roboxim_bringup.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
@@ -89,3 +91,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+register_with_gymnasium()

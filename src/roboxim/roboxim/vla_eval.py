@@ -1,0 +1,7 @@
+"""RoboXim as a benchmark of vla-eval: ``benchmark: "roboxim.vla_eval:RoboXimBenchmark"``; needs the extra vla-eval."""
+
+from __future__ import annotations
+
+from roboxim_bringup.environments.vla_eval_benchmark import RoboXimBenchmark
+
+__all__ = ["RoboXimBenchmark"]

@@ -1,0 +1,149 @@
+"""RoboXim's Gymnasium environments: Gymnasium's own checker, evaluate's scenes and verdicts, processes."""
+
+import functools
+import multiprocessing
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("rclpy")
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.config_folders import config_names
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import ConfigError, EvaluationError, PolicyError
+from roboxim_recorder.bag import BagReader
+
+NAME = "roboxim:roboxim/PickCube-v0"
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = gymnasium.make(NAME, size=32)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def expert(tmp_path_factory):
+    """An expert's bag of the second scene that an evaluation with seed 5 has."""
+    folder = tmp_path_factory.mktemp("expert")
+    config = RunConfig(
+        run_seed=5, purpose="eval", task_config=task_text("pick_cube"), image_width=32, image_height=32,
+        output_dir=str(folder),
+    )  # fmt: skip
+    with CoreGraph(folder) as graph:
+        result = EpisodeRunner(graph.ports, config).run_index(1)
+    assert result.outcome == "success"
+    return result, list(BagReader(folder / result.bag).ticks())
+
+
+def test_gymnasiums_checker_finds_nothing(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+
+
+def test_an_episode_is_the_one_that_evaluate_gives_for_the_seed_and_index(env, expert):
+    result, ticks = expert
+    env.reset(seed=5)
+    observation, info = env.reset()
+    assert (info["seed"], info["index"]) == (5, 1)
+    assert info["scene_hash"] == ticks[0].state.scene_hash
+    assert info["task_description"] == result.instruction == env.unwrapped.task_description
+    np.testing.assert_array_equal(observation["pixels"]["wrist"], ticks[0].images["wrist"])
+    for tick in ticks[1 : result.steps + 1]:
+        observation, reward, terminated, truncated, info = env.step(np.array(tick.step.action_executed, np.float32))
+        assert (reward > 0) == terminated == (tick.seq == result.steps)
+    assert (reward, terminated, truncated, info["is_success"]) == (1.0, True, False, True)
+    assert env.unwrapped.session._running().sim.world.record.state_hash == result.final_state_hash
+    with pytest.raises(PolicyError, match="start one first"):
+        env.step(env.action_space.sample())
+    again = env.reset(seed=5, options={"index": 1})[1]
+    assert again["scene_hash"] == ticks[0].state.scene_hash
+
+
+def test_running_out_of_actions_truncates_and_a_wrong_action_is_named():
+    env = gymnasium.make(NAME, size=32, max_steps=2, control="joint_position", disable_env_checker=True)
+    assert env.unwrapped._max_episode_steps == 2
+    assert env.action_space.shape == (8,)
+    env.reset(seed=0)
+    still = env.unwrapped.session.observe().proprio.joint_positions
+    assert env.step(np.array([*still, 1.0], np.float32))[1:4] == (0.0, False, False)
+    *_, reward, terminated, truncated, info = env.step(np.array([*still, 1.0], np.float32))
+    assert (reward, terminated, truncated, info["is_success"]) == (0.0, False, True, False)
+    env.reset()
+    with pytest.raises(EvaluationError, match="invalid_action: .*takes 8: panda_joint1"):
+        env.step(np.zeros(7, np.float32))
+    env.close()
+
+
+def test_every_task_has_an_id_and_nothing_is_drawn_before_the_first_reset(monkeypatch):
+    monkeypatch.setattr("roboxim_bringup.environments.session.CoreGraph", lambda *_, **__: pytest.fail("drawn"))
+    ids = [name for name in gymnasium.registry if name.startswith("roboxim/")]
+    assert len(ids) == len(config_names("tasks"))
+    ur5 = gymnasium.make("roboxim:roboxim/PickCubeUr5-v0", control="joint_velocity")
+    assert ur5.action_space.shape == (7,)
+    ur5.close()
+
+
+def test_the_ids_are_there_if_roboxim_is_imported_before_gymnasium():
+    script = "import roboxim, gymnasium; gymnasium.spec('roboxim/PickCube-v0')"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"task": "pick_cubes"}, "pick_cube"),
+        ({"control": "joint_speed"}, "joint_velocity"),
+        ({"renderer": "rastr"}, "raster"),
+        ({"control": "end_effector_absolute"}, "'end_effector_delta' or one in joint space"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        gymnasium.make(NAME, **arguments)
+
+
+def _make_forked(queue):
+    try:
+        EpisodeSession(SessionConfig(task="pick_cube"))
+    except ConfigError as error:
+        queue.put(str(error))
+
+
+def test_a_forked_process_is_refused_by_name():
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Python warns of forking a process with threads, which is the point
+        process = context.Process(target=_make_forked, args=(queue,))
+        process.start()
+    assert 'context="spawn"' in queue.get(timeout=120)
+    process.join(timeout=60)
+
+
+@pytest.mark.slow
+def test_an_async_vector_environment_runs_in_spawned_processes(env):
+    alone = env.reset(seed=3)[1]["scene_hash"]
+    make = functools.partial(gymnasium.make, NAME, size=32, disable_env_checker=True)
+    vector = gymnasium.vector.AsyncVectorEnv([make, make], context="spawn")
+    try:
+        observation, info = vector.reset(seed=2)
+        assert observation["pixels"]["workspace"].shape == (2, 32, 32, 3)
+        assert info["scene_hash"][1] == alone, "environment i has seed 2 + i"
+        assert info["scene_hash"][0] != alone
+        assert all(vector.call("task_description"))
+        _, reward, *_ = vector.step(np.zeros((2, 7), np.float32))
+        assert reward.tolist() == [0.0, 0.0]
+    finally:
+        vector.close()

@@ -1,0 +1,103 @@
+"""RoboXim as a benchmark of vla-eval, driven by its own orchestrator over its own connection."""
+
+import numpy as np
+import pytest
+from vla_eval import api
+from vla_eval.model_servers.predict import PredictModelServer
+
+from roboxim.vla_eval import RoboXimBenchmark
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.conventions import load_convention
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import InvalidRequestError
+from roboxim_policies.builtin import ReplayPolicy
+from roboxim_policies.serving import policy_server
+from roboxim_recorder.bag import BagReader
+
+
+class Actions(PredictModelServer):
+    """A model server of vla-eval that plays a list of actions, then zeros; it notes what it receives."""
+
+    def __init__(self, actions):
+        super().__init__()
+        self.actions, self.seen, self.episodes = actions, [], []
+
+    async def on_episode_start(self, config, ctx):
+        self.episodes.append(config)
+        await super().on_episode_start(config, ctx)
+
+    def predict(self, obs, ctx):
+        self.seen.append(obs)
+        index = len(self.seen) - 1
+        return {"actions": self.actions[index] if index < len(self.actions) else np.zeros(7, np.float32)}
+
+
+@pytest.fixture(scope="module")
+def expert(tmp_path_factory):
+    """The folder of an expert's bag, and its executed actions."""
+    folder = tmp_path_factory.mktemp("expert")
+    config = RunConfig(
+        run_seed=5, purpose="eval", task_config=task_text("pick_cube"), image_width=256, image_height=256,
+        output_dir=str(folder),
+    )  # fmt: skip
+    with CoreGraph(folder) as graph:
+        result = EpisodeRunner(graph.ports, config).run_index(0)
+    assert result.outcome == "success"
+    ticks = list(BagReader(folder / result.bag).ticks(cameras=()))[1 : result.steps + 1]
+    return folder / result.bag, np.array([tick.step.action_executed for tick in ticks], np.float32)
+
+
+def run(url, tmp_path, episodes=1, **params):
+    entry = {"benchmark": "roboxim.vla_eval:RoboXimBenchmark", "episodes_per_task": episodes, "params": params}
+    config = {"benchmarks": [entry], "output_dir": str(tmp_path), "server": {"url": url, "timeout": 120.0}}
+    return api.run(config, no_save=True)[0]["tasks"][0]["episodes"]
+
+
+@pytest.mark.slow
+def test_vla_evals_orchestrator_and_server_solve_a_task_with_known_actions(expert, tmp_path):
+    _, actions = expert
+    server = Actions(actions)
+    with api.serve_background(server) as served:
+        (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5, send_wrist_image=False)
+    assert episode["metrics"]["success"], episode
+    assert episode["steps"] == len(actions) == len(server.seen)
+    first = server.seen[0]
+    assert first["images"]["image"].shape == (256, 256, 3)
+    assert "wrist_image" not in first["images"]
+    assert np.asarray(first["states"]).shape == (10,)
+    assert first["task_description"].startswith("Pick up the ")
+
+
+@pytest.mark.slow
+def test_a_served_policy_of_roboxim_solves_the_same_episode(expert, tmp_path):
+    bag, actions = expert
+    served = policy_server(lambda: ReplayPolicy(bag), "vla_eval", convention=load_convention("roboxim"), port=0)
+    with served:
+        (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5)
+    assert episode["metrics"]["success"], episode
+    assert episode["steps"] == len(actions)
+
+
+def test_liberos_models_get_liberos_pictures_state_and_rate(tmp_path):
+    server = Actions([])
+    with api.serve_background(server) as served:
+        episodes = run(served.url, tmp_path, episodes=2, seed=1, max_steps=2)
+    assert [episode["metrics"]["success"] for episode in episodes] == [False, False]
+    assert [episode["steps"] for episode in episodes] == [2, 2]
+    assert sorted(server.seen[0]["images"]) == ["agentview", "wrist"]
+    assert np.asarray(server.seen[0]["states"]).shape == (8,)
+    assert not np.array_equal(server.seen[0]["images"]["agentview"], server.seen[2]["images"]["agentview"])
+
+
+def test_the_benchmark_declares_itself_and_refuses_a_chunk():
+    benchmark = RoboXimBenchmark(tasks=["pick_cube", "stack"])
+    assert [task["name"] for task in benchmark.get_tasks()] == ["pick_cube", "stack"]
+    spec = benchmark.get_action_spec()
+    assert (spec["position"].format, spec["rotation"].format) == ("delta_xyz", "axis_angle")
+    assert spec["gripper"].format == "binary_close_positive"
+    assert benchmark.get_hold_action(None)["actions"].tolist() == [0, 0, 0, 0, 0, 0, -1.0]
+    assert benchmark.get_metadata()["max_steps"] > 0
+    with pytest.raises(InvalidRequestError, match="one row of 7 numbers"):
+        benchmark.step({"actions": np.zeros((5, 7))})
+    assert RoboXimBenchmark(convention="droid_velocity").get_action_spec()["joints"].dims == 7
