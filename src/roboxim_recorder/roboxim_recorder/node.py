@@ -22,6 +22,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
+from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import RecordedTick
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
@@ -61,6 +62,7 @@ class RecorderNode(RoboximNode):
         self._opened_ns = 0
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
+        self._info_out = self.create_publisher(EpisodeInfoMsg, "episode/info", qos.LATCHED)
         self._of_ticks = OnDemandGroup()
         for topic, kind in topics.ALWAYS.items():
             self._subscribe_tick(topic, kind)
@@ -90,6 +92,7 @@ class RecorderNode(RoboximNode):
         for name, kind in extra.items():
             self._subscribe(name, kind, self._matching_qos(name))
         self._recording = recording
+        self._info_out.publish(request.info)
         response.bag = str(recording.path)
 
     def _on_close(self, request: CloseEpisode.Request, response: CloseEpisode.Response) -> None:

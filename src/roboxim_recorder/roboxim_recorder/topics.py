@@ -11,6 +11,7 @@ NOTICE = "/sim/ticks"
 STATE = "/sim/state"
 TF_STATIC = "/tf_static"
 DESCRIPTION = "/robot_description"
+MARKERS = "/sim/markers"
 
 OWN = {INFO: "roboxim_interfaces/msg/EpisodeInfo", RESULT: "roboxim_interfaces/msg/EpisodeResult"}
 """Topics that the recorder itself writes: the first and the last message."""
@@ -21,12 +22,15 @@ ALWAYS = {
     "/tf": "tf2_msgs/msg/TFMessage",
     TF_STATIC: "tf2_msgs/msg/TFMessage",
     DESCRIPTION: "std_msgs/msg/String",
+    MARKERS: "visualization_msgs/msg/MarkerArray",
     STATE: "roboxim_interfaces/msg/StateRecord",
     STEP: "roboxim_interfaces/msg/EpisodeStep",
 }
 """Topics of every episode."""
-OF_SCENE = (TF_STATIC, DESCRIPTION)
+OF_SCENE = (TF_STATIC, DESCRIPTION, MARKERS)
 """Topics with a message in tick 0 only, which is valid for the whole episode."""
+ADDED = (MARKERS,)
+"""Topics that bags of earlier versions lack."""
 
 WALL_TIMES = {STEP: ("inference_s",), RESULT: ("wall_s", "inference_s")}
 """Fields that hold wall time [s]; they are 0 in bags, so that equal episodes give equal bytes."""

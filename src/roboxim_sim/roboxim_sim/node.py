@@ -42,10 +42,10 @@ from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.snapshots import Snapshot
-from roboxim_sim.tick_messages import KINDS, TickMessages
+from roboxim_sim.tick_messages import KINDS, OF_SCENE, TickMessages
 from roboxim_sim.world import World
 
-PROFILES = {topic: qos.LATCHED if topic in ("tf_static", "robot_description") else qos.STATE for topic in KINDS}
+PROFILES = {topic: qos.LATCHED if topic in OF_SCENE else qos.STATE for topic in KINDS}
 """QoS by topic; camera topics use `qos.SENSOR`."""
 
 

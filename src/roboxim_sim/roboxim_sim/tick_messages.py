@@ -12,6 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.visuals import ScenePoses
@@ -22,15 +23,21 @@ from roboxim_core.state import StateRecord
 from roboxim_ros.conversions import fill_stamp, to_msg
 from roboxim_sim.conversions import TfMessage, camera_msgs, joint_state_msg, optical_frame
 from roboxim_sim.robot_description import robot_description
+from roboxim_sim.scene_markers import scene_markers
 
 NOTICE = "sim/ticks"
 """Topic of the notice, which lists the tick's other topics; published last."""
+MARKERS = "sim/markers"
+"""Topic of the scene's shapes."""
+OF_SCENE = ("tf_static", "robot_description", MARKERS)
+"""Topics with a message in tick 0 alone."""
 KINDS: Mapping[str, Any] = {
     "clock": Clock,
     "joint_states": JointState,
     "tf": TFMessage,
     "tf_static": TFMessage,
     "robot_description": String,
+    MARKERS: MarkerArray,
     "sim/state": StateRecordMsg,
     NOTICE: TickNotice,
 }
@@ -46,7 +53,7 @@ class TickMessages:
     Serialise it before making the next tick.
 
     Frames that never move (the robot's base, cameras whose parent is ``world``) are in ``tf_static``. The messages of
-    ``tf_static`` and ``robot_description`` come with the first tick that is made and with every tick 0.
+    `OF_SCENE` come with the first tick that is made and with every tick 0.
     """
 
     def __init__(self, scene: SceneSpec, robot: RobotModel, poses: ScenePoses) -> None:
@@ -88,6 +95,7 @@ class TickMessages:
             self._fresh = False
             messages["tf_static"] = TfMessage().filled(stamp_ns, self._fixed)
             messages["robot_description"] = String(data=robot_description(self._robot.urdf))
+            messages[MARKERS] = scene_markers(self._scene, self._poses.library, stamp_ns)
         for camera in self._scene.cameras:
             for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items():
                 messages[f"camera/{camera.name}/{kind}"] = message

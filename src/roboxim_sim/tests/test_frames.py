@@ -17,6 +17,7 @@ from roboxim_interfaces.srv import Tick as TickSrv
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from roboxim_core.actions import hold_action
 from roboxim_core.models.library import ModelLibrary
@@ -63,7 +64,7 @@ def test_static_messages_come_with_the_first_tick() -> None:
         static = frames(messages.make(record, {})["tf_static"])
         assert static.keys() == {"panda_base", "panda_link0"}
         following = messages.make(world.step(1), {})
-        assert not {"tf_static", "robot_description"} & following.keys()
+        assert not {"tf_static", "robot_description", "sim/markers"} & following.keys()
         assert not static.keys() & frames(following["tf"]).keys()
 
 
@@ -112,7 +113,7 @@ def test_a_late_subscriber_gets_only_the_newest_state(graph_host: Any, depth: in
                 first = heard.get(timeout=20.0)
                 header = first.transforms[0].header if hasattr(first, "transforms") else first.header
                 assert stamp_to_ns(header.stamp) == newest, topic
-            for topic, kind in (("robot_description", String), ("tf_static", TFMessage)):
+            for topic, kind in (("robot_description", String), ("tf_static", TFMessage), ("sim/markers", MarkerArray)):
                 heard = Queue()
                 late.node.create_subscription(kind, topic, heard.put, profile)
                 late.wake()

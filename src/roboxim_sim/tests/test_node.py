@@ -146,7 +146,7 @@ def test_every_topic_of_a_tick_is_published_and_listed_in_the_notice(clients: Cl
     notice = listener.wait("sim/ticks", lambda m: m.episode_id == "topics" and m.seq == 1)
     assert set(notice.topics) == {"sim/state", *listener.messages} - {"sim/ticks"}
     first = listener.wait("sim/ticks", lambda m: m.episode_id == "topics" and m.seq == 0)
-    assert set(first.topics) == {*notice.topics, "tf_static", "robot_description"}
+    assert set(first.topics) == {*notice.topics, "tf_static", "robot_description", "sim/markers"}
     crc = dict(zip(notice.topics, notice.image_crc32, strict=True))
     for camera in ("workspace", "wrist"):
         topic = f"camera/{camera}/image"

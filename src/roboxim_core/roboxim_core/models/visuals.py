@@ -131,6 +131,8 @@ class ScenePoses:
             ConfigError: When a model or a modifier is unknown.
         """
         self._scene = scene
+        self.library = library
+        """Where the models come from."""
         self._arm = arm or ArmKinematics(library.robot(scene.robot.model))
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         self._last: tuple[RobotState, dict[str, Pose]] | None = None

@@ -22,9 +22,10 @@ NEIGHBOURS = 8
 SEAM = 0.3
 """Texture coordinates of one triangle that are further apart than this lie on different sides of a seam."""
 
-_COARSE: WeakKeyDictionary[TriangleMesh, tuple[tuple[TriangleMesh, ...], tuple[TriangleMesh, ...]]]
-_COARSE = WeakKeyDictionary()
-"""Cache by a body's first mesh: its other meshes and all its coarse meshes. Meshes are cached and outlive a scene."""
+_Coarse = dict[int, tuple[tuple[TriangleMesh, ...], tuple[TriangleMesh, ...]]]
+_COARSE: WeakKeyDictionary[TriangleMesh, _Coarse] = WeakKeyDictionary()
+"""Cache by a body's first mesh and the number of faces: its other meshes and all its coarse meshes. Meshes are cached
+and outlive a scene."""
 
 
 def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleMesh, ...]:
@@ -40,9 +41,10 @@ def coarse_meshes(meshes: Sequence[TriangleMesh], faces: int) -> tuple[TriangleM
     if sum(len(mesh.faces) for mesh in meshes) <= faces:
         return tuple(meshes)
     first, *others = meshes
-    known = _COARSE.get(first)
+    sizes = _COARSE.setdefault(first, {})
+    known = sizes.get(faces)
     if known is None or not same(known[0], others):
-        _COARSE[first] = known = tuple(others), _simplified(meshes, faces)
+        sizes[faces] = known = tuple(others), _simplified(meshes, faces)
     return known[1]
 
 
