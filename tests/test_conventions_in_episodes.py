@@ -19,7 +19,7 @@ from roboxim_core.policies import ActionChunk
 from roboxim_policies import BasePolicy
 from roboxim_tasks.expert import Expert
 
-EPISODES = 2
+EPISODES = 1
 CONFIG = RunConfig(run_seed=11, purpose="eval", task_config=task_text("pick_cube"), cameras=(), output_dir="")
 
 
