@@ -119,6 +119,85 @@ def plan(
                 click.echo(f"wrote {path}", err=as_json)
 
 
+@command.command("run")
+@click.argument("name", type=Named("experiment"))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
+@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
+@click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
+@click.option(
+    "--policy", "policies", multiple=True, metavar="CONDITION[.R]=SPEC",
+    help="Policy of a condition, or of its replicate R, that was trained elsewhere; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--option", "policy_options", multiple=True, metavar="CONDITION[.R].KEY=VALUE",
+    help="Argument of such a policy, e.g. leave_out.0.checkpoint=PATH; may be repeated.",
+)  # fmt: skip
+@click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+@click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer of the images.")
+def run(
+    name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
+    only: str, workers: int | None, renderer: str,
+) -> None:  # fmt: skip
+    r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
+
+    \b
+    roboxim experiment run skill_object --scale smoke --out runs/smoke
+    roboxim experiment run skill_object --only generate,export --out runs/so
+    roboxim experiment run skill_object --trainer external --out runs/so --policy leave_out.0=client.py:Octo ...
+
+    Ctrl-C stops; the same command continues. A stage whose inputs have changed is refused by name. When all evaluations
+    are there, OUT/card.json has the counts, scores and sentences.
+    """
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, named_policies, run_experiment
+
+    config = ExperimentRunConfig(
+        experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
+        only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
+        **({} if workers is None else {"workers": workers}),
+    )  # fmt: skip
+    with EventPrinter() as printer:
+        result = run_experiment(config, on_event=printer)
+    click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
+    if result.card is None:
+        click.echo(f"missing: {', '.join(result.missing)}")
+        return
+    for sentence in result.card.sentences:
+        click.echo(sentence)
+    click.echo(f"card: {out / 'card.json'}")
+
+
+@command.command("report")
+@click.argument("card", type=click.Path(path_type=Path))
+def report(card: Path) -> None:
+    """Print the results of a run's folder or of a card.json, computed again from its counts.
+
+    A card whose scores, verdicts or sentences do not follow from its counts is refused.
+    """
+    from roboxim_bringup.experiment_card import check_card
+    from roboxim_core.documents import parse_json, read_text
+
+    path = card / "card.json" if card.is_dir() else card
+    found = check_card(parse_json(read_text(path), source=str(path)), source=str(path))
+    about = found.data["experiment"]
+    click.echo(f"{about['name']}, scale {about['scale']}")
+    for sentence in found.sentences:
+        click.echo(f"  {sentence}")
+    for name, value in (found.data["scores"] or {}).items():
+        click.echo(f"  {name:<17} {_score_text(value)}")
+    for sentence in found.data["deviations"]:
+        click.echo(f"  deviation         {sentence}")
+
+
+def _score_text(value: object) -> str:
+    """Format a score: a value with its interval, the reason of a refusal, or that it was not measured."""
+    if isinstance(value, list):
+        middle, low, high = ("unbounded" if x is None else f"{x:.2f}" for x in value)
+        return f"{middle} ({low} to {high})"
+    return "not measured" if value is None else str(value)
+
+
 @command.command("calibrate")
 @click.option("--experiment", type=Named("experiment"), default="skill_object", show_default=True, help="Whose tasks.")
 @click.option("--scale", default="laptop", show_default=True, help="Its scale, which states the image size.")

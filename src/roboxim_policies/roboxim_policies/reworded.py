@@ -1,0 +1,43 @@
+"""A policy that receives another instruction than the task's, e.g. none at all: what does the scene alone give away?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from roboxim_core.policies import EpisodeStart, ObservationWindow, Policy, PolicyDescription
+from roboxim_policies.base import POLICIES, load_policy
+
+
+@POLICIES.register("reworded")
+class RewordedPolicy:
+    """A policy that passes everything but the instruction to another policy."""
+
+    def __init__(self, *, policy: str, instruction: str = "", **options: Any) -> None:
+        """Make the policy.
+
+        Args:
+            policy: The other policy, as for ``roboxim evaluate --policy``.
+            instruction: What it receives instead of the task's instruction; empty: no words.
+            **options: Its arguments, e.g. ``checkpoint``.
+
+        Raises:
+            ConfigError: When there is no such policy, or it does not take these arguments.
+            PolicyError: When its module or its constructor raises.
+        """
+        self._policy: Policy = load_policy(policy, **options)
+        self._instruction = instruction
+
+    def describe(self) -> PolicyDescription:
+        """Describe the other policy; the version names the instruction."""
+        description = self._policy.describe()
+        version = f"{description.version} with the instruction '{self._instruction}'".strip()
+        return replace(description, version=version)
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode of the other policy with the instruction."""
+        self._policy.reset(replace(start, instruction=self._instruction))
+
+    def act(self, window: ObservationWindow) -> Any:
+        """Return the other policy's answer to the instruction."""
+        return self._policy.act(replace(window, instruction=self._instruction))

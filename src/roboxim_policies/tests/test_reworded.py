@@ -1,0 +1,44 @@
+"""The policy that receives other words."""
+
+import pytest
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.policies import EpisodeStart, ObservationWindow
+from roboxim_policies.base import load_policy
+
+LISTENER = """
+from roboxim_policies import BasePolicy
+
+
+class Listener(BasePolicy):
+    name = "listener"
+
+    def __init__(self, gain: float = 1.0) -> None:
+        self.gain, self.heard = gain, []
+
+    def reset(self, start):
+        self.heard.append(start.instruction)
+
+    def act(self, window):
+        self.heard.append(window.instruction)
+        assert self.heard == ["", ""], self.heard
+        return [self.gain * 0.001, 0, 0, 0, 0, 0, 1]
+"""
+
+
+def test_a_policy_hears_other_words_and_all_else_is_the_same(tmp_path):
+    file = tmp_path / "listener.py"
+    file.write_text(LISTENER)
+    policy = load_policy("reworded", policy=f"{file}:Listener", instruction="", gain=2.0)
+    policy.reset(EpisodeStart(episode_id="a", instruction="Pick up the cube", seed=1))
+    window = ObservationWindow(instruction="Pick up the cube", observations=[], pad_mask=(), episode_id="a", seq=0)
+    assert policy.act(window)[0] == pytest.approx(0.002)
+    assert policy.describe().name == "listener"
+    assert "with the instruction ''" in policy.describe().version
+
+
+def test_its_policy_must_exist_and_take_its_arguments():
+    with pytest.raises(ConfigError, match="did you mean 'random'"):
+        load_policy("reworded", policy="randon")
+    with pytest.raises(ConfigError, match="scael"):
+        load_policy("reworded", policy="random", scael=1.0)
