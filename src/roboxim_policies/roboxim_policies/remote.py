@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from roboxim_core.config import from_plain, to_json, to_plain
+from roboxim_core.config import from_json, from_plain, to_json, to_plain
 from roboxim_core.conventions import (
     Convention,
     decode_actions,
@@ -92,7 +92,8 @@ class RemotePolicy(BasePolicy):
 
         Args:
             wire: The wire to the server.
-            convention: A name in ``config/conventions``, the path of a YAML file, or ``server``: as the server says.
+            convention: A name in ``config/conventions``, the path of a YAML file, JSON, or ``server``: as
+                the server says.
             version: What the model is, e.g. ``pi05_libero@2025-09``: the server may not tell.
             name: Name for reports.
 
@@ -107,6 +108,8 @@ class RemotePolicy(BasePolicy):
             )
         if convention == SERVERS_OWN:
             convention = declared_convention(wire)
+        elif isinstance(convention, str) and convention.startswith("{"):
+            convention = from_json(convention, Convention, source="the convention")
         self.convention = load_convention(convention) if isinstance(convention, str) else convention
         self.wire = wire
         self.wire.prompt_key = self.convention.prompt.key

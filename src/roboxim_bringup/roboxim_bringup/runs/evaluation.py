@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,10 +18,11 @@ from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_envir
 from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder, require_bags
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
-from roboxim_core.config import load_config, named_config
+from roboxim_core.config import load_config, named_config, to_json
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
+from roboxim_policies.remote import SERVERS_OWN
 
 if TYPE_CHECKING:
     from roboxim_eval.report import PolicyRun
@@ -242,6 +243,8 @@ def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
 
 def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, server: Mapping[str, Any]) -> EpisodesJob:
     launch, out = policy.launch, Path(config.out)
+    if launch is not None and launch.options.get("convention") == SERVERS_OWN:  # a worker need not connect to begin
+        launch = replace(launch, options={**launch.options, "convention": to_json(server["server"]["convention"])})
     run = config.run_config(
         task_config, purpose="eval", actor="expert" if launch is None else launch.namespace, keep="all",
         max_steps=config.max_steps, window=config.window, execute=config.execute, ensemble=config.ensemble,

@@ -1,0 +1,56 @@
+"""The model behind a server is recorded before the first episode, and recognised when a run continues."""
+
+import json
+
+import pytest
+
+from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.policies import choose_policies
+from roboxim_bringup.runs.servers import server_record
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError, PolicyError
+from roboxim_policies import load_policy
+from roboxim_policies.serving import policy_server
+
+
+def served(port=0, **options):
+    return policy_server(lambda: load_policy("random", **options), "openpi", port=port)
+
+
+def chosen(url, convention="server", **more):
+    options = {"url": url, "convention": convention, "version": 1, "reconnect_s": 0.0, **more}
+    return choose_policies(["there=openpi"], (), [f"{key}={value}" for key, value in options.items()])[0]
+
+
+def test_folder_goes_on_with_the_same_model_only(tmp_path):
+    folder = RunFolder(tmp_path / "there")
+    with served() as server:
+        policy = chosen(server.url)
+        assert policy.is_remote
+        record = server_record(policy, folder, 2, 120.0)
+        assert record.facts["metadata"]["roboxim"]["policy"] == "random"
+        with folder.opened({"purpose": "eval", **record.plain}) as opened:
+            opened.append(EpisodeResult(episode_id="e0", index=0, outcome="failure"))
+        json.loads((folder.path / "run.json").read_text())
+        again = server_record(policy, folder, 2, 120.0)
+        assert again.plain == json.loads(json.dumps(record.plain))
+    assert server_record(policy, folder, 1, 120.0).facts == again.facts, "a complete folder needs no server"
+    with pytest.raises(PolicyError, match="cannot be reached"):
+        server_record(policy, folder, 2, 120.0)
+    with served(server.port, scale=0.1), pytest.raises(ConfigError, match="1 episodes of another model.*probe differ"):
+        server_record(policy, folder, 2, 120.0)
+
+
+def test_deadline_longer_than_the_evaluators_is_refused(tmp_path):
+    with served() as server, pytest.raises(ConfigError, match="waits 90 s for its server, the evaluator only 30 s"):
+        server_record(chosen(server.url), RunFolder(tmp_path / "there"), 1, 30.0)
+
+
+def test_mistake_in_the_options_is_found_without_a_server():
+    with pytest.raises(ConfigError, match="version"):
+        choose_policies(["openpi"], (), ["url=ws://localhost:1", "convention=libero"])
+    with pytest.raises(ConfigError, match="did you mean 'libero'"):
+        chosen("ws://localhost:1", "libreo")
+    with pytest.raises(ConfigError, match="policy 'lerobot': LeRobot.*pickles"):
+        choose_policies(["lerobot"], (), [])
+    assert chosen("ws://localhost:1", "libero").cameras == ("workspace", "wrist")
