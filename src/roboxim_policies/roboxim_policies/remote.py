@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -123,6 +123,7 @@ class RemotePolicy(BasePolicy):
         self.chunking = self.convention.chunking.execution
         self.gripper = self.convention.action.gripper.rule
         self._fits: Metadata | None = None
+        self._without_states = replace(self.convention, states=())
 
     def __enter__(self) -> Self:
         """Return the policy."""
@@ -191,10 +192,10 @@ class RemotePolicy(BasePolicy):
 
     def request(self, window: ObservationWindow) -> dict[str, Any]:
         """Return what is sent for a window."""
-        request = observe(self.convention, window)
-        if OWN_SERVER in (self._fits or {}):  # which gets the measurements as they are, all of them
-            request[OWN_SERVER] = own_extras(window)
-        return request
+        if OWN_SERVER not in (self._fits or {}):
+            return observe(self.convention, window)
+        # RoboXim's own server gets the measurements as they are, all of them.
+        return {**observe(self._without_states, window), OWN_SERVER: own_extras(window)}
 
     def decoded(self, raw: Floats) -> Floats:
         """Return the actions that are executed, of the meaning ``semantics``.

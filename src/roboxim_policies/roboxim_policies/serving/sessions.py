@@ -272,8 +272,9 @@ class Session:
         first action is answered.
         """
         source, target = self._guard.description.semantics, self._convention.semantics
-        if source.differing(target):
-            actions = actions[:1]
+        if not source.differing(target):
+            return self._convention.action.encode(actions, self._convention.frames)
+        actions = actions[:1]
         pose = Pose.from_arrays(np.array(proprio.tcp_position), proprio.tcp_rotation)
         joints = proprio.joint_positions or None
         context = ActionContext(

@@ -159,4 +159,6 @@ class VlaEvalServer(WebSocketServer):
         request = request_of(
             convention, images if isinstance(images, dict) else {}, state, str(payload.get("task_description", ""))
         )
+        if openpi.OWN_SERVER in payload:  # a client of RoboXim sends the measurements as they are
+            request[openpi.OWN_SERVER] = payload[openpi.OWN_SERVER]
         return "action", {"actions": session.answer(request)[:1].astype(np.float32)[0]}
