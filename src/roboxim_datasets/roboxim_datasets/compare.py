@@ -21,7 +21,7 @@ from roboxim_datasets.episode import EXECUTED, Episode, RGBImage, Step
 
 Images = Literal["auto", "exact", "psnr", "skip"]
 LOWEST_PSNR_DB = 30.0
-"""Default of the lowest PSNR of an image [dB]. The exports' JPEG reaches 43 dB or more and their h264 36 to 40 dB. The
+"""Default of the lowest PSNR of an image [dB]. The exports' JPEG reaches 43 dB or more and their h264 34 to 41 dB. The
 image of the next tick has 26 to 29 dB (median over demonstrations of picking up, images of 128 px)."""
 LISTED = 20
 """Further differences are only counted."""

@@ -66,6 +66,8 @@ class Description:
     """Description in a sentence."""
     skills: tuple[str, ...] = ()
     """Skills of the episodes; empty: the dataset does not say."""
+    parts: Mapping[str, Mapping[str, tuple[int, int]]] = field(default_factory=dict)
+    """``state`` and ``action`` to names of ranges of their components (start, end), where a convention names them."""
     metadata: Mapping[str, type[MetaValue]] = field(default_factory=lambda: RECORDED)
     """Metadata that every episode has (`Episode.metadata`), key to type."""
 

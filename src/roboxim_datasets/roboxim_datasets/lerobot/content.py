@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from roboxim_core.actions import ActionSemantics
@@ -67,6 +67,10 @@ class LeRobotContent:
     """Meaning of the actions; None: unknown."""
     joint_names: tuple[str, ...] = ()
     """Arm joints of the robot."""
+    parts: Mapping[str, Mapping[str, tuple[int, int]]] = field(default_factory=dict)
+    """``state`` and ``action`` to names of ranges of their components (start, end); empty: nobody named them."""
+    views: Mapping[str, str] = field(default_factory=dict)
+    """Column of a camera's images to the name of the view in GR00T's modality file; empty: the camera."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``meta/roboxim.json``."""
@@ -99,6 +103,8 @@ def content_of(description: Description, options: LeRobotOptions) -> LeRobotCont
         signals={name: name for name in features.signals},
         semantics=description.semantics,
         joint_names=description.joint_names,
+        parts=description.parts,
+        views={_camera_column(names, camera, key): key for camera, key in features.keys.items() if description.parts},
     )
 
 

@@ -13,33 +13,33 @@ def modality(layout: LeRobotLayout, content: LeRobotContent) -> dict[str, Any]:
     """Return the content of the file.
 
     The state's parts are its runs of components whose names differ in the last word alone: ``tcp.x`` and ``tcp.y`` are
-    of ``tcp``.
+    of ``tcp``. A convention that names ranges, as GR00T's do, has the last word.
     """
     names = content.names
     semantics = content.semantics
     size = layout.columns[names.action].size
     arm = "joints" if semantics is not None and semantics.control.is_joint_space else "end_effector"
     state = layout.columns.get(names.state)
+    states = content.parts.get("state") or _parts(state.names or () if state else ())
+    actions = content.parts.get("action") or {arm: (0, size - 1), "gripper": (size - 1, size)}
     return {
-        "state": {
-            name: {"start": start, "end": end, "original_key": names.state}
-            for name, start, end in _parts(state.names or () if state else ())
-        },
-        "action": {
-            arm: {"start": 0, "end": size - 1, "original_key": names.action},
-            "gripper": {"start": size - 1, "end": size, "original_key": names.action},
-        },
-        "video": {camera: {"original_key": key} for key, camera in content.cameras.items()},
+        "state": {name: _range(start, end, names.state) for name, (start, end) in states.items()},
+        "action": {name: _range(start, end, names.action) for name, (start, end) in actions.items()},
+        "video": {content.views.get(key, camera): {"original_key": key} for key, camera in content.cameras.items()},
         "annotation": {"human.task_description": {"original_key": "task_index"}},
     }
 
 
-def _parts(names: tuple[str, ...]) -> list[tuple[str, int, int]]:
-    """Return the name, start and end of each run of components."""
-    found: list[tuple[str, int, int]] = []
+def _range(start: int, end: int, key: str) -> dict[str, Any]:
+    return {"start": start, "end": end, "original_key": key}
+
+
+def _parts(names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
+    """Return the name of each run of components to its start and end."""
+    found: dict[str, tuple[int, int]] = {}
     at = 0
     for part, run in groupby(names, key=lambda name: name.rpartition(".")[0] or name):
         end = at + len(list(run))
-        found.append((part.replace(".", "_"), at, end))
+        found[part.replace(".", "_")] = (at, end)
         at = end
     return found

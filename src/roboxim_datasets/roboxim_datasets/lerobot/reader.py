@@ -43,6 +43,29 @@ _ACTIONS = ("action", "actions")
 _OBSERVED = "observation."
 _CAMERA_PREFIX = "observation.images."
 _VERSIONS = ("3.0", "2.1", "2.0")
+_LOADING_2 = """```python
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # lerobot 0.3.3; openpi: lerobot.common.datasets
+dataset = LeRobotDataset("roboxim/dataset", root="...")  # this folder
+```
+
+GR00T reads `meta/modality.json` and `meta/stats.json`. Columns that start with `sim.` are ignored by trainers.
+"""
+_LOADING = {
+    "3.0": """```python
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # lerobot 0.4 or newer
+dataset = LeRobotDataset("roboxim/dataset", root="...")  # this folder
+```
+
+```bash
+lerobot-train --dataset.repo_id=roboxim/dataset --dataset.root=... --policy.type=act
+```
+
+Statistics are in `meta/stats.json`, quantiles over all steps. Columns that start with `sim.` are ignored by trainers.
+""",
+    "2.1": _LOADING_2,
+    "2.0": _LOADING_2,
+}
+"""Version to how a dataset is loaded, in Markdown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +155,17 @@ class LeRobotDataset(Dataset):
         """
         file = self.path / STATS_FILE
         return _object(file) if file.is_file() else {}
+
+    def summaries(self) -> Mapping[str, Mapping[str, Sequence[float]]]:
+        """Return the statistics of actions and observed vectors."""
+        columns = {self.content.names.action: "action", **self.content.vectors}
+        stored = {name: self.statistics[key] for key, name in columns.items() if key in self.statistics}
+        return {name: value for name, value in stored.items() if isinstance(value, dict)}
+
+    @property
+    def usage(self) -> str:
+        """How the dataset is loaded."""
+        return _LOADING[self.version]
 
     @cached_property
     def description(self) -> Description:

@@ -7,7 +7,7 @@ trained on the dataset is evaluated by it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import TypeVar
@@ -92,6 +92,9 @@ class Content:
     vectors: Mapping[str, Callable[[Proprioception], Floats]]
     """Observed vector to the function that makes it."""
 
+    parts: Mapping[str, Mapping[str, tuple[int, int]]] = field(default_factory=dict)
+    """``state`` and ``action`` to the convention's names of ranges of their components, if it names them."""
+
     @property
     def converts(self) -> bool:
         """Whether the exported actions differ from the recorded ones."""
@@ -158,6 +161,7 @@ class Content:
             joint_names=self.joint_names,
             semantics=said,
             skills=skills,
+            parts=self.parts,
             text=(
                 f"{len(sources)} simulated episodes recorded with RoboXim; robot: {self.robot}; skills: "
                 f"{', '.join(skills)}; {self.convention.rate_hz:g} Hz; actions: {meaning}{gripper}."
@@ -198,12 +202,17 @@ def _by_named_convention(sources: Sequence[Source], named: Convention) -> Conten
     if len(keys) < len(named.images):
         raise InvalidRequestError(f"convention '{named.name}' names a camera twice; a dataset holds it once")
     camera_sizes(sources, tuple(keys), resized=True)
+    names = {_last(state.key): state.names(joints) for state in named.states}
+    vectors = {_last(state.key): _by_convention(state, convention) for state in named.states}
+    if "state" not in names:  # trainers want one vector of this name
+        makers = list(vectors.values())
+        names["state"] = tuple(part for parts in names.values() for part in parts) or component_names(STATE_FIELDS)
+        vectors["state"] = _joined(makers) if makers else _by_fields(STATE_FIELDS)
     return Content(
         convention=convention, named=True, recorded=recorded, actions=convention.semantics,
         every=_ticks_per_step(recorded.rate_hz, convention.rate_hz), robot=robot, joint_names=joints, keys=keys,
         sizes={image.camera: ImageSize(height=image.height, width=image.width) for image in named.images},
-        names={_last(state.key): state.names(joints) for state in named.states},
-        vectors={_last(state.key): _by_convention(state, convention) for state in named.states},
+        names=names, vectors=vectors, parts=_named_parts(named, names),
     )  # fmt: skip
 
 
@@ -290,6 +299,23 @@ def _last(key: str) -> str:
 
 def _by_fields(fields: Sequence[ProprioField]) -> Callable[[Proprioception], Floats]:
     return lambda measured: measured.vector(fields)
+
+
+def _joined(makers: Sequence[Callable[[Proprioception], Floats]]) -> Callable[[Proprioception], Floats]:
+    return lambda measured: np.concatenate([make(measured) for make in makers])
+
+
+def _named_parts(named: Convention, names: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, tuple[int, int]]]:
+    """Return the ranges of components that a convention gives names of their own, as GR00T's do."""
+    found: dict[str, dict[str, tuple[int, int]]] = {}
+    if len(named.states) > 1:
+        ends = np.cumsum([len(names[_last(state.key)]) for state in named.states]).tolist()
+        starts = [0, *ends[:-1]]
+        keys = [_last(state.key) for state in named.states]
+        found["state"] = {key: (start, end) for key, start, end in zip(keys, starts, ends, strict=True)}
+    if len(named.action.keys) == named.action.raw_size > 1:
+        found["action"] = {_last(key): (at, at + 1) for at, key in enumerate(named.action.keys)}
+    return found
 
 
 def _by_convention(state: StateInput, convention: Convention) -> Callable[[Proprioception], Floats]:
