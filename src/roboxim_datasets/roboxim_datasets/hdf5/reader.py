@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,17 @@ from roboxim_datasets.episode import EXECUTED, Episode, Floats, ImageSize, Step,
 from roboxim_datasets.hdf5.layout import ATTRIBUTE, MASKS, STATISTICS_FILE, Hdf5Content
 
 _SPLITS = {mask: split for split, mask in MASKS.items()}
+
+
+_LOADING = """```python
+from robomimic.utils.dataset import SequenceDataset  # robomimic 0.3
+dataset = SequenceDataset(
+    "{file}", obs_keys={low} + {rgb}, dataset_keys=["actions"], filter_by_attribute="train", hdf5_load_next_obs=False
+)
+```
+
+`dataset_statistics.json` holds mean, std, min, max and exact quantiles of actions and vectors.
+"""
 
 
 class Hdf5Dataset(Dataset):
@@ -94,6 +105,19 @@ class Hdf5Dataset(Dataset):
             return read_json_object(file) if file.is_file() else {}
         except ConfigError as error:
             raise RecorderError(str(error), ErrorCode.BAG_DAMAGED) from None
+
+    def summaries(self) -> Mapping[str, Mapping[str, Sequence[float]]]:
+        """Return the statistics of actions and observed vectors."""
+        columns = {"actions": "action", **self.content.vectors}
+        stored = {name: self.statistics[key] for key, name in columns.items() if key in self.statistics}
+        return {name: value for name, value in stored.items() if isinstance(value, dict)}
+
+    @property
+    def usage(self) -> str:
+        """How the dataset is loaded."""
+        state = [key.removeprefix("obs/") for key, name in self.content.vectors.items() if name == "state"]
+        images = [key.removeprefix("obs/") for key in self.content.cameras]
+        return _LOADING.format(file=self.file.name, low=state, rgb=images)
 
     @cached_property
     def description(self) -> Description:
