@@ -27,6 +27,7 @@ from roboxim_core.errors import EvaluationError
 from roboxim_core.rotations import IDENTITY_ROTATION, Floats, encode
 from roboxim_policies.remote import RemotePolicy
 from roboxim_policies.wires import openpi
+from roboxim_policies.wires.arrays import MESSAGE_BYTES
 
 
 class PlayingServer:
@@ -57,7 +58,9 @@ class PlayingServer:
         """Serve at a free port of this machine."""
         from websockets.sync.server import serve
 
-        with serve(self._talk, "127.0.0.1", 0, compression=None, ping_interval=None, close_timeout=1.0) as server:
+        with serve(
+            self._talk, "127.0.0.1", 0, compression=None, max_size=MESSAGE_BYTES, ping_interval=None, close_timeout=1.0
+        ) as server:
             self.url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
             thread = threading.Thread(target=server.serve_forever)
             thread.start()
