@@ -134,6 +134,20 @@ def test_success_is_judged_after_settling_and_every_tick_is_recorded():
     assert result.bag == "keep/eval-0-00000-0"
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"ensemble": "meen"}, "unknown value 'meen'.*mean"),
+        ({"ensemble": "exponential"}, "needs a decay other than 0"),
+        ({"ensemble_decay": 0.1}, "needs ensemble 'exponential'"),
+        ({"late_rows": "skip"}, "late_rows|unknown value 'skip'"),
+    ],
+)
+def test_a_runs_chunking_is_checked_before_anything_starts(values, message):
+    with pytest.raises(InvalidRequestError, match=message):
+        RunConfig(**values)
+
+
 @pytest.mark.parametrize("rate_hz", [3.0, 15.0])
 def test_a_policy_runs_at_its_own_rate_for_the_same_time(rate_hz):
     world = World(goal=100.0)
@@ -401,8 +415,6 @@ def test_what_the_run_cannot_give_is_refused_before_the_first_step():
         run(World(), Actor(semantics=joints), noise_translation_m=0.01)
     with pytest.raises(InvalidRequestError, match="'drop' would leave none"):
         run(World(), Actor(), latency_ticks=1, late_rows="drop")
-    with pytest.raises(InvalidRequestError, match="unknown value 'meen'.*mean"):
-        run(World(), Actor(), ensemble="meen")
 
 
 @pytest.mark.parametrize(

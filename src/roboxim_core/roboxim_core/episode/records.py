@@ -99,7 +99,7 @@ class RunConfig:
         """Check the ranges.
 
         Raises:
-            InvalidRequestError: On a negative number or an unknown keep rule.
+            InvalidRequestError: On a negative number, an unknown keep rule, or chunking that contradicts itself.
         """
         if self.keep not in KEEP_RULES:
             raise InvalidRequestError(f"unknown keep rule '{self.keep}'; {one_of(KEEP_RULES, self.keep)}")
@@ -109,6 +109,9 @@ class RunConfig:
         for name, most in LIMITS.items():
             limits.require_range(name, getattr(self, name), 0, most)
         limits.require_count("cameras", len(self.cameras), limits.CAMERAS)
+        if self.ensemble_decay and not self.ensemble:
+            raise InvalidRequestError(f"ensemble_decay {self.ensemble_decay:g} needs ensemble 'exponential'")
+        self.chunking(Chunking())
 
     def chunking(self, policy: Chunking) -> Chunking:
         """Return how chunks are executed: the policy's way, with the values that this run sets.
