@@ -72,8 +72,8 @@ def scene(*, live: bool) -> dict[str, Any]:
         "followTf": "world",
         "followMode": "follow-none",
         "cameraState": {
-            "perspective": True, "distance": 1.9, "phi": 62, "thetaOffset": 130, "fovy": 45, "near": 0.05, "far": 100,
-            "target": [0.4, 0, 0.2], "targetOffset": [0, 0, 0], "targetOrientation": [0, 0, 0, 1],
+            "perspective": True, "distance": 1.7, "phi": 62, "thetaOffset": -125, "fovy": 45, "near": 0.05, "far": 100,
+            "target": [0, 0, 0], "targetOffset": [0.35, 0, 0.2], "targetOrientation": [0, 0, 0, 1],
         },
         "scene": {"transforms": {"axisScale": 0, "showLabel": False, "lineWidth": 0}},
         "transforms": {},

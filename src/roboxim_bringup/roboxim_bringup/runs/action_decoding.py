@@ -14,8 +14,6 @@ from roboxim_core.actions import ActionArray, ActionContext, ActionSemantics, Ac
 from roboxim_core.actions.gripper import GripperSwitch
 from roboxim_core.conventions import Convention, load_convention, to_actions
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.kinematics import ArmKinematics
-from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_datasets.episode import Episode
@@ -62,12 +60,10 @@ class ActionDecoder:
         """Control rate of the actions [Hz]."""
         self.semantics = replace(said, rate_hz=self.rate_hz)
         """Meaning of the actions."""
-        self.executed = ActionSemantics(rate_hz=self.rate_hz)
+        self.executed = self.semantics.executed(self.rate_hz)
         """Meaning of the actions that the simulator executes."""
         self._base = scene.robot.pose
         self._convention = None if semantics is not None else convention
-        crosses = self.semantics.control.is_joint_space != self.executed.control.is_joint_space
-        self._kinematics = ArmKinematics(ModelLibrary().robot(scene.robot.model)) if crosses else None
 
     def start(self) -> Decode:
         """Return the conversion of one pass through the episode; a gripper's rule begins anew."""
@@ -79,7 +75,7 @@ class ActionDecoder:
         return lambda action, state: np.asarray(action, np.float32)
 
     def _context(self, state: StateRecord) -> ActionContext:
-        return ActionContext.of(state, self._base, self._kinematics)
+        return ActionContext.of(state, self._base)
 
     def _by_transform(
         self, transform: ActionTransform, action: npt.NDArray[np.float32], state: StateRecord

@@ -333,8 +333,9 @@ class _Replayer:
                 apart_at = state.seq
 
         execution = execute(
-            self._sim, self._judge, self._info.episode_id, self._info.task, self._scene, following, on_state=compare
-        )
+            self._sim, self._judge, self._info.episode_id, self._info.task, self._scene, following,
+            semantics=self._decoder.executed, on_state=compare,
+        )  # fmt: skip
         return StreamReplay(
             success=execution.success, reason=execution.reason, steps=execution.steps, tcp_error_m=tuple(errors),
             apart_at=apart_at, exact=exact and execution.steps == len(actions),
