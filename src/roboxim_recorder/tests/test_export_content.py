@@ -129,6 +129,7 @@ def test_depth_is_exported_on_request_at_the_images_size(run, fake):
 def test_the_convention_beside_a_dataset_asks_a_policy_for_what_the_dataset_holds(run, tmp_path, fake, convention):
     if convention:
         text = named_config("conventions", "libero").read_text().replace("rate_hz: 20", "rate_hz: 10")
+        text += "prompt: {lower: true}\n" if "prompt:" not in text else ""
         convention = str(tmp_path / "here.yaml")
         (tmp_path / "here.yaml").write_text(text)
     report = export_rlds(run, tmp_path / "out", ExportConfig(convention=convention, encoding="png", val_fraction=0.0))
@@ -144,6 +145,7 @@ def test_the_convention_beside_a_dataset_asks_a_policy_for_what_the_dataset_hold
         images={name: fake().image(name, 0) for name in ("workspace", "wrist")},
     )
     request = observe(written, [seen], "Pick up the red cube")
+    assert episode.instruction == request[written.prompt.key]
     for image in written.images:
         np.testing.assert_array_equal(step.images[image.camera], request[image.key])
     for vector in written.states:
@@ -151,4 +153,5 @@ def test_the_convention_beside_a_dataset_asks_a_policy_for_what_the_dataset_hold
     decoded = written.action.decode(step.action[None], written.frames)
     back = convert_rows(decoded, written.semantics, ActionSemantics(), track(fake, [0]))
     np.testing.assert_allclose(back[0], labels(fake)[0], atol=1e-6)
+    assert open_dataset(report.path).features.action[:2] == ("dx", "dy")
     assert (episode.semantics is None) == bool(convention), "scaled numbers have no meaning of their own"

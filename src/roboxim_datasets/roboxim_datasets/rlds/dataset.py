@@ -62,7 +62,7 @@ class RldsDatasetWriter:
 
     def add(self, split: str, episode: Episode) -> None:
         """Append an episode."""
-        self._writer.add(split, to_rlds(episode, self._description.features.keys, self._writer.features, self._pool))
+        self._writer.add(split, to_rlds(episode, self._description.features, self._writer.features, self._pool))
 
     def complete(self, files: Mapping[str, str | bytes]) -> None:
         """Add the statistics and loader files, and move the dataset to its final place."""

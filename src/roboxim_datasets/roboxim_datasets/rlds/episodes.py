@@ -16,6 +16,7 @@ from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.images import encode_image
 from roboxim_core.proprioception import ProprioField, component_names
+from roboxim_datasets.dataset import Features
 from roboxim_datasets.episode import EXECUTED, OWN_FIELDS, SIGNAL_PREFIX, Episode, ImageSize, MetaValue, Step, Wanted
 from roboxim_datasets.rlds.format import Array, RldsEpisode, RldsFeatures
 
@@ -23,15 +24,16 @@ USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
 """Default camera to image key; other cameras keep their names."""
 
 
-def to_rlds(episode: Episode, keys: Mapping[str, str], features: RldsFeatures, pool: Executor) -> RldsEpisode:
+def to_rlds(episode: Episode, described: Features, features: RldsFeatures, pool: Executor) -> RldsEpisode:
     """Turn an episode into one of an RLDS dataset.
 
     Args:
         episode: The episode.
-        keys: Camera to image key.
-        features: Features of the dataset's episodes.
+        described: What the dataset's steps consist of.
+        features: The same, as RLDS stores it.
         pool: Threads that encode images.
     """
+    keys = described.keys
     images: dict[str, list[Future[bytes]]] = {key: [] for key in keys.values()}
     steps = []
     for step in episode.steps(list(keys)):
@@ -46,7 +48,7 @@ def to_rlds(episode: Episode, keys: Mapping[str, str], features: RldsFeatures, p
         "cameras": json.dumps({key: camera for camera, key in keys.items()}, sort_keys=True),
         "state_layout": json.dumps(episode.vectors.get("state", ())),
         "joint_names": json.dumps(episode.joint_names),
-        "vectors": json.dumps({**episode.vectors, **episode.signals}),
+        "vectors": json.dumps({**episode.vectors, **episode.signals, "action": described.action}),
     }
     return RldsEpisode(
         images={key: [future.result() for future in futures] for key, futures in images.items()},
@@ -165,7 +167,7 @@ def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> Componen
         except InvalidRequestError as error:
             raise ConfigError(f"the meaning of the actions cannot be read: {error}") from None
     if len(action) != features.action_size:
-        action = tuple(f"action.{index}" for index in range(features.action_size))
+        action = named("action", features.action_size, "action")
     signals = {name: SIGNAL_PREFIX + name for name in features.signals}
     return ComponentNames(
         action=action,

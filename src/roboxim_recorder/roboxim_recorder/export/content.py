@@ -132,6 +132,10 @@ class Content:
             for image in self.convention.images
         }
 
+    def instruction(self, text: str) -> str:
+        """Return an instruction as it is exported: as a named convention's policy is asked."""
+        return self.convention.prompt.text(text) if self.named else text
+
     def picture(self, camera: str, image: RGBImage) -> RGBImage:
         """Return a camera's image as it is exported."""
         return self._images[camera].prepare(image)

@@ -110,7 +110,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
     return Episode(
         episode_id=source.info.episode_id,
         length=length,
-        instruction=source.info.task.instruction,
+        instruction=content.instruction(source.info.task.instruction),
         semantics=content.semantics,
         cameras=content.sizes,
         success=_solved(source),
