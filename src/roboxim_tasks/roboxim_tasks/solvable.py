@@ -47,7 +47,7 @@ class Solvability:
         """Return the motion that solves a scene, with every object where it was drawn.
 
         Args:
-            task: The task.
+            task: The task; the record of what was drawn is ignored.
             scene: Its scene; the cameras are ignored.
             seed: Seed of the planner's detours.
 
@@ -55,7 +55,7 @@ class Solvability:
             PolicyError: When no candidate of the skill has a collision-free plan for every stage.
             RoboximError: When the planner cannot be asked.
         """
-        asked = task, replace(scene, cameras=()), seed
+        asked = replace(task, drawn={}), replace(scene, cameras=()), seed
         for known, solution in self._kept:
             if known == asked:
                 return solution
