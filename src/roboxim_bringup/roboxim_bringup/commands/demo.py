@@ -72,11 +72,13 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
         "the start anywhere in a 12 cm box."
     )
     demos, dataset, trained, evaluation = out / "demos", out / "rlds", out / "bc", out / "evaluation"
+    lerobot = out / "lerobot"
     common = ["--seed", str(seed), "--workers", str(workers), "--renderer", renderer, "--size", scale.size]
     rollouts = str(scale.rollouts)
     started = time.monotonic()
     _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *scale.generation, *common)
     _step("export", "rlds", str(demos), str(dataset))
+    _step("export", "lerobot", str(demos), str(lerobot))
     _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps))
     _step(
         "evaluate", "--policy", "bc", "--checkpoint", str(trained), "--policy", "random", "--out", str(evaluation),
@@ -88,7 +90,8 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
         (evaluation / "report.html", "the report: success rates, films of episodes; open it in a browser"),
         (demos / "first_demonstrations.png", "pictures of the first demonstrations"),
         (demos / "episodes", "the demonstrations, one MCAP bag each (Foxglove opens them)"),
-        (dataset, "the RLDS dataset"),
+        (dataset, "the RLDS dataset, for Octo and OpenVLA"),
+        (lerobot, "the LeRobot dataset, for ACT, Diffusion, SmolVLA and pi0"),
         (trained, "the trained policy"),
     ):
         click.echo(f"  {path}: {what}")

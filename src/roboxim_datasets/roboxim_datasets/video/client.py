@@ -197,7 +197,7 @@ class _Lane:
         self._queue: queue.Queue[tuple[Header, Sequence[Any], Future[VideoFile] | None] | None] = queue.Queue(
             _QUEUED_MESSAGES
         )
-        self._error: RecorderError | None = None
+        self._error: Exception | None = None
         self._thread = threading.Thread(target=self._serve, name="video worker", daemon=True)
         self._thread.start()
 
@@ -222,8 +222,8 @@ class _Lane:
                 else:
                     reply = self._process.ask(header)[0]
                     future.set_result(VideoFile(frames=reply["frames"], size=reply["size"]))
-            except RecorderError as error:
-                if error.code == ErrorCode.UNAVAILABLE:
+            except Exception as error:  # whatever it is, `put` must not wait for this thread for ever
+                if not isinstance(error, RecorderError) or error.code == ErrorCode.UNAVAILABLE:
                     self._error = error
                 if future is not None:
                     future.set_exception(error)
