@@ -111,7 +111,7 @@ def require_same(path: Path, *, psnr: float | None = 30.0) -> None:
             assert mine.reward == other.reward
             for vector, values in other.proprio.items():
                 np.testing.assert_array_equal(mine.proprio[vector], values)
-            np.testing.assert_allclose(mine.depth["wrist"], other.depth["wrist"], atol=5.1e-5)
+            np.testing.assert_allclose(mine.depth["wrist"], other.depth["wrist"], atol=1.26e-4)
             np.testing.assert_array_equal(mine.segmentation["wrist"], other.segmentation["wrist"])
             for camera, image in other.images.items():
                 if psnr is None:

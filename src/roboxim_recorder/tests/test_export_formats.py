@@ -74,7 +74,7 @@ def test_a_dataset_holds_what_the_bags_hold(case, run, tmp_path, fake):
             )
             assert step.proprio["state"].shape == (10,)
             for depth in step.depth.values():
-                np.testing.assert_allclose(depth, bag.depth(step.index), atol=5.1e-5)
+                np.testing.assert_allclose(depth, bag.depth(step.index), atol=1.26e-4)
             assert step.reward == float(step.index == bag.steps - 1)
 
 

@@ -39,8 +39,10 @@ VIDEO_PATH: Mapping[str, str] = {
 }
 EPISODES_PATH = f"meta/episodes/{_CHUNK_FILE}.parquet"
 
-DEPTH_UNIT_M = 1e-4
-"""Unit of stored depth [m]: 16 bits reach 6.55 m. 0 is what is farther or unknown."""
+DEPTH_UNIT_M = 2.5e-4
+"""Unit of stored depth [m]; `DEPTH_MOST` units are 8.19 m. 0 is what is farther or unknown."""
+DEPTH_MOST = 32767
+"""Largest stored depth: torchvision reads 16-bit images as signed numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
