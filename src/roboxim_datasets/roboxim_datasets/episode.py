@@ -110,6 +110,8 @@ class Step:
     """Further vectors that no trainer reads, float32, shape (n,), by name; the names start with ``sim.``."""
     reward: float = 0.0
     """1 on the last step of a success, else 0."""
+    stamp_s: float | None = None
+    """Time of the observation [s]; None: the format stores none. Writers do not take it, they count steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -251,9 +251,7 @@ def _episode(entry: _Entry, ports: TruthPorts) -> AuditEpisode:
     made.no_truth = entry.no_bag or made.no_truth
     made.joint_limits = _joint_limits(episode, ports.library)
     if truth is not None:
-        if entry.episode is None:
-            made.stamps_s = truth.stamps_s
-        if len(truth.stamps_s) == len(episode):
+        if truth.steps == len(episode):
             made.truth = truth.measure()
         else:
             made.no_truth = OTHER_RATE

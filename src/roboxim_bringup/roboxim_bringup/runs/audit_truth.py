@@ -95,9 +95,9 @@ class BagTruth:
         self._acting = [tick for tick in self._ticks if tick.step.phase != "settle"][: self.result.steps + 1]
 
     @property
-    def stamps_s(self) -> npt.NDArray[np.float64]:
-        """Stamps of the observations that are trained on [s], shape (T,)."""
-        return np.array([tick.stamp_ns / 1e9 for tick in self._acting[:-1]])
+    def steps(self) -> int:
+        """Number of steps that are trained on."""
+        return len(self._acting) - 1
 
     @property
     def joint_names(self) -> tuple[str, ...]:

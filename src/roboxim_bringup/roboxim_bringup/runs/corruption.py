@@ -34,7 +34,7 @@ from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import FORMATS, open_dataset
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.bag_writer import PLACES
+from roboxim_recorder.bag_writer import PLACES, bag_path
 from roboxim_recorder.edited import copy_edited
 from roboxim_recorder.export.episodes import bag_episode
 from roboxim_recorder.export.selection import Source
@@ -373,6 +373,8 @@ def _duplicate(bag: Path, out: Path) -> str:
     def edit(topic: str, message: Any) -> None:
         if hasattr(message, "episode_id"):
             message.episode_id = name
+        if hasattr(message, "bag"):
+            message.bag = bag_path(name, "keep")
 
     copy_edited(bag, out, (topics.INFO, topics.RESULT, topics.STEP, topics.STATE), edit, episode_id=name)
     return f"a copy of {bag.name}"

@@ -94,12 +94,14 @@ class Reenactor:
         """Free simulator and renderer."""
         self._sim.close()
 
-    def succeeds(self, recorded: Recorded, scene: SceneSpec, acts: Sequence[Act]) -> tuple[bool, list[StateRecord]]:
-        """Execute actions in a scene without cameras; return whether the task is solved at the end, and the states."""
+    def execute(
+        self, recorded: Recorded, scene: SceneSpec, acts: Sequence[Act]
+    ) -> tuple[list[bool], list[StateRecord]]:
+        """Execute actions in a scene without cameras; return whether each tick is a success, and the states."""
         states = self._execute(recorded.info, replace(scene, cameras=()), acts, None)[0]
         judge = Judge(recorded.info.task)
         verdicts = [judge.start(states[0]), *(judge.step(state) for state in states[1:])]
-        return verdicts[-1].success, states
+        return [verdict.success for verdict in verdicts], states
 
     def record(self, recorded: Recorded, scene: SceneSpec, acts: Sequence[Act]) -> Path:
         """Execute actions in a scene and record a bag; it claims the recorded outcome, whatever happens.

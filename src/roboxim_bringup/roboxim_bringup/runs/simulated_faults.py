@@ -49,7 +49,7 @@ class SimulatedFault(ABC):
 
     def suits(self, recorded: Recorded, plan: Plan, sim: Reenactor) -> bool:
         """Return whether a plan plants this fault and no other: the task is still solved at the end."""
-        return sim.succeeds(recorded, plan.scene, plan.acts)[0]
+        return sim.execute(recorded, plan.scene, plan.acts)[0][-1]
 
 
 SIMULATED_FAULTS: Registry[type[SimulatedFault]] = Registry("simulated fault")
@@ -122,7 +122,7 @@ class SuccessUndone(SimulatedFault):
 
     def suits(self, recorded: Recorded, plan: Plan, sim: Reenactor) -> bool:
         """Return whether the success is lost."""
-        return not sim.succeeds(recorded, plan.scene, plan.acts)[0]
+        return not sim.execute(recorded, plan.scene, plan.acts)[0][-1]
 
 
 @SIMULATED_FAULTS.register("inaccurate_control")
@@ -301,7 +301,8 @@ class Obstacle(SimulatedFault):
             )  # fmt: skip
 
     def suits(self, recorded: Recorded, plan: Plan, sim: Reenactor) -> bool:
-        """Return whether the hand hits the cube, and the task is solved all the same."""
-        solved, states = sim.succeeds(recorded, plan.scene, plan.acts)
+        """Return whether the hand hits the cube, and the task is solved all the same, and not before the end."""
+        solved, states = sim.execute(recorded, plan.scene, plan.acts)
+        early = any(solved[: recorded.result.steps - 1])
         hits = (c.force_max for s in states for c in s.contacts_between("obstacle", ROBOT))
-        return solved and max(hits, default=0.0) > self.force_n
+        return solved[-1] and not early and max(hits, default=0.0) > self.force_n

@@ -141,8 +141,6 @@ class AuditEpisode:
     """Split, e.g. ``train``."""
     episode: Episode
     """The episode."""
-    stamps_s: Values | None = None
-    """Time of each observation [s], shape (T,); none: the dataset stores none."""
     truth: Truth | None = None
     """Ground truth; none: there is none, for `no_truth`."""
     no_truth: str = NO_TRUTH
@@ -156,6 +154,12 @@ class AuditEpisode:
     def steps(self) -> tuple[Step, ...]:
         """All steps, without images."""
         return tuple(self.episode.steps(()))
+
+    @cached_property
+    def stamps_s(self) -> Values | None:
+        """Time of each observation [s], shape (T,); none: the dataset stores none."""
+        stamps = [step.stamp_s for step in self.steps if step.stamp_s is not None]
+        return np.array(stamps) if len(stamps) == len(self.steps) else None
 
     @cached_property
     def actions(self) -> Floats:

@@ -38,6 +38,7 @@ from roboxim_datasets.lerobot.layout import (
 from roboxim_datasets.lerobot.pieces import column_array
 from roboxim_datasets.video.client import VideoDecoder
 
+_TIMESTAMP = "timestamp"
 _STATES = ("observation.state", "state")
 _ACTIONS = ("action", "actions")
 _OBSERVED = "observation."
@@ -247,7 +248,7 @@ class LeRobotDataset(Dataset):
         stored = {camera: key for camera, key in keys.items() if self._features[key]["dtype"] == "image"}
         depth = {camera: key for key, camera in content.depth.items() if camera in wanted.depth}
         masks = {camera: key for key, camera in content.segmentation.items() if camera in wanted.segmentation}
-        columns = [key for key in self._number_columns() if key in self._features]
+        columns = [key for key in (*self._number_columns(), _TIMESTAMP) if key in self._features]
         encoded = [*stored.values(), *depth.values(), *masks.values()]
         table = self._rows(place, [*columns, *encoded])
         numbers = {key: self._floats(table, key) for key in columns}
@@ -266,6 +267,7 @@ class LeRobotDataset(Dataset):
                 action_executed=numbers[EXECUTED][step] if EXECUTED in numbers else None,
                 signals={name: numbers[key][step] for key, name in content.signals.items() if key != EXECUTED},
                 reward=float(numbers[content.names.reward][step, 0]) if content.names.reward in numbers else 0.0,
+                stamp_s=float(numbers[_TIMESTAMP][step, 0]) if _TIMESTAMP in numbers else None,
             )
         for frames in videos.values():  # ends the decoding; a broken file says so
             next(frames, None)

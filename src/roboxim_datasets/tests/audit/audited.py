@@ -60,7 +60,7 @@ def film(place: np.ndarray, shift: float, side: int = 32) -> np.ndarray:
 def episode(seed: int = 0, instruction: str = "Pick up the cube", **changes: Any) -> Episode:
     """Return a clean episode, or one with other arrays."""
     values = arrays(seed) | {name: changes.pop(name) for name in list(changes) if name in arrays(0, 8)}
-    steps = len(values["actions"])
+    steps, stamps = len(values["actions"]), changes.pop("stamps", None)
     names = {str(field): component_names((field,), JOINTS) for field in FIELDS}
 
     def read(wanted: Wanted) -> Iterator[Step]:
@@ -71,6 +71,7 @@ def episode(seed: int = 0, instruction: str = "Pick up the cube", **changes: Any
                 proprio={name: values[name][k] for name in names},
                 action=values["actions"][k],
                 action_executed=values["actions"][k],
+                stamp_s=stamps[k] if stamps is not None else None,
             )
 
     made = Episode(

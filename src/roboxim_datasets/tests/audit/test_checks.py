@@ -49,8 +49,8 @@ def test_every_check_conforms(name: str) -> None:
 def test_clean_episodes_have_no_finding() -> None:
     episodes = [
         AuditEpisode(
-            name=f"e{i}", split="train" if i % 4 else "val", episode=audited.episode(i),
-            truth=audited.truth(), stamps_s=np.arange(audited.STEPS) / 10.0, joint_limits=((-3.0, 3.0),) * 7,
+            name=f"e{i}", split="train" if i % 4 else "val", joint_limits=((-3.0, 3.0),) * 7, truth=audited.truth(),
+            episode=audited.episode(i, stamps=np.arange(audited.STEPS) / 10.0),
         )
         for i in range(12)
     ]  # fmt: skip
@@ -249,9 +249,8 @@ def test_clocks_with_a_late_tick() -> None:
     even = np.arange(audited.STEPS) / 10.0
     late = even.copy()
     late[30] += 0.002
-    stamped = AuditEpisode(name="e0", split="", episode=audited.episode(), stamps_s=late)
-    assert found("clock", stamped) == ("e0",)
-    assert not found("clock", replace(stamped, stamps_s=even))
+    assert found("clock", audited.episode(stamps=late)) == ("e0",)
+    assert not found("clock", audited.episode(stamps=even))
     assert "stamps" in unchecked("clock", audited.episode())
 
 

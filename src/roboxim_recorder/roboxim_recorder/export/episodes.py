@@ -51,6 +51,7 @@ def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
                 action=_snapped(np.array(following.step.action_label), info.semantics).astype(np.float32),
                 action_executed=np.array(following.step.action_executed, np.float32),
                 reward=float(_solved(source) and index == source.result.steps - 1),
+                stamp_s=observed.stamp_ns / 1e9,
             )
 
     return Episode(

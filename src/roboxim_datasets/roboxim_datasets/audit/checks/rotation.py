@@ -74,8 +74,8 @@ class RotationJump(AuditCheck):
             }
             if jumps:
                 yield Finding(
-                    text=f"{rotations.label}: {len(jumps)} jumps, the first at tick {jumps[0]} from "
-                    f"{_shown(rotations.values[jumps[0] - 1])} to {_shown(rotations.values[jumps[0]])}",
+                    text=f"{rotations.label}: {len(jumps)} jump{'s' * (len(jumps) != 1)}, the first at tick {jumps[0]} "
+                    f"from {_shown(rotations.values[jumps[0] - 1])} to {_shown(rotations.values[jumps[0]])}",
                     episodes=(episode.name,),
                     ticks=(jumps[0] - 1, jumps[0]),
                     series=dict(list(shown.items())[:4]),
