@@ -9,6 +9,7 @@ nor many episodes in one file accumulate rounding errors.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -202,10 +203,11 @@ def main() -> int:
     source, target = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an encoder prints must not get between the answers
     worker = Worker()
-    while (message := read_message(source)) is not None:
-        answer = worker.answer(*message)
-        if answer is not None:
-            write_message(target, *answer)
+    with contextlib.suppress(BrokenPipeError, EOFError):  # the client was killed
+        while (message := read_message(source)) is not None:
+            answer = worker.answer(*message)
+            if answer is not None:
+                write_message(target, *answer)
     return 0
 
 
