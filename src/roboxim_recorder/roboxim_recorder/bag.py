@@ -47,7 +47,11 @@ def damage(path: Path) -> Iterator[None]:
     except OSError as error:
         raise damaged(path, error.strerror or str(error)) from error
     except AttributeError as error:  # a field that this version of RoboXim expects
-        raise damaged(path, f"it was written by another version of RoboXim ({error})") from error
+        raise RecorderError(
+            f"bag {path} was recorded by another version of RoboXim, which this one cannot read ({error}); use the "
+            "version that recorded it",
+            ErrorCode.BAG_DAMAGED,
+        ) from error
 
 
 def damaged(path: Path, what: str) -> RecorderError:

@@ -160,6 +160,9 @@ def _dict_encoder(kind: Any, pair: Any) -> Convert:
 def from_msg(msg: Any, cls: type[T]) -> T:
     """Convert a message, or an object with its attributes, to a dataclass.
 
+    A message of an older version, from a bag, may lack fields that have a default. The default of a field that is added
+    must therefore describe what was recorded before.
+
     Args:
         msg: The message.
         cls: Dataclass with the same field names.
@@ -174,7 +177,23 @@ def from_msg(msg: Any, cls: type[T]) -> T:
 @cache
 def _getters(cls: type) -> list[tuple[str, Convert]]:
     hints = get_type_hints(cls)
-    return [(field.name, _getter(field.name, hints[field.name])) for field in dataclasses.fields(cls)]
+    return [(field.name, _getter_or_default(field, hints[field.name])) for field in dataclasses.fields(cls)]
+
+
+def _getter_or_default(field: dataclasses.Field[Any], kind: Any) -> Convert:
+    get = _getter(field.name, kind)
+    if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        return get
+
+    def get_or_default(msg: Any) -> Any:
+        try:
+            return get(msg)
+        except AttributeError:
+            if hasattr(msg, field.name):
+                raise
+            return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+
+    return get_or_default
 
 
 def _items(kind: Any, values: Any) -> tuple[Any, ...]:

@@ -3,10 +3,13 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import RobotState as RobotStateMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import RobotState
@@ -44,3 +47,17 @@ def test_arrays_as_rosbags_gives_them_are_read():
     decoded = SimpleNamespace(**{name: getattr(message, name) for name in message.get_fields_and_field_types()})
     decoded.joint_positions = np.array([0.1, 0.2])
     assert from_msg(decoded, RobotState) == ROBOT
+
+
+def test_a_message_of_an_older_version_takes_the_defaults_of_new_fields():
+    result = EpisodeResult(episode_id="e", index=1, attempt=0, outcome="success", timing="real_time", held=3)
+    message = to_msg(result, EpisodeResultMsg)
+    fields = {name: getattr(message, name) for name in message.get_fields_and_field_types()}
+    assert from_msg(SimpleNamespace(**fields), EpisodeResult) == result
+    for name in ("timing", "held", "delay_ticks"):
+        del fields[name]
+    older = from_msg(SimpleNamespace(**fields), EpisodeResult)
+    assert (older.timing, older.held, older.outcome) == ("lockstep", 0, "success")
+    del fields["episode_id"]
+    with pytest.raises(AttributeError, match="episode_id"):
+        from_msg(SimpleNamespace(**fields), EpisodeResult)
