@@ -97,7 +97,8 @@ def test_an_episode_whose_scene_is_not_settled_leaves_no_bag_and_does_not_stop_t
     assert result.reason == "not_grasped", "the sim is free again"
 
 
-def test_wrong_configuration_is_refused_with_its_reason(graph, tmp_path):
+def test_wrong_configuration_is_refused_with_its_reason(graph, tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_ros.clients.APPEARANCE_S", 3.0)
     bad_task = "skill: pick_upp\n"
     with pytest.raises(RoboximError, match="pick_up"):
         run(graph, RunConfig(**SMALL, task_config=bad_task, output_dir=str(tmp_path)))

@@ -26,6 +26,8 @@ from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
 T = TypeVar("T")
+APPEARANCE_S = 30.0
+"""Longest wait for a service to appear, unless a call gives another [s]."""
 
 
 def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
@@ -95,7 +97,7 @@ class Clients:
         request: Any,
         *,
         timeout_s: float = 120.0,
-        wait_s: float = 30.0,
+        wait_s: float | None = None,
         check: bool = True,
     ) -> Any:
         """Call a service and return its response.
@@ -105,7 +107,7 @@ class Clients:
             name: Service name, relative to the namespace.
             request: The request.
             timeout_s: Longest wait for the answer [s].
-            wait_s: Longest wait for the service to appear [s].
+            wait_s: Longest wait for the service to appear [s]; None: `APPEARANCE_S`.
             check: Raise the error in the response's ``error_code``; false: return the response with any code.
 
         Raises:
@@ -115,7 +117,7 @@ class Clients:
         """
         direct = self._borrow(srv_type, name)
         try:
-            response = self._answer(direct, request, timeout_s, wait_s)
+            response = self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
         except rclpy_implementation.InvalidHandle:
             raise UnavailableError(
                 f"the clients '{self.node.get_name()}' were closed during a call of '{name}'"
