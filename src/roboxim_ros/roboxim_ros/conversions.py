@@ -161,7 +161,7 @@ def from_msg(msg: Any, cls: type[T]) -> T:
     """Convert a message, or an object with its attributes, to a dataclass.
 
     A message of an older version, from a bag, may lack fields that have a default. The default of a field that is added
-    must therefore describe what was recorded before.
+    must therefore describe what was recorded before. A class that sets ``NO_DEFAULTS_WHEN_READ`` needs every field.
 
     Args:
         msg: The message.
@@ -177,11 +177,16 @@ def from_msg(msg: Any, cls: type[T]) -> T:
 @cache
 def _getters(cls: type) -> list[tuple[str, Convert]]:
     hints = get_type_hints(cls)
-    return [(field.name, _getter_or_default(field, hints[field.name])) for field in dataclasses.fields(cls)]
+    getter = _field_getter if getattr(cls, "NO_DEFAULTS_WHEN_READ", False) else _field_getter_or_default
+    return [(field.name, getter(field, hints[field.name])) for field in dataclasses.fields(cls)]
 
 
-def _getter_or_default(field: dataclasses.Field[Any], kind: Any) -> Convert:
-    get = _getter(field.name, kind)
+def _field_getter(field: dataclasses.Field[Any], kind: Any) -> Convert:
+    return _getter(field.name, kind)
+
+
+def _field_getter_or_default(field: dataclasses.Field[Any], kind: Any) -> Convert:
+    get = _field_getter(field, kind)
     if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
         return get
 

@@ -9,6 +9,7 @@ from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from roboxim_interfaces.msg import RobotState as RobotStateMsg
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 
+from roboxim_core.actions.semantics import ActionSemantics
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
@@ -61,3 +62,11 @@ def test_a_message_of_an_older_version_takes_the_defaults_of_new_fields():
     del fields["episode_id"]
     with pytest.raises(AttributeError, match="episode_id"):
         from_msg(SimpleNamespace(**fields), EpisodeResult)
+
+
+def test_a_message_with_incomplete_action_semantics_is_refused():
+    fields = vars(ActionSemantics()).copy()
+    assert from_msg(SimpleNamespace(**fields), ActionSemantics) == ActionSemantics()
+    del fields["gripper"]
+    with pytest.raises(AttributeError, match="gripper"):
+        from_msg(SimpleNamespace(**fields), ActionSemantics)

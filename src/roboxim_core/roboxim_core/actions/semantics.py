@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import ClassVar
 
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, one_of
 from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
@@ -113,6 +114,9 @@ class ActionSemantics:
     Strings are converted to the enumerations. A field that the control mode does not use becomes ``none``, so that
     equal meanings compare equal.
     """
+
+    NO_DEFAULTS_WHEN_READ: ClassVar[bool] = True
+    """A recording that lacks a field is refused: a default would guess what its actions mean."""
 
     control: ControlMode = ControlMode.END_EFFECTOR_DELTA
     """What is commanded."""
