@@ -1,83 +1,78 @@
-"""The card of an experiment: counts by cell, pairs, scores and verdicts as plain data, with a hash.
+"""Collects the card of an experiment from its folder: counts from results, hashes of what they came from.
 
-All scores and sentences follow from the counts and pairs, so that `check_card` recomputes them without any bag.
+What follows from these parts, and the check of a stored card, is in `roboxim_eval.experiments`. Proofs of delivery and
+substitutions are stored by the stages that find them, as ``OUT/proofs.json`` (check to the numbers of episodes that
+passed and that were checked) and ``OUT/judged_again.json`` (a list of ``{cell, satisfied}``).
 """
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from roboxim_bringup.experiment_provenance import Attestations, code, device, packages_sha256
 from roboxim_bringup.runs.folder import RunFolder
-from roboxim_core.config import digest, from_plain, to_plain
+from roboxim_bringup.runs.results_log import ResultsLog
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.documents import parse_json, read_text
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.seeds import CELL, CELL_NUMBER
-from roboxim_eval.experiments import Analysis, Design, ExperimentConfig, Outcomes, analyse, chosen, design_of, stages_of
-from roboxim_eval.statistics.paired import Pairs
-from roboxim_eval.statistics.replicates import ConditionDifference, Interval
-from roboxim_eval.statistics.tables import Count
+from roboxim_eval.experiments import Design, Stage, chosen, stages_of
+from roboxim_eval.experiments.card import (
+    Card,
+    CardDataset,
+    CardEnvironment,
+    CardEvaluation,
+    CardExperiment,
+    CardTraining,
+    JudgedAgain,
+    sha256_of,
+)
+from roboxim_eval.experiments.card_checks import concluded
 from roboxim_tasks.config import TaskMix, task_mix
 
-SCHEMA = 1
+CARD_FILE = "card.json"
+STAGES_FILE = "stages.jsonl"
+PROOFS_FILE = "proofs.json"
+JUDGED_FILE = "judged_again.json"
+TIMES = ("wall_s", "inference_s")
+"""Fields of a result that are not part of its hash."""
+
+Scene = tuple[str, int]
+"""Cell and number in the cell, which name a scene within a replicate."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Card:
-    """An experiment's card."""
-
-    data: Mapping[str, Any]
-    """Plain data, the content of ``card.json``."""
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """A sentence for each comparison, the primary one first, then the warnings."""
-        return tuple(self.data["sentences"])
+def evaluation_folder(out: Path, stage: str) -> Path:
+    """Return the run folder of an evaluation stage, e.g. ``OUT/evaluate/blind.0/blind``."""
+    condition = stage.removeprefix("evaluate/").rpartition(".")[0]
+    return out / stage / condition
 
 
-def outcomes_of(design: Design, folder: Path) -> Outcomes:
-    """Return the outcomes of an experiment's final evaluations.
+def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult]]:
+    """Return the results of an experiment's evaluations: stage name to scene to result.
 
     Args:
         design: The experiment.
-        folder: Folder with a subfolder ``CONDITION.REPLICATE`` for each evaluation.
+        out: Its folder.
 
     Raises:
         ConfigError: When an evaluation is not finished, or its results are damaged.
     """
-    mixes = {s.name.removeprefix("evaluate/"): s.inputs["mix"] for s in stages_of(design) if s.kind == "evaluate"}
-    found: dict[tuple[str, int], dict[tuple[str, int], EpisodeResult]] = {}
-    for evaluation in design.evaluations:
-        if evaluation.checkpoint:
-            continue
-        name = f"{evaluation.condition}.{evaluation.replicate}"
-        results = RunFolder(folder / name / evaluation.condition).results()
-        by_scene = _by_scene(_task_mix(json.dumps(mixes[name])), results)
-        if len(by_scene) != evaluation.rollouts:
-            raise ConfigError(f"{folder / name} has {len(by_scene)} of {evaluation.rollouts} rollouts; run it again")
-        found[evaluation.condition, evaluation.replicate] = by_scene
-    replicates = range(design.config.replicates.count)
-    counts = {
-        condition: [_counts(found[condition, replicate]) for replicate in replicates]
-        for condition in design.config.conditions
-    }
-    pairs = {
-        number: [
-            _pairs(found[compare.first, r], found[compare.second, r], _keys(design, compare.where)) for r in replicates
-        ]
-        for number, compare in enumerate(design.config.compare)
-        if not compare.against
-    }
-    return Outcomes(counts=counts, pairs=pairs)
-
-
-def _keys(design: Design, where: str) -> set[str]:
-    return {cell.key for cell in chosen(design.cells, where)}
+    found = {}
+    for stage in stages_of(design):
+        if stage.kind == "evaluate":
+            folder = evaluation_folder(out, stage.name)
+            by_scene = _by_scene(_task_mix(json.dumps(stage.inputs["mix"])), RunFolder(folder).results())
+            if len(by_scene) != stage.inputs["episodes"]:
+                raise ConfigError(
+                    f"{folder} has {len(by_scene)} of {stage.inputs['episodes']} rollouts; run the experiment again"
+                )
+            found[stage.name] = by_scene
+    return found
 
 
 @lru_cache(maxsize=16)
@@ -86,8 +81,7 @@ def _task_mix(text: str) -> TaskMix:
     return task_mix(json.loads(text))
 
 
-def _by_scene(mix: TaskMix, results: Sequence[EpisodeResult]) -> dict[tuple[str, int], EpisodeResult]:
-    """Return results by cell and number in the cell, which name a scene within a replicate."""
+def _by_scene(mix: TaskMix, results: Sequence[EpisodeResult]) -> dict[Scene, EpisodeResult]:
     found = {}
     for result in results:
         drawn = mix.drawn(result.index)
@@ -95,120 +89,136 @@ def _by_scene(mix: TaskMix, results: Sequence[EpisodeResult]) -> dict[tuple[str,
     return found
 
 
-def _counts(results: Mapping[tuple[str, int], EpisodeResult]) -> dict[str, Count]:
-    counts: dict[str, list[EpisodeResult]] = {}
-    for (cell, _), result in results.items():
-        counts.setdefault(cell, []).append(result)
-    return {
-        cell: Count(
-            successes=sum(r.outcome == "success" for r in mine), episodes=len(mine),
-            errors=sum(r.outcome == "error" for r in mine),
-        )
-        for cell, mine in counts.items()
-    }  # fmt: skip
-
-
-def _pairs(
-    first: Mapping[tuple[str, int], EpisodeResult], second: Mapping[tuple[str, int], EpisodeResult], cells: set[str]
-) -> Pairs:
-    shared = [scene for scene in first if scene in second and scene[0] in cells]
-    return Pairs.of((first[s].outcome == "success", second[s].outcome == "success") for s in shared)
-
-
-def card_of(name: str, scale: str, design: Design, outcomes: Outcomes) -> Card:
-    """Return the card of an experiment's results.
+def collect_card(
+    name: str, scale: str, design: Design, out: Path, *, trainer: str = "", renderer: str = ""
+) -> Card:  # fmt: skip
+    """Return the card of an experiment whose evaluations are finished.
 
     Args:
         name: Name of the experiment.
         scale: Its scale.
         design: The experiment.
-        outcomes: Outcomes of its final evaluations.
-    """
-    analysis = analyse(design, outcomes)
-    config = json.loads(json.dumps(to_plain(design.config)))
-    data: dict[str, Any] = {
-        "schema": SCHEMA,
-        "experiment": {"name": name, "scale": scale, "thesis": design.config.thesis, "config": config},
-        "deviations": list(design.config.deviations),
-        "evaluations": [
-            {
-                "condition": condition,
-                "replicate": replicate,
-                "by_cell": {cell: [c.successes, c.episodes, c.errors] for cell, c in sorted(counts.items())},
-            }
-            for condition, rows in outcomes.counts.items()
-            for replicate, counts in enumerate(rows)
-        ],
-        "pairs": {
-            str(number): [[p.both, p.first, p.second, p.neither] for p in rows]
-            for number, rows in outcomes.pairs.items()
-        },
-        "scores": _scores(analysis),
-        "verdicts": [
-            {
-                "first": c.config.first, "second": c.config.second, "where": c.config.where,
-                "against": c.config.against, "kind": c.verdict.kind, "question": c.verdict.question,
-                "p": round(c.verdict.p_value, 6), "difference": _interval(c.verdict.difference),
-            }
-            for c in analysis.comparisons
-        ],
-        "sentences": list(analysis.sentences),
-    }  # fmt: skip
-    return Card(data={**data, "sha256": digest(data)})
-
-
-def check_card(data: Any, *, source: str = "card") -> Card:
-    """Compute a card's scores and sentences again from its counts, and refuse a card that states others.
+        out: Its folder.
+        trainer: Trainer that was chosen; empty: the file's first one.
+        renderer: Renderer of the images.
 
     Raises:
-        ConfigError: When the data is no card of this schema, or was changed; names the first part that differs.
+        ConfigError: When an evaluation is not finished, or a file of the folder is damaged.
     """
-    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-        raise ConfigError(f"{source} is no card of schema {SCHEMA}")
-    try:
-        config = from_plain(data["experiment"]["config"], ExperimentConfig, source=source)
-        design = design_of(config)
-        counts: dict[str, list[Mapping[str, Count]]] = {}
-        for row in sorted(data["evaluations"], key=lambda row: row["replicate"]):
-            counts.setdefault(row["condition"], []).append(
-                {c: Count(successes=s, episodes=n, errors=e) for c, (s, n, e) in row["by_cell"].items()}
-            )
-        pairs = {
-            int(number): [Pairs(both=a, first=b, second=c, neither=d) for a, b, c, d in rows]
-            for number, rows in data["pairs"].items()
-        }
-        name, scale = data["experiment"]["name"], data["experiment"]["scale"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{source} is no card: {error!r}") from None
-    again = card_of(name, scale, design, Outcomes(counts=counts, pairs=pairs))
-    plain = json.loads(json.dumps(again.data))
-    for part in ("scores", "verdicts", "sentences", "sha256"):
-        if plain[part] != data.get(part):
-            raise ConfigError(f"{source}: its {part} do not follow from its counts; it was changed")
-    return again
+    results = results_of(design, out)
+    products = {entry.data.get("stage", ""): entry.data for entry in ResultsLog(out / STAGES_FILE).read()}
+    datasets = _datasets(design, products)
+    config = design.config
+    card = Card(
+        experiment=CardExperiment(
+            name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(_plain(to_plain(config))), trainer=trainer,
+            deviations=config.deviations, config=config,
+        ),
+        code=code(),
+        environment=CardEnvironment(packages_sha256=packages_sha256(), renderer=renderer, device=device()),
+        datasets=datasets,
+        trainings=tuple(_trainings(design, products, datasets, out)),
+        evaluations=tuple(_evaluations(design, results)),
+        pairs={
+            str(number): tuple(_pairs(design, number, results))
+            for number, compare in enumerate(config.compare)
+            if not compare.against
+        },
+        judged_again=_judged(out),
+        proofs=_proofs(out),
+        times={stage: float(data.get("wall_s", 0.0)) for stage, data in products.items()},
+    )  # fmt: skip
+    return concluded(card, design)
 
 
-def _scores(analysis: Analysis) -> dict[str, Any] | None:
-    found = analysis.scores
-    if found is None:
+def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeResult]]) -> Iterator[CardEvaluation]:
+    stages = {stage.name: stage for stage in stages_of(design)}
+    for evaluation in design.evaluations:
+        name = stage_name(evaluation.condition, evaluation.replicate, evaluation.checkpoint)
+        rows = results[name]
+        by_cell = {cell: [r for (c, _), r in rows.items() if c == cell] for cell in evaluation.counts}
+        yield CardEvaluation(
+            condition=evaluation.condition, replicate=evaluation.replicate, checkpoint=evaluation.checkpoint,
+            seed=stages[name].inputs["seed"], results_sha256=_results_sha256(rows),
+            by_cell={
+                cell: (sum(r.outcome == "success" for r in mine), len(mine), sum(r.outcome == "error" for r in mine))
+                for cell, mine in sorted(by_cell.items())
+            },
+        )  # fmt: skip
+
+
+def stage_name(condition: str, replicate: int, checkpoint: int = 0) -> str:
+    """Return the name of an evaluation's stage."""
+    return f"evaluate/{condition}.{replicate}" + (f"@{checkpoint}" if checkpoint else "")
+
+
+def _results_sha256(rows: Mapping[Scene, EpisodeResult]) -> str:
+    plain = [to_plain(rows[scene]) for scene in sorted(rows)]
+    return sha256_of(_plain([{key: v for key, v in row.items() if key not in TIMES} for row in plain]))
+
+
+def _pairs(
+    design: Design, number: int, results: Mapping[str, Mapping[Scene, EpisodeResult]]
+) -> Iterator[tuple[int, int, int, int]]:
+    compare = design.config.compare[number]
+    cells = {cell.key for cell in chosen(design.cells, compare.where)}
+    for replicate in range(design.config.replicates.count):
+        first, second = (results[stage_name(name, replicate)] for name in (compare.first, compare.second))
+        shared = [scene for scene in first if scene in second and scene[0] in cells]
+        won = [(first[s].outcome == "success", second[s].outcome == "success") for s in shared]
+        yield (won.count((True, True)), won.count((True, False)), won.count((False, True)), won.count((False, False)))
+
+
+def _datasets(design: Design, products: Mapping[str, Mapping[str, Any]]) -> dict[str, CardDataset]:
+    found = {}
+    for stage in stages_of(design):
+        if stage.kind == "export" and stage.name in products:
+            product = products[stage.name]
+            found[stage.name.removeprefix("export/")] = CardDataset(
+                sha256=str(product.get("sha256", "")), by_cell=dict(stage.inputs["counts"]),
+                fault=stage.inputs["fault"], faulty=int(product.get("faulty", 0)),
+            )  # fmt: skip
+    return found
+
+
+def _trainings(
+    design: Design, products: Mapping[str, Mapping[str, Any]], datasets: Mapping[str, CardDataset], out: Path
+) -> Iterator[CardTraining]:
+    attestations = Attestations.of(out, design.trainer)
+    stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(design)}
+    for training in design.trainings:
+        name = f"train/{training.condition}.{training.replicate}"
+        dataset = stages[name].needs[0].removeprefix("export/")
+        attest = attestations.training(
+            f"{training.condition}.{training.replicate}", steps=training.steps,
+            dataset_sha256=datasets[dataset].sha256 if dataset in datasets else "",
+        )  # fmt: skip
+        yield CardTraining(
+            condition=training.condition, replicate=training.replicate, dataset=dataset,
+            recipe_sha256=sha256_of(_plain(attest.recipe)), seed=training.replicate, steps=training.steps,
+            checkpoint_sha256=str(products.get(name, {}).get("sha256", "")), attest=attest,
+        )  # fmt: skip
+
+
+def _proofs(out: Path) -> dict[str, tuple[int, int]]:
+    path = out / PROOFS_FILE
+    if not path.exists():
+        return {}
+    found: dict[str, tuple[int, int]] = from_plain(
+        parse_json(read_text(path), source=str(path)), dict[str, tuple[int, int]], source=str(path)
+    )
+    return found
+
+
+def _judged(out: Path) -> tuple[JudgedAgain, ...] | None:
+    path = out / JUDGED_FILE
+    if not path.exists():
         return None
-    ratio = found.relative.ratio
-    return {
-        "absolute": _interval(found.absolute),
-        "baseline": _interval(found.baseline),
-        "gap": _difference(found.gap),
-        "relative": None if ratio is None else _interval(ratio),
-        "relative_refused": found.relative.refused,
-        "words": _difference(found.words),
-        "competence": _difference(found.competence),
-        "substitution": None if found.substitution is None else found.substitution.rate.rate,
-    }
+    rows: tuple[JudgedAgain, ...] = from_plain(
+        parse_json(read_text(path), source=str(path)), tuple[JudgedAgain, ...], source=str(path)
+    )
+    return rows
 
 
-def _difference(difference: ConditionDifference | None) -> list[float | None] | None:
-    return None if difference is None else _interval(difference.interval())
-
-
-def _interval(interval: Interval) -> list[float | None]:
-    """Return value, lower and upper bound; None: unbounded."""
-    return [round(x, 6) if math.isfinite(x) else None for x in (interval.value, interval.low, interval.high)]
+def _plain(value: Any) -> Any:
+    return json.loads(json.dumps(value))

@@ -175,18 +175,17 @@ def report(card: Path) -> None:
 
     A card whose scores, verdicts or sentences do not follow from its counts is refused.
     """
-    from roboxim_bringup.experiment_card import check_card
     from roboxim_core.documents import parse_json, read_text
+    from roboxim_eval.experiments.card_checks import check_card
 
     path = card / "card.json" if card.is_dir() else card
     found = check_card(parse_json(read_text(path), source=str(path)), source=str(path))
-    about = found.data["experiment"]
-    click.echo(f"{about['name']}, scale {about['scale']}")
+    click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")
-    for name, value in (found.data["scores"] or {}).items():
+    for name, value in (found.scores or {}).items():
         click.echo(f"  {name:<17} {_score_text(value)}")
-    for sentence in found.data["deviations"]:
+    for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
 
 

@@ -21,8 +21,14 @@ from typing import IO, Any
 import yaml
 
 from roboxim_bringup.executors import Cancellation, CancelledError
-from roboxim_bringup.experiment_card import Card, card_of, outcomes_of
+from roboxim_bringup.experiment_card import CARD_FILE, collect_card
 from roboxim_bringup.experiment_files import checked_design, load_experiment
+from roboxim_bringup.experiment_provenance import (
+    ATTEST_FILE,
+    Attestations,
+    attestation_template,
+    folder_sha256,
+)
 from roboxim_bringup.parameters import parse_options
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted, ignore
@@ -36,10 +42,10 @@ from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_eval.experiments import Design, Stage, stages_of
+from roboxim_eval.experiments.card import Card
 
 KINDS = ("generate", "export", "train", "evaluate")
 STATE_FILE = "experiment.json"
-CARD_FILE = "card.json"
 POLL_S = 1.0
 
 
@@ -122,8 +128,10 @@ def run_experiment(
     card = None
     if not any(name.startswith("evaluate/") for name in missing):
         name = Path(config.experiment).stem
-        card = card_of(name, config.scale, design, outcomes_of(design, run.out / "evaluate"))
-        write_atomically(run.out / CARD_FILE, json.dumps(card.data, indent=2) + "\n")
+        card = collect_card(
+            name, config.scale, design, run.out, trainer=config.trainer, renderer=config.renderer
+        )  # fmt: skip
+        write_atomically(run.out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing, card=card
     )
@@ -167,10 +175,19 @@ class _Run:
                 )
         inputs = {stage.name: _plain(self._inputs(stage)) for stage in self.stages}
         content = {
-            "experiment": self.config.experiment, "scale": self.config.scale, "config": to_plain(self.design.config),
-            "stages": {**before, **inputs},
+            "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
+            "renderer": self.config.renderer, "config": to_plain(self.design.config), "stages": {**before, **inputs},
         }  # fmt: skip
         write_atomically(state, json.dumps(_plain(content), indent=2) + "\n")
+        self._attest()
+
+    def _attest(self) -> None:
+        """Check what is attested about the trainings; write a file to fill in if they run elsewhere."""
+        names = tuple(f"{t.condition}.{t.replicate}" for t in self.design.trainings)
+        Attestations.of(self.out, self.design.trainer).require_known(names)
+        path = self.out / ATTEST_FILE
+        if names and not self.design.trainer.command and not path.exists():
+            write_atomically(path, attestation_template(names, self.design.trainer.steps))
 
     @property
     def done(self) -> set[str]:
@@ -199,7 +216,10 @@ class _Run:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")
         started = time.monotonic()
         getattr(self, f"_{stage.kind}")(stage)
-        self.log.append(self._key(stage), {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1)})
+        entry = {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1)}
+        if stage.kind in ("export", "train"):
+            entry["sha256"] = folder_sha256(self._folder(stage.name))
+        self.log.append(self._key(stage), entry)
 
     def _folder(self, stage: str) -> Path:
         return self.out / stage

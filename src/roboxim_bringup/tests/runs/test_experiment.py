@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.experiment_card import check_card
 from roboxim_bringup.runs import experiment
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
 from roboxim_bringup.runs.folder import RunFolder
@@ -15,6 +14,7 @@ from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_eval.experiments.card_checks import check_card
 from roboxim_tasks.config import task_mix
 
 TEXT = """
@@ -112,25 +112,25 @@ def test_all_stages_run_once_and_the_card_has_the_planted_result(fakes, config, 
     assert "evaluate blind.2 reworded" in fakes.calls
     assert (tmp_path / "out/train/baseline.2/model").read_text() == "2 7\n"
     assert result.card.sentences[0].startswith("leave_out in unseen cells is lower than baseline there by 50 points")
-    scores = result.card.data["scores"]
+    scores = result.card.scores
     assert scores["absolute"][0] == pytest.approx(0.3)
     assert scores["relative"][0] == pytest.approx(0.375)
-    assert result.card.data["pairs"]["0"] == [[6, 0, 10, 4]] * 3
+    assert result.card.pairs["0"] == ((6, 0, 10, 4),) * 3
     before = list(fakes.calls)
     again = run_experiment(config())
     assert fakes.calls == before, "nothing runs twice"
-    assert again.card.data["sha256"] == result.card.data["sha256"]
+    assert again.card.sha256 == result.card.sha256
 
 
 def test_an_interrupted_experiment_continues_and_ends_with_the_same_card(fakes, config, tmp_path):
-    whole = run_experiment(config(out=tmp_path / "whole")).card.data["sha256"]
+    whole = run_experiment(config(out=tmp_path / "whole")).card.sha256
     fakes.fail_at, fakes.calls = "baseline.1", []
     with pytest.raises(RoboximError, match="switched off"):
         run_experiment(config())
     before, fakes.fail_at, fakes.calls = list(fakes.calls), "", []
     result = run_experiment(config())
     assert not set(before) & set(fakes.calls)
-    assert result.card.data["sha256"] == whole
+    assert result.card.sha256 == whole
 
 
 def test_a_changed_input_is_refused_by_name(fakes, config):
@@ -189,8 +189,9 @@ def test_the_trainer_roboxim_is_the_one_of_this_environment(tmp_path):
 def test_a_card_is_checked_against_its_counts(fakes, config, tmp_path):
     run_experiment(config())
     card = json.loads((tmp_path / "out/card.json").read_text())
-    assert check_card(card).sentences == tuple(card["sentences"])
-    for part, value in (("sentences", ["It is the best."]), ("sha256", "0")):
+    assert check_card(card).sentences == (*(v["sentence"] for v in card["verdicts"]), *card["warnings"])
+    assert check_card({**card, "times": {}}).sha256 == card["sha256"], "times are no part of the hash"
+    for part, value in (("warnings", ["It is the best."]), ("sha256", "0")):
         with pytest.raises(ConfigError, match=f"its {part} do not follow"):
             check_card({**card, part: value})
     flattered = json.loads(json.dumps(card))

@@ -1,0 +1,173 @@
+"""Where an experiment's results come from: code, packages, machine, files, and what is attested about trainings."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import from_plain, load_yaml
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
+from roboxim_eval.experiments.config import TrainerConfig
+
+ATTEST_FILE = "attest.yaml"
+OWN_TRAINER = "roboxim train "
+"""Start of the commands of RoboXim's own trainers, which start from random weights."""
+BLOCK = 1 << 20
+
+
+@lru_cache(maxsize=1)
+def code() -> CardCode:
+    """Return the version of RoboXim, and the commit of the repository that it runs from, if any."""
+    folder = Path(__file__).resolve().parent
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(folder), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout.strip()
+
+    version = metadata.version("roboxim")
+    try:
+        inside = git("ls-files", "--error-unmatch", Path(__file__).name)
+        commit, dirty = (git("rev-parse", "HEAD"), bool(git("status", "--porcelain"))) if inside else ("", False)
+    except (OSError, subprocess.SubprocessError):
+        return CardCode(version=version)
+    return CardCode(version=version, commit=commit, dirty=dirty)
+
+
+@lru_cache(maxsize=1)
+def packages_sha256() -> str:
+    """Return the hash of the names and versions of all installed packages."""
+    return sha256_of(sorted({f"{d.metadata['Name']}=={d.version}".lower() for d in metadata.distributions()}))
+
+
+def device() -> str:
+    """Return the machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def folder_sha256(folder: Path) -> str:
+    """Return the hash of the names and contents of a folder's files, hidden ones left out; empty: no such folder."""
+    if not folder.is_dir():
+        return ""
+    content = hashlib.sha256()
+    for file in sorted(folder.rglob("*")):
+        parts = file.relative_to(folder).parts
+        if file.is_file() and not any(part.startswith(".") for part in parts):
+            content.update(f"{'/'.join(parts)}\0{file_sha256(file)}\n".encode())
+    return content.hexdigest()
+
+
+def file_sha256(file: Path) -> str:
+    """Return the hash of a file's content."""
+    content = hashlib.sha256()
+    with file.open("rb") as stream:
+        while block := stream.read(BLOCK):
+            content.update(block)
+    return content.hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attestations:
+    """What is said about an experiment's trainings: the file ``OUT/attest.yaml``.
+
+    Its keys hold for all trainings; those below ``trainings: CONDITION[.R]`` replace them::
+
+        recipe: {model: octo-small-1.5, steps: 10000, learning_rate: 3e-5, batch: 128}
+        pretraining: octo-small-1.5
+        exposure: unknown
+        trainings:
+          baseline: {recipe: {steps: 8000}}
+    """
+
+    recipe: dict[str, Any] = field(default_factory=dict)
+    """See `roboxim_eval.experiments.card.Attestation`; the keys of a training are added to these."""
+    pretraining: str = ""
+    """Weights that the trainings started from; empty: not said."""
+    exposure: str = "unknown"
+    """Whether they had seen held-out combinations: ``no``, ``yes`` or ``unknown``."""
+    trainings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """``CONDITION`` or ``CONDITION.R`` to the keys that differ, ``dataset_sha256`` among them."""
+
+    @staticmethod
+    def of(out: Path, trainer: TrainerConfig) -> Attestations:
+        """Return those of a run's folder, or those that follow from the trainer's command.
+
+        Raises:
+            ConfigError: When the file is invalid.
+        """
+        path = out / ATTEST_FILE
+        if path.exists():
+            found: Attestations = from_plain(load_yaml(path), Attestations, source=str(path))
+            return found
+        own = trainer.command.startswith(OWN_TRAINER)
+        recipe = {"command": trainer.command} if trainer.command else {}
+        return Attestations(
+            recipe=recipe, pretraining="none" if own else "", exposure="no" if own else "unknown"
+        )  # fmt: skip
+
+    def training(self, name: str, *, steps: int, dataset_sha256: str) -> Attestation:
+        """Return what is said about a training.
+
+        Args:
+            name: ``CONDITION.R``.
+            steps: Its training steps as planned; 0: unknown.
+            dataset_sha256: Hash of the dataset that it was given here; empty: unknown.
+
+        Raises:
+            ConfigError: When a key is wrong, or the training used another dataset than it was given.
+        """
+        said = {"recipe": {**({"steps": steps} if steps else {}), **self.recipe}, "pretraining": self.pretraining,
+                "exposure": self.exposure}  # fmt: skip
+        for key in (name.rpartition(".")[0], name):
+            own = dict(self.trainings.get(key, {}))
+            recipe = own.pop("recipe", {})
+            if not isinstance(recipe, Mapping):
+                raise ConfigError(f"{ATTEST_FILE}: trainings.{key}.recipe must be a mapping, got {recipe!r}")
+            said = {**said, **own, "recipe": {**said["recipe"], **recipe}}  # type: ignore[dict-item]
+        attest: Attestation = from_plain(said, Attestation, source=f"{ATTEST_FILE}, training {name}")
+        if attest.dataset_sha256 and dataset_sha256 and attest.dataset_sha256 != dataset_sha256:
+            raise ConfigError(
+                f"{ATTEST_FILE}: training {name} used a dataset with hash {attest.dataset_sha256}, not the one that "
+                f"was exported for it ({dataset_sha256}); train it again, or name the right training"
+            )
+        return replace(attest, dataset_sha256=attest.dataset_sha256 or dataset_sha256)
+
+    def require_known(self, names: tuple[str, ...]) -> None:
+        """Refuse attestations of trainings that the experiment does not have.
+
+        Raises:
+            ConfigError: Naming the first one.
+        """
+        known = {*names, *(name.rpartition(".")[0] for name in names)}
+        for name in self.trainings:
+            if name not in known:
+                raise ConfigError(f"{ATTEST_FILE}: no training '{name}'; {one_of(sorted(known), name)}")
+
+
+def attestation_template(names: tuple[str, ...], steps: int) -> str:
+    """Return the text of an ``attest.yaml`` to fill in, for policies that are trained elsewhere."""
+    content = {
+        "recipe": {"model": "", "steps": steps, "batch": 0, "learning_rate": 0.0},
+        "pretraining": "",
+        "exposure": "unknown",
+        "trainings": {name: {"dataset_sha256": ""} for name in names},
+    }
+    text: str = yaml.safe_dump(content, sort_keys=False)
+    return (
+        "# What cannot be seen in the data. The card and the report state it.\n"
+        "# recipe: everything besides dataset and seed; equal in all conditions, or the report flags it.\n"
+        "# pretraining: weights that the training started from, or none. exposure: no, yes or unknown.\n" + text
+    )
