@@ -26,6 +26,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
+from roboxim_recorder.chunks import read_messages
 from roboxim_recorder.decoding import Decoder
 from roboxim_recorder.schemas import MessageSchema
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
@@ -137,6 +138,7 @@ class BagReader:
             summary = reader.get_summary()
             if summary is None or summary.statistics is None:
                 raise damaged(self.path, "it has no index, its recording was interrupted")
+            self._summary = summary
             self.metadata = {record.name: record.metadata for record in reader.iter_metadata()}.get(METADATA, {})
             """The bag's metadata record: episode id, outcome, instruction, format version."""
             counts = summary.statistics.channel_message_counts
@@ -195,10 +197,8 @@ class BagReader:
         for name in names or ():
             if name not in self.types:
                 raise InvalidRequestError(f"bag {self.path} has no topic '{name}'; {one_of(self.types, name)}")
-        with damage(self.path), self.file.open("rb") as stream:
-            reader = SeekingReader(stream, validate_crcs=True)
-            for _, channel, message in reader.iter_messages(topics=names):
-                yield channel.topic, message.log_time, self.decoder.decode(channel.topic, message.data)
+        for topic, stamp, data in self._read(names):
+            yield topic, stamp, self.decode(topic, data)
 
     def raw(self) -> Iterator[tuple[str, bytes]]:
         """Yield topic and serialised message of everything in the order of recording.
@@ -206,9 +206,17 @@ class BagReader:
         Raises:
             RecorderError: With code ``BAG_DAMAGED``.
         """
-        with damage(self.path), self.file.open("rb") as stream:
-            for _, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages():
-                yield channel.topic, message.data
+        for topic, _, data in self._read(None):
+            yield topic, data
+
+    def _read(self, names: Sequence[str] | None) -> Iterator[tuple[str, int, bytes]]:
+        with (
+            damage(self.path),
+            self.file.open("rb") as stream,
+            contextlib.closing(read_messages(stream, self._summary, names)) as found,
+        ):
+            for channel, stamp, data in found:
+                yield channel.topic, stamp, data
 
     def decode(self, topic: str, cdr: bytes) -> Any:
         """Decode a message of a topic.

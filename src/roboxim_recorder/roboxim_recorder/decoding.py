@@ -28,8 +28,8 @@ class Decoder:
         """Topic to message type."""
 
     def decode(self, topic: str, cdr: bytes) -> Any:
-        """Decode a message of a topic."""
-        return self._store.deserialize_cdr(cdr, self.types[topic])
+        """Decode a message of a topic; its arrays share the memory of ``cdr``."""
+        return self._store.deserialize_cdr(memoryview(cdr), self.types[topic])
 
     def encode(self, topic: str, message: Any) -> bytes:
         """Serialise a message of a topic that `decode` returned, e.g. after a change."""
