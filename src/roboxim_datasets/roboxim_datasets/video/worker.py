@@ -48,7 +48,10 @@ class Encoding:
         """Append RGB frames."""
         for image in np.frombuffer(data, np.uint8).reshape(-1, *self._shape):
             frame = self._convert.reformat(
-                av.VideoFrame.from_ndarray(image, format="rgb24"), format=self._stream.pix_fmt, interpolation="BICUBIC"
+                av.VideoFrame.from_ndarray(image, format="rgb24"),
+                format=self._stream.pix_fmt,
+                interpolation="BICUBIC",
+                threads=1,
             )
             frame.pts, frame.time_base = self.frames, 1 / self._rate
             self._write(self._stream.encode(frame))
@@ -88,7 +91,9 @@ class Decoding:
             frame = next(self._frames, None)
             if frame is None:
                 break
-            found.append(np.ascontiguousarray(self._convert.reformat(frame, format="rgb24").to_ndarray(), np.uint8))
+            found.append(
+                np.ascontiguousarray(self._convert.reformat(frame, format="rgb24", threads=1).to_ndarray(), np.uint8)
+            )
             self._left -= 1
         return found
 
