@@ -48,7 +48,7 @@ def check_items(path: Path, file: h5py.File, mask: str, low: list[str], images: 
     dataset = SequenceDataset(
         hdf5_path=str(path), obs_keys=(*low, *images), dataset_keys=("actions", "rewards", "dones"), frame_stack=1,
         seq_length=WINDOW, pad_frame_stack=True, pad_seq_length=True, get_pad_mask=True, goal_mode=None,
-        hdf5_cache_mode=None, hdf5_use_swmr=False, load_next_obs=False, filter_by_attribute=mask,
+        hdf5_cache_mode=None, hdf5_use_swmr=False, load_next_obs=True, filter_by_attribute=mask,
     )  # fmt: skip
     problems, at = [], 0
     names = sorted((name.decode() for name in file[f"mask/{mask}"][:]), key=lambda name: int(name[5:]))
@@ -62,11 +62,12 @@ def check_items(path: Path, file: h5py.File, mask: str, low: list[str], images: 
             if item["pad_mask"].ravel().tolist() != [step + i < count for i in range(WINDOW)]:
                 problems.append(f"{name}, step {step}: padding")
             for key in (*low, *images):
-                shown, stored = item["obs"][key][0], demo["obs"][key][step]
-                if key in images:
-                    stored = np.moveaxis(stored.astype(np.float32) / 255, -1, 0) if shown.shape[0] == 3 else stored
-                if not np.allclose(shown, stored, atol=1e-6):
-                    problems.append(f"{name}, step {step}: {key}")
+                for group, row in (("obs", step), ("next_obs", min(step + 1, count - 1))):
+                    shown, stored = item[group][key][0], demo["obs"][key][row]
+                    if key in images:
+                        stored = np.moveaxis(stored.astype(np.float32) / 255, -1, 0) if shown.shape[0] == 3 else stored
+                    if not np.allclose(shown, stored, atol=1e-6):
+                        problems.append(f"{name}, step {step}: {group}/{key}")
             at += 1
     if at != len(dataset):
         problems.append(f"{mask}: {len(dataset)} items, expected {at}")

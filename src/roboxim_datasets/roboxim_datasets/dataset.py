@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
-from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue
+from roboxim_datasets.episode import EXECUTED, METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue, Step, Wanted
 
 EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
@@ -70,6 +70,44 @@ class Description:
     """``state`` and ``action`` to names of ranges of their components (start, end), where a convention names them."""
     metadata: Mapping[str, type[MetaValue]] = field(default_factory=lambda: RECORDED)
     """Metadata that every episode has (`Episode.metadata`), key to type."""
+
+    def episode(
+        self,
+        *,
+        length: int,
+        instruction: str,
+        success: bool,
+        said: Mapping[str, Any],
+        read: Callable[[Wanted], Iterator[Step]],
+    ) -> Episode:
+        """Return an episode of such a dataset.
+
+        Args:
+            length: Number of steps.
+            instruction: Instruction.
+            success: Whether the task was solved, as far as the format itself says it.
+            said: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``); empty: it is
+                another's dataset.
+            read: Reads the steps.
+        """
+        features = self.features
+        return Episode(
+            episode_id=str(said.get("episode_id", "")),
+            length=length,
+            instruction=instruction,
+            semantics=self.semantics,
+            cameras=features.cameras,
+            success=bool(said.get("success", success)),
+            robot=self.robot,
+            joint_names=self.joint_names,
+            fps=self.fps,
+            vectors=features.vectors,
+            signals={name: names for name, names in features.signals.items() if name != EXECUTED},
+            depth=features.depth,
+            segmentation=features.segmentation,
+            metadata=dict(said.get("metadata", {})),
+            read=read,
+        )
 
 
 class Dataset(ABC):

@@ -113,6 +113,32 @@ class Step:
     stamp_s: float | None = None
     """Time of the observation [s]; None: the format stores none. Writers do not take it, they count steps."""
 
+    def vector(self, name: str) -> Floats:
+        """Return an observed vector.
+
+        Raises:
+            InvalidRequestError: When the step has none of this name.
+        """
+        return _one_of(self.proprio, name)
+
+    def signal(self, name: str) -> Floats:
+        """Return a signal, `EXECUTED` included: a step that states no executed action executed its label.
+
+        Raises:
+            InvalidRequestError: When the step has none of this name.
+        """
+        if name == EXECUTED:
+            return self.action if self.action_executed is None else self.action_executed
+        return _one_of(self.signals, name)
+
+
+def _one_of(vectors: Mapping[str, Floats], name: str) -> Floats:
+    if name not in vectors:
+        raise InvalidRequestError(
+            f"an episode has no '{name}', which the dataset's description names; it has {sorted(vectors)}"
+        )
+    return vectors[name]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:

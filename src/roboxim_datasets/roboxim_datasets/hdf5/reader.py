@@ -23,7 +23,7 @@ _SPLITS = {mask: split for split, mask in MASKS.items()}
 _LOADING = """```python
 from robomimic.utils.dataset import SequenceDataset  # robomimic 0.3
 dataset = SequenceDataset(
-    "{file}", obs_keys={low} + {rgb}, dataset_keys=["actions"], filter_by_attribute="train", hdf5_load_next_obs=False
+    "{file}", obs_keys={low} + {rgb}, dataset_keys=["actions"], filter_by_attribute="train"
 )
 ```
 
@@ -153,28 +153,16 @@ class Hdf5Dataset(Dataset):
     def read(self, split: str, index: int) -> Episode:
         """Read an episode of a split; its steps are read on demand."""
         demo = self._demos[split][index]
-        about = self.description
         with self._open() as file:
             group = file["data"][demo]
             attributes = {name: _text(value) for name, value in group.attrs.items()}
             length = len(group["actions"])
             rewarded = "rewards" in group and length > 0 and bool(group["rewards"][-1] > 0)
-        said = _object(attributes.get(ATTRIBUTE, ""))
-        return Episode(
-            episode_id=str(said.get("episode_id", "")),
+        return self.description.episode(
             length=length,
             instruction=self._instruction(attributes),
-            semantics=about.semantics,
-            cameras=about.features.cameras,
-            success=bool(said.get("success", rewarded)),
-            robot=about.robot,
-            joint_names=about.joint_names,
-            fps=about.fps,
-            vectors=about.features.vectors,
-            signals={name: names for name, names in about.features.signals.items() if name != EXECUTED},
-            depth=about.features.depth,
-            segmentation=about.features.segmentation,
-            metadata=dict(said.get("metadata", {})),
+            success=rewarded,
+            said=_object(attributes.get(ATTRIBUTE, "")),
             read=lambda wanted: self._steps(demo, wanted),
         )
 

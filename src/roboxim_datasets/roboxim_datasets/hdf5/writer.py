@@ -13,7 +13,7 @@ import numpy as np
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.build import ResumableBuild, write_files
 from roboxim_datasets.dataset import Description
-from roboxim_datasets.episode import EXECUTED, Episode, Step
+from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.hdf5.layout import ATTRIBUTE, FILE, MASKS, STATISTICS_FILE, Hdf5Options, content_of
 from roboxim_datasets.statistics import VectorStatistics
 
@@ -96,11 +96,8 @@ class Hdf5Writer:
     def _numbers(self, step: Step) -> dict[str, Any]:
         content = self.content
         found: dict[str, Any] = {"actions": step.action, "rewards": step.reward}
-        for key, name in content.vectors.items():
-            found[key] = _one_of(step.proprio, name)
-        for key, name in content.signals.items():
-            executed = step.action if step.action_executed is None else step.action_executed
-            found[key] = executed if name == EXECUTED else _one_of(step.signals, name)
+        found |= {key: step.vector(name) for key, name in content.vectors.items()}
+        found |= {key: step.signal(name) for key, name in content.signals.items()}
         return found
 
     def _checked(self, key: str, values: Any) -> Any:
@@ -145,6 +142,7 @@ class Hdf5Writer:
                     names.append(f"demo_{demo}")
                     with h5py.File(build.piece(split, entry["number"], "demo.hdf5"), "r") as piece:
                         piece.copy("demo", data, names[-1])
+                        _add_next_observations(data[names[-1]])
                         for key, of in statistics.items():
                             of.add(piece["demo"][key][:])
                     demo, total = demo + 1, total + entry["length"]
@@ -157,9 +155,13 @@ class Hdf5Writer:
         build.finish()
 
 
-def _one_of(vectors: Mapping[str, Any], name: str) -> Any:
-    if name not in vectors:
-        raise InvalidRequestError(
-            f"an episode has no '{name}', which the dataset's description names; it has {sorted(vectors)}"
-        )
-    return vectors[name]
+def _add_next_observations(demo: Any) -> None:
+    """Add ``next_obs``: ``obs`` one step ahead, the last one twice. It is a view, so no image is stored twice."""
+    for name, values in demo["obs"].items():
+        count = len(values)
+        source = h5py.VirtualSource(".", values.name, values.shape, values.dtype)
+        layout = h5py.VirtualLayout(values.shape, values.dtype)
+        if count > 1:
+            layout[: count - 1] = source[1:]
+        layout[count - 1 :] = source[count - 1 :]
+        demo.create_virtual_dataset(f"next_obs/{name}", layout)

@@ -207,23 +207,13 @@ class LeRobotDataset(Dataset):
                 f"{self.path}: split '{split}' names episode {number}, but there are {len(self._places)}",
                 ErrorCode.BAG_DAMAGED,
             )
-        place, about = self._places[number], self.description
+        place = self._places[number]
         said = self._said[number] if number < len(self._said) else {}
-        return Episode(
-            episode_id=str(said.get("episode_id", "")),
+        return self.description.episode(
             length=place.length,
             instruction=place.tasks[0] if place.tasks else "",
-            semantics=about.semantics,
-            cameras=about.features.cameras,
-            success=bool(said["success"]) if "success" in said else self._succeeded(place),
-            robot=about.robot,
-            joint_names=about.joint_names,
-            fps=about.fps,
-            vectors=about.features.vectors,
-            signals={name: names for name, names in about.features.signals.items() if name != EXECUTED},
-            depth=about.features.depth,
-            segmentation=about.features.segmentation,
-            metadata=dict(said.get("metadata", {})),
+            success="success" not in said and self._succeeded(place),
+            said=said,
             read=lambda wanted: self._steps(place, wanted),
         )
 

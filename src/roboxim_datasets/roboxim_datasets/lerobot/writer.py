@@ -18,7 +18,7 @@ import numpy as np
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.images import PNG_COMPRESSION, encode_image
 from roboxim_datasets.build import ResumableBuild, write_files
-from roboxim_datasets.episode import EXECUTED, Episode, Step
+from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.lerobot.assemble import assemble
 from roboxim_datasets.lerobot.content import LeRobotContent
 from roboxim_datasets.lerobot.layout import (
@@ -165,10 +165,8 @@ class _Collected:
         """Take a step."""
         names, content = self._content.names, self._content
         values: dict[str, Any] = {names.action: step.action, names.reward: step.reward, names.done: False}
-        for key, vector in content.vectors.items():
-            values[key] = _one_of(step.proprio, vector)
-        for key, signal in content.signals.items():
-            values[key] = _executed(step) if signal == EXECUTED else _one_of(step.signals, signal)
+        values |= {key: step.vector(vector) for key, vector in content.vectors.items()}
+        values |= {key: step.signal(signal) for key, signal in content.signals.items()}
         for key in self._layout.columns:
             self._rows[key].append(values[key])
         for key, camera in content.cameras.items():
@@ -211,15 +209,3 @@ class _Collected:
         histograms = {key: statistics.histogram.tolist() for key, statistics in self._statistics.items()}
         said = {"episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)}
         return Piece(table=table, facts={"episode": said, "histograms": histograms, "images": len(table)})
-
-
-def _one_of(vectors: Mapping[str, Array], name: str) -> Array:
-    if name not in vectors:
-        raise InvalidRequestError(f"an episode has no '{name}', which the dataset's description names; it has "
-                                  f"{sorted(vectors)}")  # fmt: skip
-    return vectors[name]
-
-
-def _executed(step: Step) -> Array:
-    """Return the executed action; a step that does not say another one executed its label."""
-    return step.action if step.action_executed is None else step.action_executed

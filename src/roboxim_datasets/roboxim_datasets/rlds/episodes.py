@@ -18,7 +18,7 @@ from roboxim_core.images import encode_image
 from roboxim_core.proprioception import ProprioField, component_names
 from roboxim_datasets.dataset import Features
 from roboxim_datasets.episode import EXECUTED, OWN_FIELDS, SIGNAL_PREFIX, Episode, ImageSize, MetaValue, Step, Wanted
-from roboxim_datasets.rlds.format import Array, RldsEpisode, RldsFeatures
+from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures
 
 USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
 """Default camera to image key; other cameras keep their names."""
@@ -53,7 +53,7 @@ def to_rlds(episode: Episode, described: Features, features: RldsFeatures, pool:
     return RldsEpisode(
         images={key: [future.result() for future in futures] for key, futures in images.items()},
         vectors={name: np.stack([step.proprio[name] for step in steps]) for name in features.vectors},
-        signals={name: np.stack([_signal(step, name) for step in steps]) for name in features.signals},
+        signals={name: np.stack([step.signal(SIGNAL_PREFIX + name) for step in steps]) for name in features.signals},
         action=np.stack([step.action for step in steps]),
         instruction=episode.instruction,
         reward=np.array([step.reward for step in steps], np.float32),
@@ -65,16 +65,6 @@ def _encoded(step: Step, camera: str, encoding: str) -> bytes:
     """Return an image in an encoding, as the dataset that it comes from stores it if it can."""
     kind, data = step.encoded.get(camera, ("", b""))
     return data if kind == encoding else encode_image(step.images[camera], encoding)
-
-
-def _signal(step: Step, name: str) -> Array:
-    """Return a signal of a step by its name without the prefix.
-
-    A step that states no executed action executed its label.
-    """
-    if SIGNAL_PREFIX + name != EXECUTED:
-        return step.signals[SIGNAL_PREFIX + name]
-    return step.action if step.action_executed is None else step.action_executed
 
 
 def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:

@@ -9,6 +9,7 @@ import queue
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -233,8 +234,9 @@ class VideoDecoder:
     """Decodes videos in a worker process, which starts when it is first needed and ends with this object."""
 
     def __init__(self) -> None:
-        self._process: _Process | None = None
+        self._running: list[_Process] = []
         self._lock, self._numbers = threading.Lock(), itertools.count(1)
+        weakref.finalize(self, _end, self._running)  # also at the interpreter's exit, while modules still exist
 
     def frames(self, path: Path, *, rate: Fraction, first: int, count: int) -> Iterator[RGBImage]:
         """Yield ``count`` RGB frames from frame ``first``, uint8, shape (height, width, 3).
@@ -282,18 +284,16 @@ class VideoDecoder:
 
     def _ask(self, header: Header) -> tuple[Header, bytearray]:
         with self._lock:
-            if self._process is None:
-                self._process = _Process()
-            return self._process.ask(header)
+            if not self._running:
+                self._running.append(_Process())
+            return self._running[0].ask(header)
 
     def close(self) -> None:
         """End the worker; a later call starts another one."""
         with self._lock:
-            if self._process is not None:
-                self._process.close()
-                self._process = None
+            _end(self._running)
 
-    def __del__(self) -> None:
-        """End the worker."""
-        with contextlib.suppress(Exception):
-            self.close()
+
+def _end(running: list[_Process]) -> None:
+    while running:
+        running.pop().close()
