@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,9 @@ from roboxim_bringup.commands._dataset_corrupt import command as corrupt_command
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
 from roboxim_bringup.runs.corruption import corrupt, fault_kinds
-from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.export import ExportConfig, Hdf5Config, export_dataset, export_rlds
+from roboxim_bringup.runs.reenactment import Recorded, Reenactor
+from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, SimError
 from roboxim_recorder.check import check_bag
@@ -68,6 +71,35 @@ def test_clean_demonstrations_have_no_finding(demonstrations: Path, exported: Pa
     audited = audit_dataset(exported, tmp_path / "rlds", config)
     assert [(check.name, finding.text) for check, finding in audited.result.findings()] == []
     assert {check.name for check in audited.result.checks if not check.checked} == {"clock"}
+
+
+@pytest.mark.slow
+def test_an_hdf5_dataset_is_audited_like_the_others(demonstrations: Path, tmp_path: Path) -> None:
+    made = export_dataset("hdf5", demonstrations, tmp_path / "hdf5", Hdf5Config(uneven=True, val_fraction=0.4))
+    config = AuditConfig(bags=(demonstrations,), replay=True, render=False)
+    audited = audit_dataset(made.path / "dataset.hdf5", tmp_path / "clean", config)
+    assert [(check.name, finding.text) for check, finding in audited.result.findings()] == []
+    planted = corrupt(made.path, tmp_path / "copy", "rotation_jump", 0.34, seed=1)
+    result = audit_dataset(planted.path, tmp_path / "report", AuditConfig(render=False)).result
+    assert set(result.check("rotation_jump").faulty_episodes) == set(planted.planted)
+
+
+@pytest.mark.slow
+def test_bags_of_joint_actions_are_executed_as_such(demonstrations: Path, tmp_path: Path) -> None:
+    joints = replace(ActionSemantics(), control="joint_position", frame="none", rotation="none", delta_base="none")
+    with Reenactor(tmp_path / "joints") as sim:
+        for bag in list_bags(demonstrations):
+            recorded = Recorded.of(bag)
+            acts = [
+                replace(act, executed=(*state.robot.joint_commands, act.executed[-1]),
+                        label=(*state.robot.joint_commands, act.label[-1]))
+                for act, state in zip(recorded.acts, recorded.states[1:], strict=True)
+            ]  # fmt: skip
+            info = replace(recorded.info, semantics=joints)
+            sim.record(replace(recorded, info=info), recorded.info.scene, acts)
+    audited = audit_dataset(tmp_path / "joints", tmp_path / "report", AuditConfig(replay=True, render=False))
+    assert [(check.name, finding.text) for check, finding in audited.result.findings()] == []
+    assert audited.result.check("replay").checked == 3
 
 
 @pytest.mark.slow

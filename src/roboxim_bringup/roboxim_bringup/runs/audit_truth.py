@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.actions import ActionSemantics
 from roboxim_core.documents import parse_json
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
@@ -46,8 +47,8 @@ SAME_SIZE = 1.1
 class ReplayPort(Protocol):
     """A simulator that executes actions; `roboxim_sim.world.World` implements it."""
 
-    def load(self, scene: SceneSpec, episode_id: str = "") -> StateRecord:
-        """Rebuild the world: tick 0."""
+    def load(self, scene: SceneSpec, episode_id: str = "", semantics: ActionSemantics | None = None) -> StateRecord:
+        """Rebuild the world for actions of a meaning: tick 0."""
         ...
 
     def tick(self, seq: int, action: npt.ArrayLike, *, episode_id: str | None = None) -> StateRecord:
@@ -285,7 +286,7 @@ class BagTruth:
             return None
         lease, errors = f"audit-{self.info.episode_id}", []
         try:
-            state = sim.load(replace(self.info.scene, cameras=()), lease)
+            state = sim.load(replace(self.info.scene, cameras=()), lease, self.info.semantics)
             for tick in self._acting:
                 if tick.seq:
                     state = sim.tick(tick.seq, executed[tick.seq - 1], episode_id=lease)

@@ -136,7 +136,7 @@ class Reenactor:
         if recorder is not None:
             recorder.open(info)
         try:
-            state = self._sim.load(info.episode_id, scene)
+            state = self._sim.load(info.episode_id, scene, info.semantics)
             verdict, states = judge.start(state), [state]
             if recorder is not None:
                 recorder.step(
