@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, Any
 from roboxim._registration import register_with_gymnasium
 
 if TYPE_CHECKING:
-    from roboxim.api import evaluate, export_rlds, generate, rerender, train_bc
+    from roboxim.api import evaluate, export_hdf5, export_lerobot, export_rlds, generate, rerender, train_bc
     from roboxim_bringup.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs import events
     from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult
-    from roboxim_bringup.runs.export import ExportConfig, ExportReport
+    from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
     from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
     from roboxim_bringup.runs.policies import PolicySpec
     from roboxim_bringup.runs.rerendering import RerenderConfig
@@ -47,7 +47,9 @@ __all__ = [
     "ExportReport",
     "GenerationConfig",
     "GenerationResult",
+    "Hdf5Config",
     "InlineExecutor",
+    "LeRobotConfig",
     "LocalExecutor",
     "PolicyResult",
     "PolicySpec",
@@ -56,6 +58,8 @@ __all__ = [
     "TrainingResult",
     "evaluate",
     "events",
+    "export_hdf5",
+    "export_lerobot",
     "export_rlds",
     "generate",
     "rerender",
@@ -63,12 +67,12 @@ __all__ = [
 ]
 
 _HOMES = {
-    "roboxim.api": ("evaluate", "export_rlds", "generate", "rerender", "train_bc"),
+    "roboxim.api": ("evaluate", "export_hdf5", "export_lerobot", "export_rlds", "generate", "rerender", "train_bc"),
     "roboxim_bringup.executors": ("CancelledError", "Executor", "InlineExecutor", "LocalExecutor"),
     "roboxim_bringup.printer": ("EventPrinter",),
     "roboxim_bringup.runs": ("events",),
     "roboxim_bringup.runs.evaluation": ("EvaluationConfig", "EvaluationResult", "PolicyResult"),
-    "roboxim_bringup.runs.export": ("ExportConfig", "ExportReport"),
+    "roboxim_bringup.runs.export": ("ExportConfig", "ExportReport", "Hdf5Config", "LeRobotConfig"),
     "roboxim_bringup.runs.generation": ("GenerationConfig", "GenerationResult"),
     "roboxim_bringup.runs.policies": ("PolicySpec",),
     "roboxim_bringup.runs.rerendering": ("RerenderConfig",),

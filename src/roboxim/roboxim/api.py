@@ -12,7 +12,7 @@ from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.runs import evaluation, export, generation, rerendering, training
 from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult
 from roboxim_bringup.runs.events import OnEvent, ignore
-from roboxim_bringup.runs.export import ExportConfig, ExportReport
+from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
 from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
 from roboxim_bringup.runs.rerendering import RerenderConfig, Rerendered, find_bags
 from roboxim_bringup.runs.training import BCConfig, TrainingResult
@@ -92,23 +92,27 @@ def generate(
 
 @_with_fields_of(ExportConfig)
 def export_rlds(
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: ExportConfig | None = None,
     /,
     *,
     overwrite: bool = False,
+    gate: int = 0,
+    workers: int = 1,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
     **fields: Any,
 ) -> ExportReport:
-    """Export the bags of a run as RLDS; see `roboxim_bringup.runs.export.export_rlds`.
+    """Export the bags of runs as RLDS; see `roboxim_bringup.runs.export.export_dataset`.
 
     Args:
-        source: A run's folder, a folder of bags, or one bag.
+        source: A run's folder, a folder of bags, or one bag; or several of them.
         target: Data directory to write ``<name>/<version>`` into.
         config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
         overwrite: Replace an existing dataset.
+        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
+        workers: Processes that execute them.
         on_event: Receives the run's events.
         cancellation: Ends the export when it is set.
         **fields: Fields of `ExportConfig`.
@@ -116,9 +120,81 @@ def export_rlds(
     Raises:
         RoboximError: As the run raises it.
     """
-    return export.export_rlds(
-        source, target, _configured(ExportConfig, config, fields), overwrite=overwrite, on_event=on_event,
-        cancellation=cancellation,
+    return export.export_dataset(
+        "rlds", source, target, _configured(ExportConfig, config, fields), overwrite=overwrite, gate=gate,
+        workers=workers, on_event=on_event, cancellation=cancellation,
+    )  # fmt: skip
+
+
+@_with_fields_of(LeRobotConfig)
+def export_lerobot(
+    source: Path | str | Sequence[Path | str],
+    target: Path | str,
+    config: LeRobotConfig | None = None,
+    /,
+    *,
+    overwrite: bool = False,
+    gate: int = 0,
+    workers: int = 1,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    **fields: Any,
+) -> ExportReport:
+    """Export the bags of runs as a LeRobot dataset; see `roboxim_bringup.runs.export.export_dataset`.
+
+    Args:
+        source: A run's folder, a folder of bags, or one bag; or several of them.
+        target: Folder of the dataset.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        overwrite: Replace an existing dataset.
+        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
+        workers: Processes that execute them.
+        on_event: Receives the run's events.
+        cancellation: Ends the export when it is set.
+        **fields: Fields of `LeRobotConfig`, e.g. ``version``.
+
+    Raises:
+        RoboximError: As the run raises it.
+    """
+    return export.export_dataset(
+        "lerobot", source, target, _configured(LeRobotConfig, config, fields), overwrite=overwrite, gate=gate,
+        workers=workers, on_event=on_event, cancellation=cancellation,
+    )  # fmt: skip
+
+
+@_with_fields_of(Hdf5Config)
+def export_hdf5(
+    source: Path | str | Sequence[Path | str],
+    target: Path | str,
+    config: Hdf5Config | None = None,
+    /,
+    *,
+    overwrite: bool = False,
+    gate: int = 0,
+    workers: int = 1,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    **fields: Any,
+) -> ExportReport:
+    """Export the bags of runs as HDF5 in robomimic's layout; see `roboxim_bringup.runs.export.export_dataset`.
+
+    Args:
+        source: A run's folder, a folder of bags, or one bag; or several of them.
+        target: Folder of the dataset.
+        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
+        overwrite: Replace an existing dataset.
+        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
+        workers: Processes that execute them.
+        on_event: Receives the run's events.
+        cancellation: Ends the export when it is set.
+        **fields: Fields of `Hdf5Config`.
+
+    Raises:
+        RoboximError: As the run raises it.
+    """
+    return export.export_dataset(
+        "hdf5", source, target, _configured(Hdf5Config, config, fields), overwrite=overwrite, gate=gate,
+        workers=workers, on_event=on_event, cancellation=cancellation,
     )  # fmt: skip
 
 

@@ -67,6 +67,13 @@ def test_the_readme_calls_functions_that_exist_with_arguments_that_they_take(rea
         inspect.signature(getattr(roboxim, name)).bind(*[None] * len(node.args), **keywords)
 
 
+def test_every_format_has_a_function_with_the_fields_of_its_configuration():
+    for name, field in (("rlds", "shard_mib"), ("lerobot", "version"), ("hdf5", "compression")):
+        assert field in inspect.signature(getattr(roboxim, f"export_{name}")).parameters
+    with pytest.raises(roboxim.ConfigError, match="LeRobotConfig has no field 'verson'.*did you mean 'version'"):
+        roboxim.export_lerobot("runs/none", "runs/out", verson="2.1")
+
+
 def test_an_evaluation_is_a_value(tmp_path):
     events = []
     found = roboxim.evaluate(

@@ -23,6 +23,8 @@ from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export import ExportReport, Selection, export_bags
+from roboxim_recorder.export.hdf5 import Hdf5Config
+from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
 
 REPLAY_FILE = "replay.json"
@@ -33,7 +35,15 @@ REFUSED = ".refused"
 """Ending of the folder of an export that has not passed the gate."""
 IfExists = Literal["refuse", "overwrite", "keep"]
 
-__all__ = ["ExportConfig", "ExportReport", "export_dataset", "export_rlds", "unfinished"]
+__all__ = [
+    "ExportConfig",
+    "ExportReport",
+    "Hdf5Config",
+    "LeRobotConfig",
+    "export_dataset",
+    "export_rlds",
+    "unfinished",
+]
 
 
 def export_dataset(
