@@ -1,43 +1,44 @@
 """Whether the audit finds nothing in clean demonstrations of all skills, and how long it takes.
 
 Each skill's task is demonstrated and the bags are audited, with replay. A finding is a fault or a warning; that a
-component never changes is none, because in many a single skill the gripper never moves. With ``--out`` episodes are
-stored there, and the same command continues an interrupted run.
+component never changes is none, because in many a single skill the gripper never moves. With ``--out`` episodes and
+finished audits are stored there, and the same command continues an interrupted run.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from pathlib import Path
 
 import click
 from benchmarks._harness import Bench
+from benchmarks.data._demonstrations import QUICK, demonstrations
 
 from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_datasets.audit import Finding
-from roboxim_tasks.skills import SKILLS
-
-QUICK = ("pick_up", "push_button")
+from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_recorder.run_bags import list_bags
 
 
 def main() -> None:
     """Measure and print."""
     bench = Bench("audit", __doc__, add_options)
     options = bench.options
-    skills, each = (QUICK, 1) if bench.quick else (tuple(SKILLS), -(-options.episodes // len(SKILLS)))
+    episodes, skills = (len(QUICK), QUICK) if bench.quick else (options.episodes, ())
     with tempfile.TemporaryDirectory() as scratch:
         out = (options.out or Path(scratch)).absolute()
         clean = total = 0
-        for skill in skills:
-            row, findings = measure(skill, each, out, options.seed)
+        for skill, run in demonstrations(
+            out, episodes, skills=skills, seed=options.seed, workers=options.workers
+        ).items():
+            row, findings = measure(skill, run)
             bench.row(**row)
             total += int(row["episodes"])
-            clean += int(row["episodes"]) - len({name for finding in findings for name in finding.episodes})
-            for finding in findings:
-                click.echo(f"{skill} {', '.join(finding.episodes)}: {finding.text}")
+            clean += int(row["episodes"]) - len({name for names in findings.values() for name in names})
+            for text, names in findings.items():
+                click.echo(f"{skill} {', '.join(names)}: {text}")
     bench.finish(f"share of {total} clean episodes without a finding", clean / total, "", at_least=1.0)
 
 
@@ -46,21 +47,27 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--episodes", type=int, default=500, metavar="N", help="episodes of all skills (default: 500)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the demonstrations (default: 0)")
+    parser.add_argument("--workers", type=int, default=2, help="processes that demonstrate (default: 2)")
 
 
-def measure(skill: str, episodes: int, out: Path, seed: int) -> tuple[dict[str, str | float], list[Finding]]:
-    """Demonstrate and audit a skill; return the row and the findings."""
-    generate(GenerationConfig(task=skill, out=out / skill, episodes=episodes, seed=seed, first_try=True))
+def measure(skill: str, run: Path) -> tuple[dict[str, str | float], dict[str, list[str]]]:
+    """Audit a skill's run; return the row and the findings, text to episodes. A finished audit is not repeated."""
+    stored, bags = run.with_name(f"{skill}-audited.json"), len(list_bags(run))
+    if stored.is_file() and (known := json.loads(stored.read_text()))["row"]["episodes"] == bags:
+        return known["row"], known["findings"]
     start = time.perf_counter()
-    result = audit_dataset(out / skill, out / f"{skill}-audit", AuditConfig(replay=True)).result
+    result = audit_dataset(run, run.with_name(f"{skill}-audit"), AuditConfig(replay=True)).result
     seconds = time.perf_counter() - start
-    findings = [finding for _, finding in result.findings() if finding.episodes]
-    return {
+    findings = {finding.text: list(finding.episodes) for _, finding in result.findings() if finding.episodes}
+    row: dict[str, str | float] = {
         "skill": skill,
         "episodes": result.episodes,
         "findings": len(findings),
+        "unreadable": len(result.unreadable),
         "ms_per_episode": round(1e3 * seconds / max(result.episodes, 1)),
-    }, findings
+    }
+    write_atomically(stored, json.dumps({"row": row, "findings": findings}, indent=2) + "\n")
+    return row, findings
 
 
 if __name__ == "__main__":

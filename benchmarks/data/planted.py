@@ -1,0 +1,102 @@
+"""Whether the audit finds every planted fault in 1, 10 and 100 % of the episodes of bags of all skills.
+
+Every fault that can be planted in bags is planted in copies, at each rate, and the copy is audited by the check that
+must find it. Faults that only datasets can have are planted in an RLDS export. With ``--out`` bags and finished
+measurements are stored there, and the same command continues an interrupted run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from benchmarks._harness import Bench
+from benchmarks.data._demonstrations import QUICK, demonstrations
+
+from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
+from roboxim_bringup.runs.corruption import FaultKind, corrupt, fault_kinds
+from roboxim_bringup.runs.export import ExportConfig, export_dataset
+from roboxim_core.errors import InvalidRequestError
+
+RATES = (0.01, 0.1, 1.0)
+NEEDS_RENDERER = ("hidden_object", "indistinguishable")
+
+
+def main() -> None:
+    """Measure and print."""
+    bench = Bench("planted", __doc__, add_options)
+    options = bench.options
+    episodes, skills = (4, QUICK) if bench.quick else (options.episodes, ())
+    kinds = {name: kind for name, kind in fault_kinds().items() if not options.fault or name in options.fault}
+    if bench.quick:
+        kinds = {name: kind for name, kind in kinds.items() if name in ("rotation_jump", "split_leak")}
+    with tempfile.TemporaryDirectory() as scratch:
+        out = (options.out or Path(scratch)).absolute()
+        runs = demonstrations(out / "bags", episodes, skills=skills, seed=options.seed, workers=options.workers)
+        bags = gathered(list(runs.values()), out / "all")
+        dataset = export_dataset("rlds", bags, out / "rlds", ExportConfig(uneven=True)).path
+        planted = found = 0
+        for name, kind in kinds.items():
+            for rate in RATES:
+                row = measure(kind, rate, bags if kind.bags else dataset, out, options.seed)
+                bench.row(fault=name, rate=rate, **row)
+                planted, found = planted + int(row["planted"]), found + int(row["found"])
+    bench.finish(f"share of {planted} planted faults that are found", found / planted, "", at_least=1.0)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--out", type=Path, metavar="DIR", help="store bags and results here and continue from them")
+    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="episodes of all skills (default: 100)")
+    parser.add_argument("--fault", action="append", metavar="NAME", help="this fault only; may be repeated")
+    parser.add_argument("--seed", type=int, default=0, help="seed of demonstrations and plants (default: 0)")
+    parser.add_argument("--workers", type=int, default=2, help="processes that demonstrate (default: 2)")
+
+
+def gathered(runs: list[Path], out: Path) -> Path:
+    """Return a folder of all bags of the runs; the files are linked."""
+    for run in runs:
+        for bag in sorted((run / "episodes").iterdir()):
+            if not (out / "episodes" / bag.name).is_dir():
+                shutil.copytree(bag, out / "episodes" / bag.name, copy_function=os.link)
+    return out
+
+
+def measure(kind: FaultKind, rate: float, source: Path, out: Path, seed: int) -> dict[str, str | float]:
+    """Plant a fault and audit the copy; a finished measurement is not repeated."""
+    stored = out / "results" / f"{kind.name}-{rate:g}.json"
+    if stored.is_file():
+        return dict(json.loads(stored.read_text()))
+    copy, report = out / "copy", out / "report"
+    for folder in (copy, report):
+        shutil.rmtree(folder, ignore_errors=True)
+    try:
+        made = corrupt(source, copy, kind.name, rate, seed=seed)
+    except InvalidRequestError as error:
+        return {"planted": 0, "found": 0, "check": kind.found_by, "problem": str(error)}
+    config = AuditConfig(
+        checks=(kind.found_by,),
+        replay=kind.found_by == "replay",
+        render=kind.found_by in NEEDS_RENDERER,
+        bags=() if kind.bags else (out / "bags",),
+    )
+    result = audit_dataset(made.path, report, config).result
+    faulty = set(result.check(kind.found_by).faulty_episodes)
+    row: dict[str, str | float] = {
+        "planted": len(made.planted),
+        "found": len(faulty & set(made.planted)),
+        "elsewhere": len(faulty - set(made.planted)),
+        "refused": len(made.refused),
+        "check": kind.found_by,
+    }
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    stored.write_text(json.dumps(row) + "\n")
+    return row
+
+
+if __name__ == "__main__":
+    main()
