@@ -156,12 +156,23 @@ class Hdf5Writer:
 
 
 def _add_next_observations(demo: Any) -> None:
-    """Add ``next_obs``: ``obs`` one step ahead, the last one twice. It is a view, so no image is stored twice."""
+    """Add ``next_obs``: ``obs`` one step ahead, the last one twice. It is a view, so no image is stored twice.
+
+    Non-obvious: h5py's own function for views stores the time of writing, which differs between two exports.
+    """
+    views = demo.create_group("next_obs")
     for name, values in demo["obs"].items():
-        count = len(values)
-        source = h5py.VirtualSource(".", values.name, values.shape, values.dtype)
-        layout = h5py.VirtualLayout(values.shape, values.dtype)
+        count, shape = len(values), values.shape
+
+        def rows(first: int, number: int, shape: tuple[int, ...] = shape) -> Any:
+            space = h5py.h5s.create_simple(shape)
+            space.select_hyperslab((first, *(0 for _ in shape[1:])), (number, *shape[1:]))
+            return space
+
+        settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        settings.set_obj_track_times(False)
+        source = (b".", values.name.encode())  # in this file
         if count > 1:
-            layout[: count - 1] = source[1:]
-        layout[count - 1 :] = source[count - 1 :]
-        demo.create_virtual_dataset(f"next_obs/{name}", layout)
+            settings.set_virtual(rows(0, count - 1), *source, rows(1, count - 1))
+        settings.set_virtual(rows(count - 1, 1), *source, rows(count - 1, 1))
+        h5py.h5d.create(views.id, name.encode(), values.id.get_type(), h5py.h5s.create_simple(shape), settings)
