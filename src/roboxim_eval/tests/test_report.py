@@ -1,15 +1,26 @@
+import base64
+import io
 import json
 import re
 from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
+from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
+from roboxim_eval.report.charts.table_map import Start, table_map
+from roboxim_eval.report.episodes import Episode, episodes_json
+from roboxim_eval.report.films import chosen_films, film_strip
+from roboxim_eval.report.reasons import EXPLANATIONS, explained
 from roboxim_eval.statistics import error_line, failure_reasons, is_measured, rate_of, success_rate
+from roboxim_eval.statistics.factors import Trial, factor_effects
 
 
 def result(index, outcome="success", reason="", instruction="Pick up the red cube"):
@@ -64,14 +75,17 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
     report = Report(title="t", runs=[zero, broken, shaky], facts={}, versions={}, command="c")
     page = write_report(report, tmp_path).read_text()
     assert page.count("not measured</span> 3 of 4 episodes ended in errors") == 1
+    assert "mine is not compared" in page
     said = json.loads((tmp_path / "summary.json").read_text())
     numbers = said["policies"]["mine"]
     assert (numbers["measured"], numbers["rate"], numbers["high"]) == (False, None, None)
     assert numbers["errors"] == {"policy_fault": 3}
     assert "by_instruction" not in numbers
     assert "mine is not compared" in said["comparison"]
-    assert "overlaps that of shaky" in said["comparison"]
-    assert "overlaps" not in verdict_line([broken, zero, shaky])
+    assert "differs from this one of shaky" in said["comparison"]
+    assert verdict_line([broken, zero, shaky]) == ("mine is not compared: most of its episodes ended in errors."), (
+        "the policy under test was not measured"
+    )
 
 
 def test_report_is_self_contained_and_escapes(tmp_path):
@@ -91,10 +105,12 @@ def test_report_is_self_contained_and_escapes(tmp_path):
         command="roboxim evaluate",
     )
     page = write_report(report, tmp_path).read_text()
-    assert not re.search(r'(src|href)="(?!data:)', page), "a report must not refer to other files"
+    assert not re.search(r'(src|href)="(?!data:|#)', page), "a report must not refer to other files"
     assert "<b>Pick" not in page
     assert page.count("data:image/webp") == 2
-    assert "lies above" in verdict_line(report.runs)
+    assert page.count('type="range"') == 2
+    assert verdict_line(report.runs).startswith("This checkpoint of bc is higher than this one of random by 95 points")
+    assert f"2 of {len(good.results) + len(bad.results)} episodes are shown" in page
     numbers = json.loads((tmp_path / "summary.json").read_text())
     assert numbers["policies"]["bc"]["successes"] == 18
     assert numbers["policies"]["random"]["failure_reasons"] == {"max_steps": 20}
@@ -125,3 +141,147 @@ def test_rates_by_what_reset_components_have_drawn(tmp_path):
     numbers = json.loads((tmp_path / "summary.json").read_text())["policies"]["bc"]
     assert numbers["by_interaction_area"]["right"]["episodes"] == 2
     assert "by_instruction" in numbers
+
+
+# ------------------------------------------------------------------ the page
+
+
+def data_of(page):
+    """Return what the page's script reads."""
+    return json.loads(re.search(r'id="episode-data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_each_number_leads_to_its_episodes_and_each_episode_to_its_bag(tmp_path):
+    results = [replace(result(i, "success" if i < 3 else "failure", "" if i < 3 else "dropped"), bag=f"episodes/{i}")
+               for i in range(5)]  # fmt: skip
+    run = PolicyRun(policy="bc", results=results, folder="bc", drawn={r.episode_id: {"light": "dim"} for r in results})
+    page = write_report(Report(title="t", runs=[run], facts={}, versions={}, command="c"), tmp_path).read_text()
+    assert 'href="#episodes?arm=bc">3 of 5</a>' in page
+    assert 'href="#episodes?arm=bc&amp;reason=dropped&amp;outcome=failure%7Cerror">2</a>' in page
+    assert "fell from too high" in page, "a reason is explained"
+    data = data_of(page)
+    assert [row[8] for row in data["rows"]] == [f"bc/episodes/{i}" for i in range(5)]
+    assert data["texts"][data["rows"][0][11][1]] == "dim"
+    assert "roboxim replay" in page
+
+
+def test_a_text_of_an_episode_cannot_end_the_script():
+    text = str(episodes_json([Episode(arm="</script><b>", scene="0", outcome="failure", message="<!--")]))
+    assert "<" not in text
+    assert json.loads(text)["texts"][0] == "</script><b>"
+
+
+def test_policies_are_compared_scene_by_scene():
+    outcomes = {"a": [1, 1, 0, 0], "b": [1, 0, 0, 1]}
+    episodes = [
+        Episode(arm=arm, scene=str(i), outcome="success" if won else "failure")
+        for arm, row in outcomes.items()
+        for i, won in enumerate(row)
+    ]
+    rows = dict(scene_rows(list(enumerate(episodes)), ("a", "b")))
+    assert rows["success", "failure"] == [(1, 5)]
+    assert rows["failure", "success"] == [(3, 7)]
+    chart = str(scene_chart(list(rows.items()), ("a", "b")))
+    assert chart.count('data-e="') == 8
+    assert chart.count("scene success") == 4
+    assert scene_rows(list(enumerate(episodes[:4])), ("a", "b")) == [], "one policy is no comparison"
+
+
+def test_the_map_counts_each_episode_once():
+    starts = [Start(x=0.4 + 0.02 * (i % 7), y=-0.2 + 0.03 * (i // 7), success=i % 3 == 0) for i in range(60)]
+    picture = str(table_map(starts))
+    numbers = [(int(a), int(b)) for a, b in re.findall(r"(\d+) of (\d+) succeeded", picture)]
+    assert sum(b for _, b in numbers) == 60
+    assert sum(a for a, _ in numbers) == 20
+    assert picture.count("<circle") == 60
+    assert "<circle" not in str(table_map(starts * 10)), "squares alone, where dots would hide each other"
+
+
+def test_films_pause_and_scrub_and_are_chosen_evenly():
+    frames = [np.full((400, 600, 3), value, np.uint8) for value in range(0, 250, 5)]
+    film = film_strip(frames)
+    assert (film.frames, film.height, film.width) == (24, 192, 288)
+    picture = Image.open(io.BytesIO(base64.b64decode(film.source.partition(",")[2])))
+    assert picture.size == (288, 24 * 192)
+    first, last = (np.asarray(picture.convert("RGB"))[row].mean() for row in (5, -5))
+    assert (first, last) == (pytest.approx(0, abs=4), pytest.approx(245, abs=4)), (
+        "the first and the last frame are shown"
+    )
+    outcomes = [(str(i), i % 5 == 0) for i in range(50)]
+    chosen = chosen_films(outcomes, 8)
+    assert sum(int(name) % 5 == 0 for name in chosen) == 4
+    assert {"1", "49", "0", "45"} <= set(chosen), "spread over the run"
+    assert len(chosen_films(outcomes[1:5], 8)) == 4
+
+
+def test_every_reason_that_a_skill_gives_is_explained():
+    root = Path(__file__).parents[2] / "roboxim_tasks/roboxim_tasks"
+    texts = [path.read_text() for path in (*root.glob("skills/*.py"), root / "measures.py")]
+    given = {reason for text in texts for reason in re.findall(r'reason="([a-z_]+)"', text)}
+    assert len(given) > 12
+    assert not given - EXPLANATIONS.keys(), "explain them in roboxim_eval/report/reasons.py"
+    assert explained("not_watered") == "The condition 'watered' was not met."
+    assert explained("") == "The task gave no reason."
+
+
+@pytest.mark.slow
+def test_a_report_of_2000_episodes_is_light(tmp_path):
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 255, (128, 256, 3), np.uint8).astype(np.uint8) for _ in range(24)]  # worse than any film
+    runs = []
+    for policy in ("bc", "octo"):
+        results = [replace(result(i, "success" if rng.random() < 0.6 else "failure", "not_lifted"), bag=f"episodes/{i}")
+                   for i in range(1000)]  # fmt: skip
+        names = [r.episode_id for r in results]
+        runs.append(PolicyRun(
+            policy=policy, results=results, folder=policy, films=dict.fromkeys(names[:12], frames),
+            drawn={n: {f"factor {k}": f"{rng.random():.4f}" for k in range(12)} for n in names},
+            starts={n: (float(rng.uniform(0.3, 0.6)), float(rng.uniform(-0.2, 0.2))) for n in names},
+        ))  # fmt: skip
+    page = write_report(Report(title="t", runs=runs, facts={}, versions={}, command="c"), tmp_path)
+    assert page.stat().st_size < 15_000_000
+    assert len(data_of(page.read_text())["rows"]) == 2000
+
+
+# ------------------------------------------------------------------ recorded factors
+
+
+def trials(effect, *, seed=0, cells=6, each=40):
+    """Simulate episodes of cells of different difficulty, in which the light alone has an effect."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for cell in range(cells):
+        for i in range(each):
+            light, other = ("dim", "bright")[rng.integers(2)], str(rng.integers(3))
+            chance = 0.1 + 0.12 * cell + (effect if light == "bright" else 0.0)
+            drawn = {"light": light, "other": other, "cell": str(cell)}
+            found.append(Trial(episode=f"{cell}/{i}", stratum=str(cell), success=rng.random() < chance, drawn=drawn))
+    return found
+
+
+def test_a_factor_with_an_effect_is_found_within_cells():
+    effects = {effect.factor: effect for effect in factor_effects(trials(0.3))}
+    assert set(effects) == {"light", "other"}, "the design's own factor is not tested"
+    assert effects["light"].adjusted < 0.01
+    assert effects["light"].spread > 0.15
+    assert effects["other"].adjusted > 0.05
+    assert effects["light"].adjusted == pytest.approx(2 * effects["light"].p_value), "Holm over two factors"
+
+
+def test_a_harder_cell_is_no_effect_of_a_factor():
+    # the rare light is drawn more often in the hard cell; within cells it makes no difference
+    rng = np.random.default_rng(3)
+    found = []
+    for cell, chance, rare in (("easy", 0.9, 0.1), ("hard", 0.1, 0.9)):
+        for i in range(100):
+            drawn = {"light": "rare" if rng.random() < rare else "usual"}
+            found.append(Trial(episode=f"{cell}{i}", stratum=cell, success=rng.random() < chance, drawn=drawn))
+    (effect,) = factor_effects(found)
+    assert effect.spread > 0.4
+    assert effect.p_value > 0.05
+
+
+@pytest.mark.slow
+def test_factors_without_an_effect_are_seldom_found():
+    alarms = sum(any(e.adjusted <= 0.05 for e in factor_effects(trials(0.0, seed=s, cells=3))) for s in range(200))
+    assert alarms / 200 <= 0.09

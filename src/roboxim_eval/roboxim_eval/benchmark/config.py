@@ -11,6 +11,30 @@ from roboxim_core.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReferenceScore:
+    """A published score."""
+
+    absolute: float
+    """Success rate in held-out cells, 0..1."""
+    relative: float | None = None
+    """Ratio to the baseline; none: not published."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Published results that a report shows beside its own."""
+
+    name: str
+    """What was measured, and where it is published."""
+    differences: tuple[str, ...] = ()
+    """What differs from a run here, a sentence each."""
+    experiments: dict[str, ReferenceScore] = field(default_factory=dict)
+    """Experiment to its scores."""
+    dimensions: dict[str, ReferenceScore] = field(default_factory=dict)
+    """Dimension to its scores."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchmarkConfig:
     """A YAML file of ``config/benchmark``."""
 
@@ -20,6 +44,8 @@ class BenchmarkConfig:
     """Section of the thesis; empty: not in it."""
     experiments: tuple[str, ...]
     """Names of files in ``config/experiments``."""
+    reference: Reference | None = None
+    """Published results; none: there are none."""
     scales: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Scale to the keys that it replaces in every experiment; other scales are the experiments' own."""
 

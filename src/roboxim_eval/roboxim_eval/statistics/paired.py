@@ -137,14 +137,22 @@ def independent_difference(first: SuccessRate, second: SuccessRate) -> Differenc
     """
     if not first.episodes or not second.episodes:
         raise InvalidRequestError("a comparison needs episodes of both policies, got none of one")
-    value = first.rate - second.rate
     table = [
         [first.successes, second.successes],
         [first.episodes - first.successes, second.episodes - second.successes],
     ]
+    low, high = newcombe(first, second)
+    apart = first.rate != second.rate
     return Difference(
-        value=value,
-        low=value - math.hypot(first.rate - first.low, second.high - second.rate),
-        high=value + math.hypot(first.high - first.rate, second.rate - second.low),
-        p_value=float(boschloo_exact(table).pvalue) if value else 1.0,
+        value=first.rate - second.rate, low=low, high=high,
+        p_value=float(boschloo_exact(table).pvalue) if apart else 1.0,
+    )  # fmt: skip
+
+
+def newcombe(first: SuccessRate, second: SuccessRate) -> tuple[float, float]:
+    """Return the 95 % interval of a difference of two independent rates (Newcombe 1998, method 10)."""
+    value = first.rate - second.rate
+    return (
+        value - math.hypot(first.rate - first.low, second.high - second.rate),
+        value + math.hypot(first.high - first.rate, second.rate - second.low),
     )

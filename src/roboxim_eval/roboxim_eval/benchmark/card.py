@@ -1,0 +1,124 @@
+"""The card of a benchmark: the cards of its experiments, and the score of each dimension that follows from them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.errors import ConfigError
+from roboxim_eval.benchmark.config import Reference
+from roboxim_eval.benchmark.scores import benchmark_scores
+from roboxim_eval.experiments.card import Card, sha256_of
+from roboxim_eval.experiments.card_checks import analysis_of, check_card
+
+SCHEMA = "benchmark-1"
+"""Version of the card's form; differs from that of an experiment's card."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardDimension:
+    """Score of a dimension."""
+
+    absolute: float
+    """Mean success rate in held-out cells, over the experiments that vary the dimension."""
+    relative: float | None
+    """Mean ratio to the baseline; null: refused in an experiment."""
+    experiments: tuple[str, ...]
+    """The experiments that vary it."""
+    refused: tuple[str, ...] = ()
+    """Experiments whose ratio was refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkCard:
+    """Results of a benchmark."""
+
+    schema: str = SCHEMA
+    """Version of this form."""
+    name: str
+    """Name of the benchmark's file."""
+    scale: str
+    """Scale at which it ran."""
+    about: str = ""
+    """The question."""
+    thesis: str = ""
+    """Section of the thesis; empty: not in it."""
+    reference: Reference | None = None
+    """Published results to stand beside these; null: none."""
+    experiments: dict[str, Card]
+    """Name to card."""
+    dimensions: dict[str, CardDimension] = field(default_factory=dict)
+    """Dimension to its score."""
+    sha256: str = ""
+    """Hash of name, scale, dimensions and the experiments' hashes."""
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The card as plain data."""
+        data: dict[str, Any] = json.loads(json.dumps(to_plain(self)))
+        return data
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """A sentence for each dimension, then the primary one of each experiment."""
+        return (
+            *(dimension_sentence(name, score) for name, score in self.dimensions.items()),
+            *(f"{name}: {card.verdicts[0].sentence}" for name, card in self.experiments.items() if card.verdicts),
+        )
+
+
+def dimension_sentence(name: str, score: CardDimension) -> str:
+    """Return the score of a dimension in words."""
+    among = f"mean of {' and '.join(score.experiments)}"
+    if score.relative is None:
+        ratio = f"no relative score, since the ratio of {' and '.join(score.refused)} is refused"
+    else:
+        ratio = f"{100 * score.relative:.0f} % of the baseline"
+    return f"{name}: {score.absolute:.2f} absolute, {ratio} ({among})."
+
+
+def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
+    """Return a card with the dimensions and hash that follow from its experiments.
+
+    Raises:
+        ConfigError: When an experiment has no scores.
+    """
+    analyses = {name: (one.experiment.config, analysis_of(one)) for name, one in card.experiments.items()}
+    dimensions = {
+        name: CardDimension(
+            absolute=round(score.absolute, 6), relative=None if score.relative is None else round(score.relative, 6),
+            experiments=score.experiments, refused=score.refused,
+        )
+        for name, score in benchmark_scores(analyses).items()
+    }  # fmt: skip
+    content = {
+        "name": card.name, "scale": card.scale, "dimensions": json.loads(json.dumps(to_plain(dimensions))),
+        "experiments": {name: one.sha256 for name, one in card.experiments.items()},
+    }  # fmt: skip
+    return replace(card, dimensions=dimensions, sha256=sha256_of(content))
+
+
+def is_benchmark_card(data: Any) -> bool:
+    """Return whether plain data states that it is a benchmark's card."""
+    return isinstance(data, Mapping) and data.get("schema") == SCHEMA
+
+
+def check_benchmark_card(data: Any, *, source: str = "card") -> BenchmarkCard:
+    """Compute a benchmark's scores again from the counts of its experiments, and refuse a card that states others.
+
+    Raises:
+        ConfigError: When the data is no such card, or it or the card of an experiment was changed.
+    """
+    if not is_benchmark_card(data):
+        raise ConfigError(f"{source} is no benchmark's card of schema {SCHEMA}")
+    card: BenchmarkCard = from_plain(data, BenchmarkCard, source=source)
+    for name, one in data["experiments"].items():
+        check_card(one, source=f"{source}, experiment {name}")
+    again = concluded_benchmark(card).plain
+    for part in ("dimensions", "sha256"):
+        if again[part] != data.get(part):
+            raise ConfigError(f"{source}: its {part} do not follow from its experiments; it was changed")
+    return card

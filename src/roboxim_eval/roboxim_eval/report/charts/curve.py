@@ -1,0 +1,82 @@
+"""Learning curves: the success rate over training steps, a line for each condition with a band over its replicates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from roboxim_eval.report.charts.svg import drawing, element
+
+WIDTH, HEIGHT = 680.0, 300.0
+LEFT, RIGHT, TOP, BOTTOM = 44.0, 130.0, 12.0, 40.0
+COLOURS = 6
+"""Number of colours of the style, after which they repeat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """Rates of a condition's replicates at a number of training steps."""
+
+    steps: int
+    """Training steps."""
+    rates: tuple[float, ...]
+    """Success rate of each replicate, 0..1."""
+
+
+def learning_curve(curves: Mapping[str, Sequence[CurvePoint]]) -> Markup:
+    """Return the picture. The band reaches from the worst to the best replicate, the line is their mean.
+
+    Args:
+        curves: Condition to its points, by increasing steps.
+    """
+    most = max(point.steps for points in curves.values() for point in points)
+
+    def x(steps: float) -> float:
+        return LEFT + (WIDTH - LEFT - RIGHT) * steps / most
+
+    def y(rate: float) -> float:
+        return TOP + (HEIGHT - TOP - BOTTOM) * (1 - rate)
+
+    parts = []
+    for rate in (0.0, 0.25, 0.5, 0.75, 1.0):
+        parts.append(element("line", x1=LEFT, x2=WIDTH - RIGHT, y1=y(rate), y2=y(rate), class_="tick"))
+        parts.append(
+            element("text", f"{100 * rate:.0f} %", x=LEFT - 6, y=y(rate) + 4, text_anchor="end", class_="axis")
+        )
+    for steps in sorted({point.steps for points in curves.values() for point in points}):
+        parts.append(
+            element("text", _steps(steps), x=x(steps), y=HEIGHT - BOTTOM + 16, text_anchor="middle", class_="axis")
+        )
+    middle = (LEFT + WIDTH - RIGHT) / 2
+    parts.append(element("text", "training steps", x=middle, y=HEIGHT - 6, text_anchor="middle", class_="axis"))
+    taken: list[float] = []
+    for number, (name, points) in enumerate(curves.items()):
+        colour = f"c{number % COLOURS}"
+        upper = [(x(p.steps), y(max(p.rates))) for p in points]
+        lower = [(x(p.steps), y(min(p.rates))) for p in reversed(points)]
+        mean = [(x(p.steps), y(float(np.mean(p.rates)))) for p in points]
+        parts.append(element("polygon", points=_points([*upper, *lower]), class_=f"band {colour}"))
+        parts.append(element("polyline", points=_points(mean), class_=f"line {colour}"))
+        parts += [element("circle", cx=px, cy=py, r=3.0, class_=f"spot {colour}") for px, py in mean]
+        label = _free(mean[-1][1] + 4, taken)
+        parts.append(element("text", name, x=mean[-1][0] + 8, y=label, class_=f"name {colour}"))
+    return drawing(parts, width=WIDTH, height=HEIGHT, label="Learning curve: success rate over training steps")
+
+
+def _free(y: float, taken: list[float]) -> float:
+    """Return a height for a label that overlaps none of the earlier ones, and note it."""
+    while any(abs(y - other) < 14 for other in taken):
+        y += 14
+    taken.append(y)
+    return y
+
+
+def _points(places: Sequence[tuple[float, float]]) -> str:
+    return " ".join(f"{px:.1f},{py:.1f}" for px, py in places)
+
+
+def _steps(steps: int) -> str:
+    return f"{steps // 1000}k" if steps >= 1000 and steps % 1000 == 0 else f"{steps}"

@@ -1,0 +1,245 @@
+"""The report of an evaluation: policies on the same scenes, with rates, comparisons and what failures did instead.
+
+The input is plain values: results, and what the caller has read from bags.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.seeds import CELL, CELL_NUMBER
+from roboxim_eval.grouping import grouped
+from roboxim_eval.report.episodes import Episode, episodes_json, episodes_link, recorded_factors
+from roboxim_eval.report.films import Frames, film_strip
+from roboxim_eval.report.page import render
+from roboxim_eval.report.parts import (
+    effects_of,
+    factor_name,
+    failure_rows,
+    film_views,
+    films_shown,
+    map_view,
+    scenes_view,
+)
+from roboxim_eval.statistics import (
+    SuccessRate,
+    error_line,
+    error_reasons,
+    failure_reasons,
+    is_measured,
+    rate_of,
+    rates_by,
+)
+from roboxim_eval.statistics.multiple import holm
+from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyRun:
+    """One policy's episodes."""
+
+    policy: str
+    """Name of the policy."""
+    results: Sequence[EpisodeResult]
+    """Results of the policy's episodes."""
+    films: Mapping[str, Frames] = field(default_factory=dict)
+    """Episode id to RGB frames, uint8, each of shape (height, width, 3), cameras side by side."""
+    drawn: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Episode id to the named draws of its reset components, e.g. ``{"interaction_area": "left"}``."""
+    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Episode id to the place of the task's first object at tick 0: x away from the robot, y to its left [m]."""
+    folder: str = ""
+    """Path of the policy's run from the page's folder, to which bags are relative; empty: the same folder."""
+
+    @property
+    def rates_by_dimension(self) -> dict[str, dict[str, SuccessRate]]:
+        """Success rates by instruction, and by each recorded choice that differs between episodes.
+
+        Numbers of ranges are in three groups of equal size, see `roboxim_eval.grouping`.
+        """
+        found = {"instruction": rates_by(self.results, lambda result: result.instruction)}
+        for dimension in sorted({name for names in self.drawn.values() for name in names} - {CELL_NUMBER}):
+            names = {episode: drawn[dimension] for episode, drawn in self.drawn.items() if dimension in drawn}
+            groups = grouped(names)
+            if len(set(groups.values())) > 1:
+                found[dimension] = _rates_by_name(self.results, groups)
+        return found
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """The episodes, as a page shows them."""
+        return [
+            Episode(
+                arm=self.policy, cell=self.drawn.get(result.episode_id, {}).get(CELL, ""),
+                scene=str(result.index), outcome=result.outcome, reason=result.reason,
+                message=result.message, instruction=result.instruction, steps=result.steps,
+                bag="/".join(filter(None, (self.folder, result.bag))) if result.bag else "",
+                start=self.starts.get(result.episode_id),
+                drawn=recorded_factors(
+                    self.drawn.get(result.episode_id, {}), self.starts.get(result.episode_id)
+                ),
+            )
+            for result in self.results
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Report:
+    """Content of a report."""
+
+    title: str
+    """Headline."""
+    runs: Sequence[PolicyRun]
+    """Runs of the policies, the one under test first."""
+    facts: dict[str, str]
+    """Facts that reproduce the evaluation: seed, task, renderer, dataset, ..."""
+    versions: dict[str, str]
+    """Package to version."""
+    command: str
+    """Command that reproduces the evaluation."""
+    stopped: str = ""
+    """How the number of episodes was decided, where it was not fixed beforehand; empty: it was fixed."""
+
+
+def _rates_by_name(results: Sequence[EpisodeResult], names: Mapping[str, str]) -> dict[str, SuccessRate]:
+    having = [result for result in results if result.episode_id in names]
+    return rates_by(having, lambda result: names[result.episode_id])
+
+
+def pairs_of(first: PolicyRun, second: PolicyRun) -> Pairs:
+    """Return the outcomes of two policies on the scenes that both met."""
+    one, two = ({r.index: r.outcome == "success" for r in run.results} for run in (first, second))
+    return Pairs.of((one[index], two[index]) for index in one if index in two)
+
+
+def comparisons(runs: Sequence[PolicyRun]) -> list[Verdict]:
+    """Compare the first policy with each other one on the scenes that both met; p values are adjusted (Holm).
+
+    Policies whose episodes mostly ended in errors are left out.
+    """
+    measured = [run for run in runs if is_measured(run.results)]
+    if not runs or not measured or measured[0] is not runs[0]:
+        return []
+    first, *others = measured
+    found = [(other, pairs) for other in others if (pairs := pairs_of(first, other)).scenes]
+    adjusted = holm([paired_difference(pairs).p_value for _, pairs in found])
+    return [
+        checkpoint_verdict(first.policy, other.policy, pairs, p_value=p_value)
+        for (other, pairs), p_value in zip(found, adjusted, strict=True)
+    ]
+
+
+def verdict_line(runs: Sequence[PolicyRun]) -> str:
+    """Compare the first policy with each other policy, in one sentence each; empty for one policy."""
+    if len(runs) < 2:
+        return ""
+    broken = [
+        f"{run.policy} is not compared: most of its episodes ended in errors."
+        for run in runs
+        if not is_measured(run.results)
+    ]
+    return " ".join([*broken, *(verdict.sentence for verdict in comparisons(runs))])
+
+
+def summary(report: Report) -> dict[str, Any]:
+    """Return the report's numbers as plain data, the content of ``summary.json``."""
+    return {
+        "title": report.title,
+        "policies": {run.policy: _numbers(run) for run in report.runs},
+        "comparison": verdict_line(report.runs),
+        "stopped": report.stopped,
+        "facts": report.facts,
+        "versions": report.versions,
+        "command": report.command,
+    }
+
+
+def _numbers(run: PolicyRun) -> dict[str, Any]:
+    """Return a policy's numbers; if most episodes ended in errors, the rate and its interval are None."""
+    rate = rate_of(run.results)
+    measured = is_measured(run.results)
+    numbers: dict[str, Any] = {**asdict(rate), "rate": rate.rate, "measured": measured}
+    if measured:
+        for dimension, rates in run.rates_by_dimension.items():
+            numbers[f"by_{dimension}"] = {name: asdict(rate) for name, rate in rates.items()}
+    else:
+        numbers |= {"rate": None, "low": None, "high": None}
+    return numbers | {"failure_reasons": failure_reasons(run.results), "errors": error_reasons(run.results)}
+
+
+def write_report(report: Report, folder: Path) -> Path:
+    """Write ``report.html`` (self-contained) and ``summary.json``.
+
+    Args:
+        report: Content of the report.
+        folder: Existing folder.
+
+    Returns:
+        The HTML file.
+    """
+    (folder / "summary.json").write_text(json.dumps(summary(report), indent=2) + "\n")
+    path = folder / "report.html"
+    path.write_text(evaluation_page(report))
+    return path
+
+
+def evaluation_page(report: Report) -> str:
+    """Return the page."""
+    episodes = [episode for run in report.runs for episode in run.episodes]
+    ids = [result.episode_id for run in report.runs for result in run.results]
+    owners = [run for run in report.runs for _ in run.results]
+    films = {
+        number: film_strip(owner.films[name])
+        for number, (name, owner) in enumerate(zip(ids, owners, strict=True))
+        if len(owner.films.get(name, ()))
+    }
+    arms = [run.policy for run in report.runs]
+    return render(
+        "evaluation.html",
+        title=report.title,
+        report=report,
+        verdicts=comparisons(report.runs),
+        broken=[run.policy for run in report.runs if not is_measured(run.results)],
+        runs=[_run_view(run) for run in report.runs],
+        map=map_view(episodes, arms),
+        scenes=scenes_view(episodes, arms) if len(arms) > 1 else None,
+        effects=effects_of([e for run in report.runs if is_measured(run.results) for e in run.episodes]),
+        films=film_views(episodes, films),
+        films_shown=films_shown(episodes, films),
+        data=episodes_json(episodes, films),
+        factor_name=factor_name,
+    )
+
+
+def _run_view(run: PolicyRun) -> dict[str, Any]:
+    measured = is_measured(run.results)
+    steps = [result.steps for result in run.results if result.outcome == "success"]
+    inference = [1000 * result.inference_s / result.steps for result in run.results if result.steps]
+    dimensions = run.rates_by_dimension if measured else {}
+    return {
+        "policy": run.policy,
+        "rate": rate_of(run.results) if measured else None,
+        "errors": error_line(run.results),
+        "link": episodes_link(arm=run.policy),
+        "dimensions": [
+            (factor_name(name), rates, partial(_level_link, run.policy, name)) for name, rates in dimensions.items()
+        ],
+        "failures": failure_rows(run.episodes, arm=run.policy),
+        "median_steps": int(np.median(steps)) if steps else None,
+        "inference_ms": float(np.median(inference)) if inference else None,
+    }
+
+
+def _level_link(policy: str, dimension: str, level: str) -> str:
+    """Return the link to a level's episodes; to all of the policy for a group of numbers."""
+    query = {} if " to " in level and dimension != "instruction" else {dimension: level}
+    return episodes_link(**{"arm": policy, **query})

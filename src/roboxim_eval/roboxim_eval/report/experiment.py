@@ -1,0 +1,293 @@
+"""The report of an experiment: what its card says, in sentences and pictures, and the episodes behind each number.
+
+Everything but episodes, films, maps and factors is from the card alone, so that a card without its folder has a page
+too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from roboxim_eval.experiments.card import Card, CardVerdict
+from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
+from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.experiments.design import Design
+from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
+from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
+from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
+from roboxim_eval.report.episodes import Episode, episodes_json, episodes_link
+from roboxim_eval.report.films import Frames, film_strip
+from roboxim_eval.report.page import render
+from roboxim_eval.report.parts import (
+    effects_of,
+    factor_name,
+    failure_rows,
+    film_views,
+    films_shown,
+    map_view,
+    scenes_view,
+)
+from roboxim_eval.report.vocabulary import vocabulary
+from roboxim_eval.statistics.paired import newcombe
+from roboxim_eval.statistics.power import Design as Size
+from roboxim_eval.statistics.power import detectable
+from roboxim_eval.statistics.rates import success_rate
+from roboxim_eval.statistics.replicates import Interval, condition_rate
+from roboxim_eval.statistics.tables import Arm, Count, total
+
+SCORES = {
+    "absolute": ("absolute, u", "success of the leave-out condition in held-out cells; it ranks models"),
+    "baseline": ("baseline, s", "success of the baseline in the same cells"),
+    "gap": ("gap, s - u", "what holding out costs; the primary test"),
+    "relative": ("relative, u / s", "the share of the baseline's success that is left"),
+    "words": ("words, u - b", "what the instruction contributes over the scene alone"),
+    "competence": ("competence", "leave-out minus baseline in cells that both have seen; far from 0, the gap is "
+                   "not due to the held-out cells alone"),
+    "substitution": ("substitution", "share of failed held-out episodes that satisfied another instruction of the "
+                     "training"),
+}  # fmt: skip
+"""Score of a card to its name and what it says."""
+POINTS = ("gap", "words", "competence")
+"""Scores that are differences, shown in points."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExperimentPage:
+    """Content of a page."""
+
+    card: Card
+    """The card."""
+    episodes: Sequence[Episode] = ()
+    """Episodes of the final evaluations; empty: only the card is there."""
+    films: Mapping[int, Frames] = field(default_factory=dict)
+    """Place in `episodes` to RGB frames, uint8, each of shape (height, width, 3)."""
+    command: str = ""
+    """Command that runs the experiment again."""
+
+
+def experiment_page(page: ExperimentPage) -> str:
+    """Return the page as HTML.
+
+    Raises:
+        ConfigError: When the card lacks counts of a condition or a cell.
+    """
+    card, design = page.card, design_of_card(page.card)
+    arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
+    films = {number: film_strip(frames) for number, frames in page.films.items() if len(frames)}
+    return render(
+        "experiment.html",
+        title=f"{card.experiment.name}, scale {card.experiment.scale}",
+        card=card,
+        config=card.experiment.config,
+        conditions=list(arms),
+        facts=_facts(card, design),
+        scores=list(score_rows(card)),
+        substitutions=_substitutions(card),
+        rates=_rates(arms),
+        heat=_heat_maps(card, design, arms),
+        forests=[_forest(verdict, design, arms) for verdict in card.verdicts],
+        curve=_curve(card),
+        map=map_view(page.episodes, list(arms)),
+        effects=effects_of(page.episodes),
+        failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in arms],
+        scenes=scenes_view(page.episodes, list(arms)) if len(arms) > 1 else None,
+        films=film_views(page.episodes, films),
+        films_shown=films_shown(page.episodes, films),
+        data=episodes_json(page.episodes, films),
+        has_episodes=bool(page.episodes),
+        vocabulary=vocabulary(card.experiment.config, design.cells),
+        provenance=provenance_of(card),
+        command=page.command,
+        factor_name=factor_name,
+    )
+
+
+# ------------------------------------------------------------------ numbers
+
+
+def _facts(card: Card, design: Design) -> dict[str, str]:
+    config = card.experiment.config
+    held_out = [cell.key for cell in design.cells if cell.unseen]
+    named = f": {', '.join(held_out)}" if held_out else ""
+    replicates = f"{len(card.trainings)}: {config.replicates.count} of each condition"
+    facts = {
+        "cells": f"{len(design.cells)}, {len(held_out)} of them held out{named}",
+        "demonstrations": ", ".join(f"{name} {sum(d.by_cell.values())}" for name, d in card.datasets.items())
+        or "none, the policies exist",
+        "trainings": replicates if card.trainings else "none",
+        "rollouts": f"{sum(n for e in card.evaluations for _, n, _ in e.by_cell.values()):,}",
+    }  # fmt: skip
+    if design.compared_scenes:
+        drop = detectable(Size(replicates=config.replicates.count, scenes=design.compared_scenes))
+        trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"
+        size = f"{trainings} x {design.compared_scenes} rollouts"
+        facts["planned to find"] = (
+            f"{size}: no drop from 80 %, with a chance of 80 %" if drop is None
+            else f"{size}: a drop of {100 * drop:.0f} points from 80 %, with a chance of 80 %"
+        )  # fmt: skip
+    decide = config.decide
+    facts["decided by"] = (
+        f"error probability {decide.alpha:g}, margin {100 * decide.margin:.0f} points, no ratio to a baseline whose "
+        f"lower bound is below {100 * decide.refuse_below:.0f} %"
+    )
+    return facts
+
+
+def score_rows(card: Card) -> Iterator[dict[str, str]]:
+    """Yield name, value, interval and meaning of each score; a refused or unmeasured one says why."""
+    found = card.scores or {}
+    for key, (name, meaning) in SCORES.items():
+        if key not in found:
+            continue
+        value = found[key]
+        shown, interval = "-", "not measured"
+        if key == "relative" and value is None:
+            shown, interval = "refused", found["relative_refused"]
+        elif key == "substitution" and value is not None:
+            if value["failed"]:
+                shown, interval = _score(value["rate"], points=False)
+            else:
+                interval = "no held-out episode failed"
+        elif value is not None:
+            shown, interval = _score(value, points=key in POINTS)
+        yield {"name": name, "value": shown, "interval": interval, "meaning": meaning}
+
+
+def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
+    middle, low, high = value
+    if low is None and high is None:
+        return f"{round(100 * (middle or 0)) + 0:+d} points" if points else f"{middle:.2f}", "none from one training"
+    if points:
+        shown = ["unbounded" if x is None else f"{round(100 * x) + 0:+d}" for x in (low, high)]
+        return f"{round(100 * (middle or 0)) + 0:+d} points", f"{shown[0]} to {shown[1]}"
+    shown = ["unbounded" if x is None else f"{x:.2f}" for x in (low, high)]
+    return "unbounded" if middle is None else f"{middle:.2f}", f"{shown[0]} to {shown[1]}"
+
+
+def _substitutions(card: Card) -> list[tuple[str, str, int, int]]:
+    """Return held-out cell, what was done instead, and of how many failures, most frequent first."""
+    judged = card.judged_again or ()
+    failed = Counter(row.cell for row in judged)
+    found = Counter((row.cell, sorted(row.satisfied)[0]) for row in judged if row.satisfied)
+    return [(cell, instead, count, failed[cell]) for (cell, instead), count in found.most_common(12)]
+
+
+def _rates(arms: Mapping[str, Arm]) -> list[tuple[str, Count, Interval, str]]:
+    return [(name, arm.pooled, condition_rate(arm), episodes_link(arm=name)) for name, arm in arms.items()]
+
+
+# ------------------------------------------------------------------ pictures
+
+
+def _heat_maps(card: Card, design: Design, arms: Mapping[str, Arm]) -> list[HeatMap]:
+    if len(design.cells) < 2:
+        return []
+
+    def to_episodes(arm: str) -> Callable[[str], str]:
+        return lambda cell: episodes_link(arm=arm, cell=cell)
+
+    maps = [rate_map(name, design.cells, arm.by_cell, to_episodes(name)) for name, arm in arms.items()]
+    primary = card.experiment.config.primary
+    if primary is not None and primary.first != primary.second:
+        both = f"{primary.first}|{primary.second}"
+        maps.append(difference_map(
+            f"{primary.first} - {primary.second}, points", design.cells, arms[primary.first].by_cell,
+            arms[primary.second].by_cell, to_episodes(both),
+        ))  # fmt: skip
+    return maps
+
+
+def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> dict[str, Any]:
+    """Return the rows of a comparison: its cells, and the total with the replicates as dots."""
+    keys = [cell.key for cell in chosen(design.cells, verdict.where)]
+    unseen = {cell.key for cell in design.cells if cell.unseen}
+    first = arms[verdict.first].within(keys)
+    where = f", {verdict.where} cells" if verdict.where != "all" else ""
+    if verdict.against:
+        others = [cell.key for cell in chosen(design.cells, verdict.against)]
+        second = arms[verdict.second].within(others)
+        rows = [*_rate_rows(verdict.first, first, unseen), *_rate_rows(verdict.second, second, unseen)]
+        rows += [_rate_total(f"{verdict.first}, {verdict.where}", first)]
+        rows += [_rate_total(f"{verdict.second}, {verdict.against}", second)]
+        heading = (
+            f"{verdict.first} in {verdict.where} cells and {verdict.second} in {verdict.against} cells, success in %"
+        )
+        return {"heading": heading, "rows": rows, "scale": RATES, "signed": False, "primary": verdict.primary}
+    second = arms[verdict.second].within(keys)
+    rows = [_difference_row(verdict, key, first.by_cell[key], second.by_cell[key], key in unseen) for key in keys]
+    value, low, high = (math.nan if x is None else x for x in verdict.difference)
+    one, two = first.pooled, second.pooled
+    rows.append(ForestRow(
+        label="total, mean of cells", value=value, low=-1.0 if math.isnan(low) else low,
+        high=1.0 if math.isnan(high) else high, dots=tuple(float(x) for x in first.rates - second.rates),
+        number=f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}", kind="total",
+        link=episodes_link(arm=f"{verdict.first}|{verdict.second}"),
+    ))  # fmt: skip
+    scale: Scale = difference_scale(rows)
+    heading = f"{verdict.first} - {verdict.second}{where}, points"
+    return {"heading": heading, "rows": rows, "scale": scale, "signed": True, "primary": verdict.primary}
+
+
+def _difference_row(verdict: CardVerdict, cell: str, one: Count, two: Count, unseen: bool) -> ForestRow:
+    rates = success_rate(one.successes, one.episodes), success_rate(two.successes, two.episodes)
+    low, high = newcombe(*rates)
+    return ForestRow(
+        label=cell, value=rates[0].rate - rates[1].rate, low=low, high=high, kind="unseen" if unseen else "cell",
+        number=f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}",
+        link=episodes_link(arm=f"{verdict.first}|{verdict.second}", cell=cell),
+    )  # fmt: skip
+
+
+def _rate_rows(name: str, arm: Arm, unseen: set[str]) -> list[ForestRow]:
+    rows = []
+    for cell, count in arm.by_cell.items():
+        rate = success_rate(count.successes, count.episodes)
+        rows.append(ForestRow(
+            label=f"{name}: {cell}", value=rate.rate, low=rate.low, high=rate.high,
+            kind="unseen" if cell in unseen else "cell", number=f"{count.successes} of {count.episodes}",
+            link=episodes_link(arm=name, cell=cell),
+        ))  # fmt: skip
+    return rows
+
+
+def _rate_total(name: str, arm: Arm) -> ForestRow:
+    rate, count = condition_rate(arm), arm.pooled
+    return ForestRow(
+        label=name, value=rate.value, low=rate.low, high=rate.high, dots=tuple(float(x) for x in arm.rates),
+        number=f"{count.successes} of {count.episodes}", kind="total",
+    )  # fmt: skip
+
+
+def _curve(card: Card) -> Any:
+    """Return the learning curve; None: no checkpoint of one was evaluated."""
+    points: dict[str, dict[int, list[float]]] = {}
+    for row in card.evaluations:
+        if row.checkpoint:
+            count = total(Count(successes=s, episodes=n, errors=e) for s, n, e in row.by_cell.values())
+            rates = points.setdefault(row.condition, {}).setdefault(row.checkpoint, [])
+            rates.append(count.successes / count.episodes)
+    curves = {
+        name: [CurvePoint(steps=steps, rates=tuple(rates)) for steps, rates in sorted(found.items())]
+        for name, found in points.items()
+    }
+    return learning_curve(curves) if curves else None
+
+
+def primary_forest(card: Card, design: Design, arms: Mapping[str, Arm]) -> dict[str, Any] | None:
+    """Return the rows of the primary comparison; None: the experiment compares nothing."""
+    return _forest(card.verdicts[0], design, arms) if card.verdicts else None
+
+
+def provenance_of(card: Card) -> dict[str, str]:
+    """Return where a card's results come from, for a table."""
+    code, environment = card.code, card.environment
+    commit = f"{code.commit[:12]}{', with uncommitted changes' if code.dirty else ''}" if code.commit else "-"
+    return {
+        "RoboXim": code.version or "-", "commit": commit, "renderer": environment.renderer or "-",
+        "device": environment.device or "-", "packages": environment.packages_sha256[:16] or "-",
+        "experiment file": card.experiment.sha256[:16] or "-", "card": card.sha256,
+    }  # fmt: skip

@@ -1,0 +1,25 @@
+"""Pages: templates to self-contained HTML that opens offline, on a phone and in the dark."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from roboxim_eval.report.charts.forest import forest_axis, forest_bar, rate_bar
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page.
+
+    Args:
+        template: Name of a template of this package.
+        values: What the template shows; all texts are escaped.
+    """
+    environment = Environment(
+        loader=PackageLoader("roboxim_eval", "templates"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters["percent"] = lambda value: f"{100 * value:.0f} %"
+    environment.globals |= {"forest_bar": forest_bar, "forest_axis": forest_axis, "rate_bar": rate_bar}
+    return environment.get_template(template).render(**values)

@@ -1,0 +1,138 @@
+"""How other generalisation suites name what an experiment varies.
+
+Names are those of the Colosseum's 14 perturbation factors (Pumacay et al. 2024), of the axes of STAR-Gen's taxonomy
+(Gao et al. 2025) and of LIBERO-plus' 7 dimensions (Fei et al. 2025). They are matched by the keys of a task that a
+factor's levels, a condition or a split of the cells changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from roboxim_eval.experiments.cells import Cell
+from roboxim_eval.experiments.config import TASK, ExperimentConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Names:
+    """Names of one kind of change; empty: a suite has none."""
+
+    colosseum: str = ""
+    """The Colosseum's factor."""
+    star_gen: str = ""
+    """STAR-Gen's axis."""
+    libero_plus: str = ""
+    """LIBERO-plus' dimension."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Varied:
+    """Something that an experiment varies."""
+
+    what: str
+    """A factor or a condition of the experiment."""
+    key: str
+    """Keys of the task that it changes, or the role whose object it changes."""
+    names: Names
+    """What other suites call it."""
+
+
+BY_KEY: tuple[tuple[str, Names], ...] = (
+    ("reset.cameras.exposure", Names(star_gen="visual: image augmentations", libero_plus="sensor noise")),
+    ("reset.cameras", Names(colosseum="camera pose", star_gen="visual: viewpoint", libero_plus="camera viewpoints")),
+    ("reset.lights", Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")),
+    (
+        "reset.surfaces.table",
+        Names(colosseum="table colour, table texture", star_gen="visual: scene", libero_plus="background textures"),
+    ),
+    (
+        "reset.surfaces",
+        Names(colosseum="background texture", star_gen="visual: scene", libero_plus="background textures"),
+    ),
+    (
+        "reset.background",
+        Names(colosseum="background texture", star_gen="visual: scene", libero_plus="background textures"),
+    ),
+    (
+        "reset.robot",
+        Names(colosseum="RLBench variations", star_gen="behavioural: robot pose", libero_plus="robot initial states"),
+    ),
+    ("reset.distractors", Names(colosseum="distractor", star_gen="visual: scene", libero_plus="objects layout")),
+    ("distractors", Names(colosseum="distractor", star_gen="visual: scene", libero_plus="objects layout")),
+    (
+        "reset.objects",
+        Names(colosseum="RLBench variations", star_gen="behavioural: object poses", libero_plus="objects layout"),
+    ),
+    (
+        "interaction_area",
+        Names(colosseum="RLBench variations", star_gen="behavioural: object poses", libero_plus="objects layout"),
+    ),
+    ("modifiers.mass", Names(colosseum="object mass", star_gen="behavioural: hidden object properties")),
+    ("modifiers.friction", Names(colosseum="object friction", star_gen="behavioural: hidden object properties")),
+    (
+        "reset.physics",
+        Names(colosseum="object mass, object friction", star_gen="behavioural: hidden object properties"),
+    ),
+    (
+        "objects.support",
+        Names(colosseum="receiver object: colour, texture, size", star_gen="visual: object appearance"),
+    ),
+    ("modifiers.scale", Names(colosseum="manipulated object: size", star_gen="behavioural: other morphology")),
+    ("modifiers", Names(colosseum="manipulated object: colour, texture", star_gen="visual: object appearance")),
+    ("paraphrases", Names(star_gen="semantic: language rephrase", libero_plus="language instructions")),
+    ("templates", Names(star_gen="semantic: language rephrase", libero_plus="language instructions")),
+    ("arguments", Names(colosseum="RLBench variations", star_gen="semantic: object properties")),
+)
+"""Part of a key's path to its names; the first one that is in the path counts."""
+WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
+NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
+RANGE = {"values", "lower", "upper", "minimum", "maximum", "names"}
+"""Keys of a range of values, below which no further names follow."""
+NEW_PAIR = Names(star_gen="combined: unseen verb with seen object")
+
+
+def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied, ...]:
+    """Return what an experiment varies, with the names of other suites.
+
+    Args:
+        config: The experiment.
+        cells: Its cells.
+    """
+    found = []
+    held_out = any(cell.unseen for cell in cells)
+    for factor, levels in config.factors.items():
+        keys = sorted({path for level in levels.values() for path in _paths(level)}) if _is_mapping(levels) else []
+        if factor != TASK and _is_mapping(levels):
+            found.append(Varied(what=factor, key=", ".join(keys) or factor, names=_names([factor, *keys])))
+        elif held_out and len(levels) > 1:
+            key = "tasks" if factor == TASK else f"objects.{factor}.models"
+            found.append(
+                Varied(what=factor, key=key, names=NEW_PAIR if len(config.factors[TASK]) > 1 else NEW_COMBINATION)
+            )
+    for name, condition in config.conditions.items():
+        if condition.instruction:
+            found.append(Varied(what=name, key="instruction", names=WORDS))
+        if keys := sorted(_paths(condition.set)):
+            found.append(Varied(what=name, key=", ".join(keys), names=_names(keys)))
+    return tuple(found)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _paths(changes: Any, start: str = "") -> Iterable[str]:
+    """Yield the paths of the keys that changes replace, four names deep at most."""
+    if not isinstance(changes, Mapping) or start.count(".") >= 3 or RANGE & changes.keys():
+        if start:
+            yield start
+        return
+    for key, value in changes.items():
+        yield from _paths(value, f"{start}.{key}" if start else str(key))
+
+
+def _names(paths: Iterable[str]) -> Names:
+    paths = tuple(paths)
+    return next((names for part, names in BY_KEY if any(part in path for path in paths)), Names())

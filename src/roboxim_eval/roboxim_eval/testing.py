@@ -1,0 +1,94 @@
+"""Tables of policies with planted behaviour, for tests of what reports say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.config import load_yaml, named_config
+from roboxim_core.merging import merged
+from roboxim_eval.experiments import Cell, Design, design_of, experiment_config
+from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining, JudgedAgain
+from roboxim_eval.experiments.card_checks import concluded
+
+Won = dict[tuple[str, int, str], npt.NDArray[np.bool_]]
+"""Condition, replicate and cell to the outcome of each episode."""
+
+
+@lru_cache(maxsize=32)
+def shipped(name: str = "skill_object", replicates: int = 5, per_cell: int = 20) -> Design:
+    """Return the design of a shipped experiment at a size."""
+    changes = {"replicates": {"count": replicates}, "evaluate": {"per_cell": per_cell}}
+    return design_of(experiment_config(merged(load_yaml(named_config("experiments", name)), changes), source=name))
+
+
+def planted_card(
+    design: Design, rate: Callable[[str, Cell], float], *, seed: int = 0, spread: float = 0.0,
+    instead: Mapping[str, str] | None = None, steps: Mapping[str, int] | None = None,
+    proofs: dict[str, tuple[int, int]] | None = None, exposure: str = "no",
+) -> Card:  # fmt: skip
+    """Return the card of planted policies.
+
+    Args:
+        design: The experiment.
+        rate: (condition, cell) to the chance of success.
+        seed: Seed of the outcomes.
+        spread: Standard deviation between trainings at a rate of 0.8; constant on the logit.
+        instead: Held-out cell to the seen cell that the leave-out policies do instead; none: not judged again.
+        steps: Condition to training steps; none: equal.
+        proofs: Proofs of delivery.
+        exposure: Whether the pre-training had held-out combinations.
+    """
+    rng = np.random.default_rng(seed)
+    config = design.config
+    evaluations: list[CardEvaluation] = []
+    won: Won = {}
+    for evaluation in design.evaluations:
+        shift = rng.normal() * spread / 0.16
+        by_cell = {}
+        for cell in design.cells:
+            if cell.key in evaluation.counts:
+                p = rate(evaluation.condition, cell)
+                p = 1 / (1 + np.exp(-(np.log(p / (1 - p)) + shift))) if 0 < p < 1 else p
+                outcomes = rng.random(evaluation.counts[cell.key]) < p
+                won[evaluation.condition, evaluation.replicate, cell.key] = outcomes
+                by_cell[cell.key] = (int(outcomes.sum()), len(outcomes), 0)
+        evaluations.append(
+            CardEvaluation(condition=evaluation.condition, replicate=evaluation.replicate, by_cell=by_cell)
+        )
+    pairs = {str(n): tuple(_pairs(design, n, won)) for n, c in enumerate(config.compare) if not c.against}
+    card = Card(
+        experiment=CardExperiment(name="planted", scale="full", config=config),
+        trainings=tuple(
+            CardTraining(
+                condition=t.condition, replicate=t.replicate, dataset=t.dataset,
+                attest=Attestation(
+                    recipe={"steps": (steps or {}).get(t.condition, 10_000)}, pretraining="none", exposure=exposure
+                ),
+            )
+            for t in design.trainings
+        ),
+        evaluations=tuple(evaluations), pairs=pairs, proofs=proofs or {},
+        judged_again=None if instead is None else tuple(_judged(design, won, instead)),
+    )  # fmt: skip
+    return concluded(card, design)
+
+
+def _pairs(design: Design, number: int, won: Won) -> Iterator[tuple[int, int, int, int]]:
+    compare = design.config.compare[number]
+    cells = [c.key for c in design.cells if compare.where == "all" or c.unseen == (compare.where == "unseen")]
+    for replicate in range(design.config.replicates.count):
+        one = np.concatenate([won[compare.first, replicate, cell] for cell in cells])
+        two = np.concatenate([won[compare.second, replicate, cell] for cell in cells])
+        yield int((one & two).sum()), int((one & ~two).sum()), int((~one & two).sum()), int((~one & ~two).sum())
+
+
+def _judged(design: Design, won: Won, instead: Mapping[str, str]) -> Iterator[JudgedAgain]:
+    primary = design.config.primary
+    for (condition, _, cell), outcomes in won.items():
+        if primary is not None and condition == primary.first and cell in {c.key for c in design.cells if c.unseen}:
+            for _ in range(int((~outcomes).sum())):
+                yield JudgedAgain(cell=cell, satisfied=(instead[cell],) if instead.get(cell) else ())

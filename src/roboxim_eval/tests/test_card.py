@@ -1,0 +1,175 @@
+"""The card of an experiment: its form, its hash, what follows from its counts; and models compared by their cards."""
+
+import json
+
+import pytest
+
+from roboxim_core.errors import ConfigError
+from roboxim_eval.benchmark import BenchmarkCard, check_benchmark_card, concluded_benchmark
+from roboxim_eval.experiments.card import sha256_of
+from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
+from roboxim_eval.experiments.models import compare_models
+from roboxim_eval.report.benchmark import benchmark_page
+from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+from roboxim_eval.report.models import models_page
+from roboxim_eval.testing import planted_card, shipped
+
+
+def rate(condition, cell, u=0.4, s=0.8):
+    return {"leave_out": u if cell.unseen else 0.85, "baseline": s, "blind": 0.05}[condition]
+
+
+@pytest.fixture(scope="module")
+def card():
+    return planted_card(shipped(replicates=3), rate, proofs={"words received": (600, 600)})
+
+
+def conforms(data, schema, root, path="card"):
+    """Check data by the keywords of JSON Schema that the shipped schemas use; return the first fault, or ''."""
+    if "$ref" in schema:
+        return conforms(data, root["$defs"][schema["$ref"].rpartition("/")[2]], root, path)
+    if "anyOf" in schema:
+        faults = [conforms(data, one, root, path) for one in schema["anyOf"]]
+        return "" if "" in faults else faults[-1]
+    kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float), "boolean": bool}
+    kind = schema.get("type")
+    if kind == "null":
+        return "" if data is None else f"{path} is not null"
+    if kind and (not isinstance(data, kinds[kind]) or (kind != "boolean" and isinstance(data, bool))):
+        return f"{path} is no {kind}"
+    if isinstance(data, dict):
+        missing = set(schema.get("required", ())) - data.keys()
+        extra = data.keys() - schema.get("properties", data).keys() if "properties" in schema else set()
+        if missing or extra:
+            return f"{path} lacks {missing} or has {extra}"
+        inner = schema.get("properties") or dict.fromkeys(data, schema.get("additionalProperties", {}))
+        faults = [conforms(data[key], inner[key], root, f"{path}.{key}") for key in data]
+    elif isinstance(data, list):
+        parts = schema.get("prefixItems", [])
+        if parts and len(data) != len(parts):
+            return f"{path} has {len(data)} items"
+        faults = [
+            conforms(one, parts[i] if parts else schema.get("items", {}), root, f"{path}.{i}") for i, one in enumerate(data)
+        ]
+    else:
+        faults = []
+    return next(filter(None, faults), "")
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_the_shipped_schema_is_that_of_the_code(name):
+    assert schema_file(name).read_text() == schema_text(name), "run: python -m roboxim_eval.experiments.card_schema"
+
+
+def test_a_card_conforms_to_the_schema(card):
+    schema = schema_of("card")
+    assert conforms(card.plain, schema, schema) == ""
+    wrong = {**card.plain, "pairs": {"0": [[1, 2, 3]]}}
+    assert "pairs.0.0 has 3 items" in conforms(wrong, schema, schema)
+    assert "lacks" in conforms({k: v for k, v in card.plain.items() if k != "proofs"}, schema, schema)
+    assert schema["properties"]["times"]["description"].startswith("Stage to wall time")
+
+
+def test_a_card_is_checked_against_its_counts(card):
+    data = card.plain
+    assert check_card(json.loads(json.dumps(data))) == card
+    with pytest.raises(ConfigError, match="its scores do not follow"):
+        check_card({**data, "scores": {**data["scores"], "absolute": [0.9, 0.8, 1.0]}})
+    with pytest.raises(ConfigError, match="its verdicts do not follow"):
+        check_card({**data, "verdicts": data["verdicts"][:1]})
+    with pytest.raises(ConfigError, match="its sha256 do not follow"):
+        check_card({**data, "datasets": {"leave_out.0": {"sha256": "0", "by_cell": {}, "fault": "", "faulty": 0}}})
+    with pytest.raises(ConfigError, match="no card of schema 2, found 1"):
+        check_card({**data, "schema": 1})
+
+
+def test_the_hash_is_that_of_the_canonical_json_without_times(card):
+    data = card.plain
+    content = {key: value for key, value in data.items() if key not in ("sha256", "times")}
+    assert sha256_of(content) == card.sha256
+    assert check_card({**data, "times": {"train/a": 3.0}}).sha256 == card.sha256
+
+
+# ------------------------------------------------------------------ pages
+
+
+def test_the_page_of_a_card_says_what_it_concludes(card):
+    page = experiment_page(ExperimentPage(card=card, command="roboxim experiment run"))
+    assert card.verdicts[0].sentence in page
+    assert page.index(card.verdicts[0].sentence) < page.index(card.verdicts[1].sentence)
+    assert page.count('class="heat"') == 4, "an arm each, and the difference"
+    assert page.count(' unseen"') >= 4 * 6, "held-out cells are framed"
+    assert "combined: unseen verb with seen object" in page
+    assert "words received" in page
+    assert "600 of 600" in page
+    assert card.sha256 in page
+    assert 'id="episode-data"' not in page, "a card has no episodes"
+
+
+def test_a_benchmarks_card_is_checked_through_its_experiments(card):
+    other = planted_card(shipped("camera_object", replicates=3), rate)
+    whole = concluded_benchmark(
+        BenchmarkCard(name="transfer", scale="full", experiments={"skill_object": card, "camera_object": other})
+    )
+    data = whole.plain
+    schema = schema_of("benchmark_card")
+    assert conforms(data, schema, schema) == ""
+    assert check_benchmark_card(data).dimensions["object"].experiments == ("skill_object", "camera_object")
+    with pytest.raises(ConfigError, match="its dimensions do not follow"):
+        check_benchmark_card({**data, "dimensions": {}})
+    changed = json.loads(json.dumps(data))
+    changed["experiments"]["camera_object"]["warnings"] = []
+    changed["experiments"]["camera_object"]["scores"]["gap"] = [0.0, 0.0, 0.0]
+    with pytest.raises(ConfigError, match="experiment camera_object: its scores"):
+        check_benchmark_card(changed)
+    page = benchmark_page(whole)
+    assert all(sentence in page for sentence in whole.sentences[:3])
+
+
+# ------------------------------------------------------------------ models
+
+
+def models_of(rates, replicates=3):
+    design = shipped(replicates=replicates)
+    return {
+        name: planted_card(design, lambda condition, cell, u=u: rate(condition, cell, u), seed=seed)
+        for seed, (name, u) in enumerate(rates.items())
+    }
+
+
+def test_models_without_a_common_letter_differ():
+    cards = models_of({"weak": 0.2, "strong": 0.8, "also_strong": 0.78})
+    found = compare_models(cards)
+    assert (found.condition, found.where, len(found.cells)) == ("leave_out", "unseen", 6)
+    assert found.models["strong"].letters == found.models["also_strong"].letters == "a"
+    assert found.models["weak"].letters == "b"
+    assert any(s.startswith("strong is better than weak by") and "over 3 trainings each" in s for s in found.sentences)
+    assert any(s.startswith("Cannot tell whether strong or also_strong is better") for s in found.sentences)
+    page = models_page(found, cards)
+    assert all(sentence in page for sentence in found.sentences)
+
+
+def test_models_are_compared_on_equal_cells():
+    cards = models_of({"one": 0.5, "two": 0.5})
+    fewer = shipped(replicates=3)
+    whole = compare_models(cards, where="all")
+    assert len(whole.cells) == len(fewer.cells)
+    blind = compare_models(cards, condition="blind", where="all")
+    assert len(blind.cells) == 6, "only cells that were evaluated"
+    with pytest.raises(ConfigError, match="no unseen cell in common"):
+        compare_models({"one": cards["one"], "two": planted_card(shipped("camera_object", replicates=3), rate)})
+    with pytest.raises(ConfigError, match="no condition 'leave_it'.*did you mean 'leave_out'"):
+        compare_models(cards, condition="leave_it")
+    with pytest.raises(ConfigError, match="at least two runs"):
+        compare_models({"one": cards["one"]})
+
+
+def test_single_trainings_are_compared_as_checkpoints():
+    cards = models_of({"weak": 0.2, "strong": 0.9}, replicates=1)
+    apart = compare_models(cards)
+    assert "these checkpoints, on different scenes" in apart.pairs[0].test
+    scene = {("pick_up target=cube", str(i)): True for i in range(30)}
+    same = compare_models(cards, scenes={"weak": [dict.fromkeys(scene, False)], "strong": [scene]})
+    assert same.pairs[0].test == "these checkpoints, on 30 scenes that both met"
+    assert same.pairs[0].p < 0.001
