@@ -18,6 +18,7 @@ DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROF
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
     "The main job": ("demo", "tasks", "generate", "export", "dataset", "train", "evaluate"),
+    "Experiments": ("experiment", "benchmark"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
     "Planning": ("planner",),
     "Recordings": ("bag", "replay", "rerender"),

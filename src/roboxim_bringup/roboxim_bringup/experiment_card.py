@@ -139,7 +139,7 @@ def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeRes
         by_cell = {cell: [r for (c, _), r in rows.items() if c == cell] for cell in evaluation.counts}
         yield CardEvaluation(
             condition=evaluation.condition, replicate=evaluation.replicate, checkpoint=evaluation.checkpoint,
-            seed=stages[name].inputs["seed"], results_sha256=_results_sha256(rows),
+            seed=stages[name].inputs["seed"], results_sha256=results_sha256(rows),
             by_cell={
                 cell: (sum(r.outcome == "success" for r in mine), len(mine), sum(r.outcome == "error" for r in mine))
                 for cell, mine in sorted(by_cell.items())
@@ -152,7 +152,8 @@ def stage_name(condition: str, replicate: int, checkpoint: int = 0) -> str:
     return f"evaluate/{condition}.{replicate}" + (f"@{checkpoint}" if checkpoint else "")
 
 
-def _results_sha256(rows: Mapping[Scene, EpisodeResult]) -> str:
+def results_sha256(rows: Mapping[Scene, EpisodeResult]) -> str:
+    """Return the hash of an evaluation's results without their wall times."""
     plain = [to_plain(rows[scene]) for scene in sorted(rows)]
     return sha256_of(_plain([{key: v for key, v in row.items() if key not in TIMES} for row in plain]))
 

@@ -60,10 +60,14 @@ from roboxim_bringup.options import episode_options
     help="Let simulated time go on while the policy thinks. Such an evaluation is not repeatable.",
 )  # fmt: skip
 @click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
+@click.option(
+    "--stop-early", "looks", type=click.IntRange(2), metavar="LOOKS",
+    help="Stop before --episodes at one of LOOKS evenly spaced looks if two policies differ by then.",
+)  # fmt: skip
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
-    policy_timeout: float, ensemble: str | None, late_rows: str | None, **options: Any,
+    policy_timeout: float, ensemble: str | None, late_rows: str | None, looks: int | None, **options: Any,
 ) -> None:  # fmt: skip
     r"""Run policies in fresh scenes, count successes, and write OUT/report.html.
 
@@ -90,13 +94,20 @@ def command(
         late_rows=late_rows or "", command=command_line(sys.argv[1:]), **options,
     )  # fmt: skip
     with EventPrinter() as printer:
-        result = evaluate(config, on_event=printer)
+        if looks is None:
+            result, stopped = evaluate(config, on_event=printer), ""
+        else:
+            from roboxim_bringup.runs.sequential import evaluate_sequentially
+
+            found = evaluate_sequentially(config, looks, on_event=printer)
+            result, stopped = found.evaluation, found.sentence
     for name in result.privileged:
         click.echo(
             f"policy {name} is privileged: it received the task, scene and state, "
             "which a policy under test must not see"
         )
-    if result.comparison:
-        click.echo(result.comparison)
+    for line in (stopped, result.comparison):
+        if line:
+            click.echo(line)
     click.echo(f"report: {result.report}")
     result.require_measured()

@@ -1,8 +1,9 @@
-"""List experiments, and plan them: counts, time, disk, and the difference that they can show."""
+"""Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,7 +12,7 @@ from roboxim_bringup.named import Named
 
 @click.group()
 def command() -> None:
-    """List experiments, and plan them: counts, time, disk, and the difference that they can show."""
+    """Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
 
 
 @command.command("list")
@@ -152,10 +153,11 @@ def run(
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, named_policies, run_experiment
 
+    given: dict[str, Any] = {} if workers is None else {"workers": workers}
     config = ExperimentRunConfig(
         experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
         only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
-        **({} if workers is None else {"workers": workers}),
+        **given,
     )  # fmt: skip
     with EventPrinter() as printer:
         result = run_experiment(config, on_event=printer)
@@ -166,20 +168,46 @@ def run(
     for sentence in result.card.sentences:
         click.echo(sentence)
     click.echo(f"card: {out / 'card.json'}")
+    click.echo(f"report: {out / 'report.html'}")
 
 
 @command.command("report")
-@click.argument("card", type=click.Path(path_type=Path))
-def report(card: Path) -> None:
-    """Print the results of a run's folder or of a card.json, computed again from its counts.
+@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
+@click.option(
+    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+    help="A card.json alone instead of a run's folder.",
+)  # fmt: skip
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
+def report(folder: Path | None, card: Path | None, html: Path | None, films: int) -> None:
+    r"""Check the results of a run's folder or of a card, print them, and write a page.
 
-    A card whose scores, verdicts or sentences do not follow from its counts is refused.
+    \b
+    roboxim experiment report runs/so                           # writes runs/so/report.html
+    roboxim experiment report --from card.json --html page.html
+
+    Scores and sentences are computed again from the counts. A card that states others is refused, and so is one whose
+    results have changed. The page is one file that opens offline.
     """
+    from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, write_experiment_report
     from roboxim_core.documents import parse_json, read_text
+    from roboxim_core.errors import ConfigError
     from roboxim_eval.experiments.card_checks import check_card
 
-    path = card / "card.json" if card.is_dir() else card
-    found = check_card(parse_json(read_text(path), source=str(path)), source=str(path))
+    if (folder is None) == (card is None):
+        raise ConfigError("name the folder of a run, or a card with --from CARD")
+    if folder is not None:
+        there = ExperimentFolder.of(folder)
+        found = folder_card(there)
+        page: Path | None = write_experiment_report(there, found, films=films)
+    else:
+        assert card is not None
+        found = check_card(parse_json(read_text(card), source=str(card)), source=str(card))
+        page = html
+        if html is not None:
+            from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+
+            html.write_text(experiment_page(ExperimentPage(card=found)))
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")
@@ -187,14 +215,73 @@ def report(card: Path) -> None:
         click.echo(f"  {name:<17} {_score_text(value)}")
     for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
+    click.echo(f"  sha256            {found.sha256}")
+    if page is not None:
+        click.echo(f"report: {page}")
 
 
 def _score_text(value: object) -> str:
     """Format a score: a value with its interval, the reason of a refusal, or that it was not measured."""
+    if isinstance(value, dict):
+        return f"{_score_text(value['rate'])} of {value['failed']} failures; {value['worst'] or 'none'}"
     if isinstance(value, list):
         middle, low, high = ("unbounded" if x is None else f"{x:.2f}" for x in value)
         return f"{middle} ({low} to {high})"
     return "not measured" if value is None else str(value)
+
+
+@command.command("compare")
+@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option("--condition", default="", help="Condition; default: the first one of the primary comparison.")
+@click.option("--where", type=click.Choice(["unseen", "seen", "all"]), default=None, help="Cells; default: as primary.")
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page; default: none.")
+def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: Path | None) -> None:
+    r"""Compare models: the same condition of several runs of an experiment, on the cells that all of them met.
+
+    \b
+    roboxim experiment compare runs/octo runs/bc runs/mine --html models.html
+
+    A model is named by its folder. Models without a common letter differ after Holm's adjustment for all pairs.
+    """
+    from roboxim_bringup.runs.experiment_models import compared
+
+    models, cards = compared(folders, condition=condition, where=where or "")
+    width = max(map(len, models.models))
+    click.echo(f"condition {models.condition}, {len(models.cells)} {models.where} cells")
+    for name, model in models.models.items():
+        rate = f"{100 * model.rate.value:.0f} % ({100 * model.rate.low:.0f} to {100 * model.rate.high:.0f})"
+        trained = f"{model.trainings} training{'s' * (model.trainings != 1)}"
+        click.echo(f"  {name:<{width}}  {model.letters:<4} {rate}, {model.successes} of {model.episodes}, {trained}")
+    for sentence in models.sentences:
+        click.echo(f"  {sentence}")
+    if html is not None:
+        from roboxim_eval.report.models import models_page
+
+        html.write_text(models_page(models, cards))
+        click.echo(f"report: {html}")
+
+
+@command.command("pack")
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--file", type=click.Path(path_type=Path), help="File to write; default: FOLDER.tar.gz.")
+@click.option("--most", default=200, show_default=True, type=click.IntRange(1), help="Largest size [MB].")
+def pack_run(folder: Path, file: Path | None, most: int) -> None:
+    """Pack results, checkpoints, cards and reports of a run into one file, without bags and datasets."""
+    from roboxim_bringup.runs.experiment_pack import pack
+
+    found = pack(folder, file or folder.with_name(f"{folder.resolve().name}.tar.gz"), most_bytes=most * 1_000_000)
+    click.echo(f"{found.files} files, {found.size / 1e6:.1f} MB: {found.path}")
+
+
+@command.command("unpack")
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to create.")
+def unpack_run(file: Path, out: Path) -> None:
+    """Unpack a run's file, and check the hash of every file in it."""
+    from roboxim_bringup.runs.experiment_pack import unpack
+
+    found = unpack(file, out)
+    click.echo(f"{found.files} files in {found.path}; see 'roboxim experiment report {found.path}'")
 
 
 @command.command("calibrate")

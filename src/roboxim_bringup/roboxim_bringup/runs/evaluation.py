@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from roboxim_tasks.task_config import TaskConfig
 
 SHOWN = 12
-"""Films per policy in the report, failures first."""
+"""Films of each policy in the report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +72,8 @@ class EvaluationConfig(EpisodesConfig):
     """Whether to allow a robot other than the one that a policy was trained with."""
     command: str = ""
     """Command that reproduces the report, shown in it; empty: the call of `evaluate`."""
+    stopped: str = ""
+    """How the number of episodes was decided, for the report; empty: it was fixed beforehand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -387,15 +389,20 @@ def _policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob
 
 
 def _policy_run(result: PolicyResult) -> PolicyRun:
-    from roboxim_bringup.runs.pictures import drawn_by_name, film
+    from roboxim_bringup.runs.episode_facts import episode_facts
+    from roboxim_bringup.runs.pictures import film
     from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.films import chosen_films
 
-    recorded = [episode for episode in result.results if episode.bag]
-    failed = [episode for episode in recorded if episode.outcome != "success"][: SHOWN // 2]
-    solved = [episode for episode in recorded if episode.outcome == "success"][: SHOWN - len(failed)]
-    films = {episode.episode_id: film(result.folder / episode.bag) for episode in failed + solved}
-    drawn = {episode.episode_id: drawn_by_name(result.folder / episode.bag) for episode in recorded}
-    return PolicyRun(policy=result.name, results=result.results, films=films, drawn=drawn)
+    recorded = {episode.episode_id: episode for episode in result.results if episode.bag}
+    shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
+    facts = episode_facts(result.folder, recorded.values())
+    return PolicyRun(
+        policy=result.name, results=result.results, folder=result.folder.name,
+        films={name: film(result.folder / recorded[name].bag) for name in shown},
+        drawn={name: one.drawn for name, one in facts.items()},
+        starts={name: one.start for name, one in facts.items() if one.start is not None},
+    )  # fmt: skip
 
 
 def _report(
@@ -427,7 +434,7 @@ def _report(
     runs = [_policy_run(result) for result in found.values()]
     report = Report(
         title=f"Evaluation of {' and '.join(found)} on {config.task_name}",
-        runs=runs, facts=facts, versions=versions, command=config.command or _call(config),
+        runs=runs, facts=facts, versions=versions, command=config.command or _call(config), stopped=config.stopped,
     )  # fmt: skip
     page = write_report(report, Path(config.out))
     return EvaluationResult(
@@ -449,7 +456,7 @@ def _call(config: EvaluationConfig) -> str:
     given = {
         name: str(value) if isinstance(value, Path) else value
         for name, value in vars(config).items()
-        if value != default[name] and name != "workers"
+        if value != default[name] and name not in ("workers", "stopped")
     }
     return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 

@@ -21,7 +21,7 @@ from typing import IO, Any
 import yaml
 
 from roboxim_bringup.executors import Cancellation, CancelledError
-from roboxim_bringup.experiment_card import CARD_FILE, collect_card
+from roboxim_bringup.experiment_card import collect_card
 from roboxim_bringup.experiment_files import checked_design, load_experiment
 from roboxim_bringup.experiment_provenance import (
     ATTEST_FILE,
@@ -32,6 +32,12 @@ from roboxim_bringup.experiment_provenance import (
 from roboxim_bringup.parameters import parse_options
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted, ignore
+from roboxim_bringup.runs.experiment_report import (
+    STATE_FILE,
+    ExperimentFolder,
+    write_card,
+    write_experiment_report,
+)
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.generation import GenerationConfig, generate
@@ -45,7 +51,6 @@ from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 
 KINDS = ("generate", "export", "train", "evaluate")
-STATE_FILE = "experiment.json"
 POLL_S = 1.0
 
 
@@ -57,6 +62,8 @@ class ExperimentRunConfig:
     """Name in ``config/experiments``, or a YAML file."""
     scale: str = "full"
     """One of its scales."""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Keys of the file to replace, e.g. a benchmark's own scales."""
     out: Path | str = "runs/experiment"
     """The run's folder."""
     trainer: str = ""
@@ -110,7 +117,7 @@ def run_experiment(
         ConfigError: When the experiment is invalid, a policy is not named, or inputs of a finished stage have changed.
         RoboximError: When a stage fails.
     """
-    experiment = load_experiment(config.experiment, config.scale)
+    experiment = load_experiment(config.experiment, config.scale, changes=config.changes)
     if experiment.curve is not None:
         experiment = replace(experiment, curve=None)
         on_event(Notice(text="the learning curve is left out: only the last checkpoint of each training is evaluated"))
@@ -131,7 +138,8 @@ def run_experiment(
         card = collect_card(
             name, config.scale, design, run.out, trainer=config.trainer, renderer=config.renderer
         )  # fmt: skip
-        write_atomically(run.out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+        write_card(card, run.out)
+        write_experiment_report(ExperimentFolder.of(run.out), card)
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing, card=card
     )

@@ -1,0 +1,112 @@
+"""Run a benchmark of several experiments, and write its card and report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_bringup.named import Named
+
+REPORT = "report"
+
+
+class _Benchmarks(click.Group):
+    """A subcommand for each file of ``config/benchmark``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the benchmarks and the fixed subcommands."""
+        from roboxim_core.config_folders import config_names
+
+        return [*config_names("benchmark"), *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a fixed subcommand, or the one that runs a benchmark."""
+        if found := super().get_command(ctx, cmd_name):
+            return found
+        if cmd_name not in self.list_commands(ctx) and not cmd_name.endswith((".yaml", ".yml")):
+            from roboxim_core.errors import one_of
+
+            ctx.fail(f"no benchmark '{cmd_name}'; {one_of(self.list_commands(ctx), cmd_name)}")
+        return _run_command(cmd_name)
+
+
+@click.group(cls=_Benchmarks)
+def command() -> None:
+    """Run a benchmark of several experiments, and write its card and report."""
+
+
+def _run_command(name: str) -> click.Command:
+    @click.command(name)
+    @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
+    @click.option("--scale", default="full", show_default=True, help="Scale: smoke, laptop, night or full.")
+    @click.option("--trainer", default="", help="Trainer of the files; default: their first one.")
+    @click.option(
+        "--policy", "policies", multiple=True, metavar="EXPERIMENT.CONDITION[.R]=SPEC",
+        help="Policy of a condition that was trained elsewhere; may be repeated.",
+    )  # fmt: skip
+    @click.option(
+        "--option", "policy_options", multiple=True, metavar="EXPERIMENT.CONDITION[.R].KEY=VALUE",
+        help="Argument of such a policy; may be repeated.",
+    )  # fmt: skip
+    @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
+    @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+    @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
+    def run(
+        out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...], only: str,
+        workers: int | None, renderer: str,
+    ) -> None:  # fmt: skip
+        """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
+        from roboxim_bringup.printer import EventPrinter
+        from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark
+        from roboxim_bringup.runs.experiment import KINDS, named_policies
+
+        config = BenchmarkRunConfig(
+            benchmark=name, scale=scale, out=out, trainer=trainer, renderer=renderer,
+            policies=named_policies(policies, policy_options),
+            only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
+            **({} if workers is None else {"workers": workers}),
+        )  # fmt: skip
+        with EventPrinter() as printer:
+            result = run_benchmark(config, on_event=printer)
+        if result.card is None:
+            click.echo(f"missing: {', '.join(result.missing)}")
+            return
+        for sentence in result.card.sentences:
+            click.echo(sentence)
+        click.echo(f"card: {out / 'card.json'}")
+        click.echo(f"report: {out / 'report.html'}")
+
+    return run
+
+
+@command.command(REPORT)
+@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
+@click.option(
+    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+    help="A card.json alone instead of a run's folder.",
+)  # fmt: skip
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+def report(folder: Path | None, card: Path | None, html: Path | None) -> None:
+    """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
+    from roboxim_bringup.runs.benchmark import stored_benchmark_card, write_benchmark_report
+    from roboxim_core.errors import ConfigError
+
+    if (folder is None) == (card is None):
+        raise ConfigError("name the folder of a benchmark, or a card with --from CARD")
+    page = html
+    if folder is not None:
+        found, page = write_benchmark_report(folder), folder / "report.html"
+    else:
+        assert card is not None
+        found = stored_benchmark_card(card)
+        if html is not None:
+            from roboxim_eval.report.benchmark import benchmark_page
+
+            html.write_text(benchmark_page(found))
+    click.echo(f"{found.name}, scale {found.scale}")
+    for sentence in found.sentences:
+        click.echo(f"  {sentence}")
+    click.echo(f"  sha256 {found.sha256}")
+    if page is not None:
+        click.echo(f"report: {page}")

@@ -1,0 +1,174 @@
+"""Runs a benchmark: its experiments one after the other, each in a folder of its name, then one card for all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from roboxim_bringup.executors import Cancellation
+from roboxim_bringup.experiment_card import CARD_FILE
+from roboxim_bringup.experiment_files import load_benchmark
+from roboxim_bringup.runs.events import OnEvent, ignore
+from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, run_experiment
+from roboxim_bringup.runs.experiment_report import REPORT_FILE, ExperimentFolder, folder_card
+from roboxim_bringup.runs.folder import checked_path, make_folder
+from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_core.documents import parse_json, read_text
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.benchmark import (
+    BenchmarkCard,
+    BenchmarkConfig,
+    check_benchmark_card,
+    concluded_benchmark,
+    experiment_changes,
+)
+
+STATE_FILE = "benchmark.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkRunConfig:
+    """Configuration of a benchmark's run."""
+
+    benchmark: str
+    """Name in ``config/benchmark``, or a YAML file."""
+    scale: str = "full"
+    """One of its scales, or of its experiments'."""
+    out: Path | str = "runs/benchmark"
+    """The run's folder, with a subfolder for each experiment."""
+    trainer: str = ""
+    """Trainer of the files; empty: their first one."""
+    policies: Mapping[str, PolicySpec] = field(default_factory=dict)
+    """Policies that exist: ``EXPERIMENT.CONDITION[.REPLICATE]`` to the policy."""
+    only: tuple[str, ...] = KINDS
+    """Kinds of stages to run."""
+    workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
+    """Processes that run episodes."""
+    renderer: str = "raster"
+    """Renderer of the images."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkResult:
+    """State of a benchmark after a call."""
+
+    out: Path
+    """The run's folder."""
+    missing: tuple[str, ...]
+    """``EXPERIMENT/STAGE`` of the stages that are not finished."""
+    card: BenchmarkCard | None
+    """Results; none while evaluations are missing."""
+
+
+def run_benchmark(
+    config: BenchmarkRunConfig, *, on_event: OnEvent = ignore, cancellation: Cancellation | None = None
+) -> BenchmarkResult:
+    """Run the stages of a benchmark's experiments that its folder lacks; write its card and report at the end.
+
+    Args:
+        config: Configuration of the run.
+        on_event: Receives the events of all stages.
+        cancellation: Ends the run when it is set.
+
+    Raises:
+        CancelledError: When the run was cancelled; the same call continues.
+        ConfigError: When a file is invalid, a policy is not named, or inputs of a finished stage have changed.
+        RoboximError: When a stage fails.
+    """
+    benchmark = load_benchmark(config.benchmark)
+    out = checked_path(config.out)
+    make_folder(out)
+    _require_experiments(benchmark, config.policies)
+    state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
+    _require_same(out / STATE_FILE, state)
+    write_atomically(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
+    missing: list[str] = []
+    for name in benchmark.experiments:
+        result = run_experiment(
+            ExperimentRunConfig(
+                experiment=name, scale=config.scale, changes=experiment_changes(benchmark, config.scale),
+                out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
+                workers=config.workers, renderer=config.renderer,
+            ),
+            on_event=on_event, cancellation=cancellation,
+        )  # fmt: skip
+        missing += [f"{name}/{stage}" for stage in result.missing]
+        if result.card is None and not any(one.startswith(f"{name}/") for one in missing):
+            missing.append(name)
+    card = None if missing else write_benchmark_report(out)
+    return BenchmarkResult(out=out, missing=tuple(missing), card=card)
+
+
+def _require_experiments(benchmark: BenchmarkConfig, policies: Mapping[str, PolicySpec]) -> None:
+    for name in policies:
+        first = name.partition(".")[0]
+        if first not in benchmark.experiments:
+            raise ConfigError(
+                f"--policy {name}: expected EXPERIMENT.CONDITION[.R]; {one_of(benchmark.experiments, first)}"
+            )
+
+
+def _policies_of(experiment: str, policies: Mapping[str, PolicySpec]) -> dict[str, PolicySpec]:
+    start = f"{experiment}."
+    return {name.removeprefix(start): policy for name, policy in policies.items() if name.startswith(start)}
+
+
+def _require_same(path: Path, state: Mapping[str, str]) -> None:
+    if not path.exists():
+        return
+    stored = parse_json(read_text(path), source=str(path))
+    for key, value in state.items():
+        if stored.get(key) != value:
+            raise ConfigError(
+                f"{path.parent} holds a benchmark with {key} '{stored.get(key)}', not '{value}'; choose another output "
+                "folder (--out)"
+            )
+
+
+def benchmark_card(out: Path) -> BenchmarkCard:
+    """Return the card of a benchmark's folder, from the checked cards of its experiments.
+
+    Raises:
+        ConfigError: When the folder is not a benchmark's, evaluations are missing, or a card was changed.
+    """
+    path = out / STATE_FILE
+    if not path.exists():
+        raise ConfigError(f"{out} is not the folder of a benchmark: it has no {STATE_FILE}")
+    stored = parse_json(read_text(path), source=str(path))
+    benchmark = load_benchmark(stored["benchmark"])
+    cards = {name: folder_card(ExperimentFolder.of(out / name)) for name in benchmark.experiments}
+    return concluded_benchmark(BenchmarkCard(
+        name=Path(stored["benchmark"]).stem, scale=stored["scale"], about=benchmark.about, thesis=benchmark.thesis,
+        reference=benchmark.reference, experiments=cards,
+    ))  # fmt: skip
+
+
+def write_benchmark_report(out: Path) -> BenchmarkCard:
+    """Write ``card.json`` and ``report.html`` of a benchmark whose experiments are finished; return the card.
+
+    Raises:
+        ConfigError: When evaluations are missing, or a card was changed.
+    """
+    from roboxim_eval.report.benchmark import benchmark_page
+
+    card = benchmark_card(out)
+    trainer = parse_json(read_text(out / STATE_FILE), source=STATE_FILE).get("trainer", "")
+    words = ["roboxim", "benchmark", card.name, "--scale", card.scale, "--out", out.name]
+    command = shlex.join([*words, *(["--trainer", trainer] if trainer else [])])
+    write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+    write_atomically(out / REPORT_FILE, benchmark_page(card, command=command))
+    return card
+
+
+def stored_benchmark_card(path: Path) -> BenchmarkCard:
+    """Return the checked card of a file.
+
+    Raises:
+        ConfigError: When it is no benchmark's card, or was changed.
+    """
+    return check_benchmark_card(parse_json(read_text(path), source=str(path)), source=str(path))

@@ -1,0 +1,314 @@
+"""An experiment's folder after its run: report, comparison, pack, benchmark. Results are planted, not simulated."""
+
+import json
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from roboxim_bringup.experiment_card import collect_card, evaluation_folder
+from roboxim_bringup.experiment_files import checked_design
+from roboxim_bringup.runs import benchmark, experiment_pack, sequential
+from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark, stored_benchmark_card
+from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult
+from roboxim_bringup.runs.experiment import ExperimentResult
+from roboxim_bringup.runs.experiment_models import compared
+from roboxim_bringup.runs.experiment_pack import pack, packed_files, unpack
+from roboxim_bringup.runs.experiment_report import (
+    ExperimentFolder,
+    experiment_episodes,
+    folder_card,
+    write_card,
+    write_experiment_report,
+)
+from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.results_log import ResultsLog
+from roboxim_core.config import parse_yaml, to_plain
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import experiment_config, stages_of
+from roboxim_tasks.config import task_mix
+
+TEXT = """
+about: Do policies combine a skill and an object that they never saw together?
+factors: {task: [pick_up, place_on], target: [cube, soda_can]}
+dimensions: {task: skill, target: object}
+unseen: [{task: pick_up, target: cube}, {task: place_on, target: soda_can}]
+set: {distractors: {minimum: 0, maximum: 0}}
+datasets:
+  leave_out: {cells: seen, per_cell: 3}
+  baseline: {cells: all, per_cell: 2}
+conditions:
+  leave_out: {train: leave_out}
+  baseline: {train: baseline}
+  blind: {checkpoint_of: leave_out, instruction: ""}
+trainers:
+  mine: {command: "train {dataset} {out} {seed}", policy: bc, steps: 7}
+evaluate: {per_cell: 20, cells: {blind: unseen}}
+replicates: {count: 3}
+compare:
+  - {first: leave_out, second: baseline, where: unseen, primary: true}
+image_size: 64x64
+"""
+RATES = {"leave_out": 0.4, "baseline": 0.9, "blind": 0.0}
+
+
+def planted_folder(out, rates, text=TEXT):
+    """Write an experiment's folder with results: scene k of a cell is solved if its number is below the rate."""
+    config = experiment_config(parse_yaml(text), source="mine.yaml")
+    design = checked_design("mine", config)
+    out.mkdir(parents=True)
+    state = {"experiment": "mine.yaml", "scale": "full", "config": to_plain(config), "stages": {}}
+    (out / "experiment.json").write_text(json.dumps(state))
+    log = ResultsLog(out / "stages.jsonl")
+    for stage in stages_of(design):
+        log.append("key", {"stage": stage.name, "wall_s": 1.0, "sha256": f"hash of {stage.name}"})
+        if stage.kind == "train":
+            (out / stage.name).mkdir(parents=True)
+            (out / stage.name / "checkpoint.npz").write_text(stage.name)
+        if stage.kind != "evaluate":
+            continue
+        condition = stage.name.removeprefix("evaluate/").partition(".")[0]
+        mix = task_mix(stage.inputs["mix"])
+        folder = evaluation_folder(out, stage.name)
+        folder.mkdir(parents=True)
+        with RunFolder(folder).opened({"command": "evaluate"}) as run:
+            for index in range(stage.inputs["episodes"]):
+                number = int(mix.drawn(index)["cell_number"])
+                won = number < 20 * rates[condition]
+                run.append(EpisodeResult(
+                    episode_id=f"eval-{index}", index=index, outcome="success" if won else "failure",
+                    reason="" if won else "not_lifted", instruction="Pick it up",
+                ))  # fmt: skip
+    return ExperimentFolder.of(out)
+
+
+def test_a_folder_receives_a_card_and_a_page(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    card = folder_card(folder)
+    assert card.verdicts[0].sentence.startswith("leave_out in unseen cells is lower than baseline there by 50 points")
+    assert card.scores["relative"][0] == pytest.approx(0.4 / 0.9)
+    assert card.datasets["leave_out.0"].sha256 == "hash of export/leave_out.0"
+    assert card.trainings[0].checkpoint_sha256 == "hash of train/leave_out.0"
+    assert card.trainings[0].attest.recipe == {"steps": 7, "command": "train {dataset} {out} {seed}"}
+    assert folder_card(folder) == card, "a stored card is checked, not written again"
+    page = write_experiment_report(folder, card).read_text()
+    assert card.verdicts[0].sentence in page
+    assert "roboxim experiment run mine --scale full --out run" in page
+    episodes = experiment_episodes(folder)
+    assert len(episodes) == 3 * (80 + 80 + 40)
+    assert {e.cell for e in episodes if e.arm == "blind"} == {"pick_up target=cube", "place_on target=soda_can"}
+
+
+def test_results_that_changed_after_the_card_are_refused(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    folder_card(folder)
+    results = evaluation_folder(folder.path, "evaluate/baseline.1") / "results.jsonl"
+    results.write_text(results.read_text().replace('"outcome":"failure"', '"outcome":"success"', 1))
+    with pytest.raises(ConfigError, match=r"results of evaluate/baseline.1 have changed since card.json"):
+        folder_card(ExperimentFolder.of(folder.path))
+    with pytest.raises(ConfigError, match="not the folder of an experiment"):
+        ExperimentFolder.of(tmp_path)
+
+
+def test_attestations_are_stated_and_wrong_ones_refused(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    attest = tmp_path / "run/attest.yaml"
+    attest.write_text(
+        "recipe: {model: octo}\npretraining: octo-small-1.5\nexposure: unknown\n"
+        "trainings: {baseline: {recipe: {steps: 3}}, leave_out.1: {exposure: 'yes'}}\n"
+    )
+    card = folder_card(folder)
+    assert card.trainings[0].attest.recipe == {"steps": 7, "model": "octo"}
+    assert any(
+        "Recipes of leave_out and baseline differ in more than the dataset: steps 7 and 3" in w for w in card.warnings
+    )
+    assert any("pre-training of leave_out contained held-out combinations" in w for w in card.warnings)
+    assert "octo-small-1.5" in write_experiment_report(folder, card).read_text()
+    for text, said in (
+        ("exposure: perhaps", "unknown 'perhaps'"),
+        ("trainings: {leave_out.0: {dataset_sha256: abc}}", "used a dataset with hash abc, not the one"),
+    ):
+        attest.write_text(text)
+        (tmp_path / "run/card.json").unlink(missing_ok=True)
+        with pytest.raises(ConfigError, match=said):
+            folder_card(ExperimentFolder.of(tmp_path / "run"))
+
+
+def test_stored_proofs_and_substitutions_are_part_of_the_card(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    (folder.path / "proofs.json").write_text(json.dumps({"camera pose": [599, 600]}))
+    judged = [{"cell": "pick_up target=cube", "satisfied": ["place_on target=cube"]}] * 9
+    (folder.path / "judged_again.json").write_text(json.dumps([*judged, {"cell": "place_on target=soda_can"}]))
+    card = folder_card(folder)
+    assert card.proofs == {"camera pose": (599, 600)}
+    assert card.scores["substitution"]["rate"][0] == pytest.approx(0.9)
+    page = write_experiment_report(folder, card).read_text()
+    assert "Delivery is not proved for 1 of 600 episodes: camera pose." in page
+    assert "<td>pick_up target=cube</td><td>place_on target=cube</td>" in page
+
+
+def test_a_pack_survives_the_loss_of_its_machine(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    card = folder_card(folder)
+    bag = evaluation_folder(folder.path, "evaluate/baseline.1") / "episodes/eval-0/eval-0_0.mcap"
+    dataset = folder.path / "export/leave_out.0/train.tfrecord"
+    for heavy in (bag, dataset, folder.path / "generate/0/episodes/a/a_0.mcap"):
+        heavy.parent.mkdir(parents=True)
+        heavy.write_bytes(b"0" * 1000)
+    names = {file.relative_to(folder.path).as_posix() for file in packed_files(folder.path)}
+    assert {"card.json", "experiment.json", "stages.jsonl", "train/baseline.2/checkpoint.npz"} <= names
+    assert "evaluate/blind.0/blind/results.jsonl" in names
+    assert not any(name.endswith((".mcap", ".tfrecord", ".lock")) for name in names)
+    packed = pack(folder.path, tmp_path / "run.tar.gz")
+    assert packed.files == len(names)
+    found = unpack(packed.path, tmp_path / "again")
+    assert found.files == packed.files
+    again = ExperimentFolder.of(tmp_path / "again")
+    assert folder_card(again) == card
+    assert card.verdicts[0].sentence in write_experiment_report(again, card).read_text()
+    with pytest.raises(ConfigError, match="is not empty"):
+        unpack(packed.path, tmp_path / "again")
+    with pytest.raises(ConfigError, match="exists; remove it"):
+        pack(folder.path, packed.path)
+
+
+def test_packs_that_are_too_large_or_damaged_are_refused(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    with pytest.raises(ConfigError, match=r"more than 0 MB; its largest files: .*results.jsonl"):
+        pack(folder.path, tmp_path / "small.tar.gz", most_bytes=1000)
+    assert list(tmp_path.glob("*small*")) == [], "nothing is left"
+    packed = pack(folder.path, tmp_path / "run.tar.gz").path
+    packed.write_bytes(packed.read_bytes()[:-200])
+    with pytest.raises(ConfigError, match="is no whole pack"):
+        unpack(packed, tmp_path / "torn")
+    with pytest.raises(ConfigError, match="not the folder of an experiment or a benchmark"):
+        pack(tmp_path, tmp_path / "none.tar.gz")
+    evil = tmp_path / "evil.tar.gz"
+    (tmp_path / "pack.json").write_text(json.dumps({"files": {"../outside": "0"}}))
+    with tarfile.open(evil, "w:gz") as archive:
+        archive.add(tmp_path / "pack.json", arcname=experiment_pack.MANIFEST)
+    with pytest.raises(ConfigError, match="'../outside' leaves its folder"):
+        unpack(evil, tmp_path / "evil")
+
+
+def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
+    one = TEXT.replace("count: 3", "count: 1")
+    planted_folder(tmp_path / "weak", {**RATES, "leave_out": 0.2}, one)
+    planted_folder(tmp_path / "strong", {**RATES, "leave_out": 0.9}, one)
+    models, cards = compared([tmp_path / "weak", tmp_path / "strong"])
+    assert set(cards) == {"weak", "strong"}
+    assert models.pairs[0].test == "these checkpoints, on 40 scenes that both met"
+    assert models.models["strong"].letters != models.models["weak"].letters
+    card = tmp_path / "card.json"
+    card.write_text((tmp_path / "weak/card.json").read_text())
+    models, _ = compared([card, tmp_path / "strong"])
+    assert models.pairs[0].test == "these checkpoints, on different scenes", "a card alone has no scenes"
+    with pytest.raises(ConfigError, match="two of the runs are named 'weak'"):
+        compared([tmp_path / "weak", tmp_path / "weak"])
+
+
+# ------------------------------------------------------------------ benchmark
+
+
+@pytest.fixture
+def planted_benchmark(tmp_path, monkeypatch):
+    """Replace the runs of experiments by planted ones; return the calls."""
+    calls = []
+
+    def run_experiment(config, **_):
+        calls.append(config)
+        folder = planted_folder(Path(config.out), RATES) if not Path(config.out).exists() else None
+        if folder is not None:
+            write_card(collect_card("mine", "full", folder.design, folder.path), folder.path)
+        card = folder_card(ExperimentFolder.of(Path(config.out)))
+        return ExperimentResult(out=Path(config.out), finished=(), missing=(), card=card)
+
+    monkeypatch.setattr(benchmark, "run_experiment", run_experiment)
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "about: All of it?\nexperiments: [one, two]\nscales: {night: {replicates: {count: 3}}}\n"
+        "reference: {name: Another model, dimensions: {object: {absolute: 0.21, relative: 0.76}}}\n"
+    )
+    return file, calls
+
+
+def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_path):
+    file, calls = planted_benchmark
+    config = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out")
+    result = run_benchmark(config)
+    assert [call.experiment for call in calls] == ["one", "two"]
+    assert calls[0].changes == {"scales": {"night": {"replicates": {"count": 3}}}}
+    assert result.card.dimensions["object"].absolute == pytest.approx(0.4)
+    assert result.card.dimensions["object"].relative == pytest.approx(0.4 / 0.9)
+    assert stored_benchmark_card(tmp_path / "out/card.json") == result.card
+    page = (tmp_path / "out/report.html").read_text()
+    assert result.card.sentences[0] in page
+    assert "Another model" in page
+    assert "76 %" in page
+    assert run_benchmark(config).card.sha256 == result.card.sha256
+    with pytest.raises(ConfigError, match="scale 'night', not 'full'"):
+        run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "out"))
+    assert pack(tmp_path / "out", tmp_path / "all.tar.gz").files > 20
+
+
+def test_policies_of_a_benchmark_are_named_with_their_experiment(planted_benchmark, tmp_path):
+    from roboxim_bringup.runs.policies import PolicySpec
+
+    file, calls = planted_benchmark
+    policies = {"one.leave_out.0": PolicySpec(spec="random"), "two.leave_out": PolicySpec(spec="zero")}
+    run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "out", policies=policies))
+    assert list(calls[0].policies) == ["leave_out.0"]
+    assert calls[1].policies["leave_out"].spec == "zero"
+    wrong = {"three.leave_out": PolicySpec(spec="zero")}
+    with pytest.raises(ConfigError, match="expected EXPERIMENT.CONDITION"):
+        run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "wrong", policies=wrong))
+
+
+# ------------------------------------------------------------------ stopping early
+
+
+@pytest.fixture
+def planted_evaluations(monkeypatch, tmp_path):
+    """Replace evaluations by planted ones; return the numbers of scenes of the calls, and their reports' notes."""
+    calls = []
+
+    def made(rates):
+        def evaluate(config, **_):
+            calls.append((config.episodes, config.stopped))
+            policies = {}
+            for name, rate in zip(config.policies, rates, strict=True):
+                results = tuple(
+                    EpisodeResult(episode_id=f"{i}", index=i, outcome="success" if i % 10 < 10 * rate else "failure")
+                    for i in range(config.episodes)
+                )
+                policies[name] = PolicyResult(name=name, results=results, folder=tmp_path)
+            return EvaluationResult(policies=policies, report=tmp_path / "r.html", comparison="", privileged=())
+
+        monkeypatch.setattr(sequential, "evaluate", evaluate)
+        return calls
+
+    return made
+
+
+def test_an_evaluation_stops_when_two_policies_differ(planted_evaluations):
+    calls = planted_evaluations((0.9, 0.2))
+    config = EvaluationConfig(policies=["good", "bad"], episodes=200)
+    found = sequential.evaluate_sequentially(config, 4)
+    assert found.decided
+    assert "Planned: at most 200 scenes, looks after 50, 100, 150, 200." in found.sentence
+    assert "Stopped after 50: this checkpoint of good is better than this one of bad" in found.sentence
+    assert [episodes for episodes, _ in calls] == [50, 50]
+    assert calls[-1][1] == found.sentence, "the report states it"
+
+
+def test_an_evaluation_of_equal_policies_uses_all_scenes(planted_evaluations):
+    calls = planted_evaluations((0.5, 0.5))
+    found = sequential.evaluate_sequentially(EvaluationConfig(policies=["a", "b"], episodes=90), 3)
+    assert not found.decided
+    assert "cannot tell which is better" in found.sentence
+    assert [episodes for episodes, _ in calls][:3] == [30, 60, 90]
+    with pytest.raises(ConfigError, match="exactly two"):
+        sequential.evaluate_sequentially(EvaluationConfig(policies=["a"], episodes=90), 3)
+    with pytest.raises(ConfigError, match="looks must be from 2"):
+        sequential.evaluate_sequentially(EvaluationConfig(policies=["a", "b"], episodes=90), 91)
