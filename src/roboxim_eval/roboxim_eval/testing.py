@@ -92,3 +92,46 @@ def _judged(design: Design, won: Won, instead: Mapping[str, str]) -> Iterator[Ju
         if primary is not None and condition == primary.first and cell in {c.key for c in design.cells if c.unseen}:
             for _ in range(int((~outcomes).sum())):
                 yield JudgedAgain(cell=cell, satisfied=(instead[cell],) if instead.get(cell) else ())
+
+
+def planted_policies() -> dict[str, Card]:
+    """Return the cards of the planted policies that the documentation quotes, by what is planted."""
+    design, worded = shipped(), shipped("skill_object_worded")
+    unseen = [cell.key for cell in design.cells if cell.unseen]
+    instead = {key: f"{'rotate' if 'pick_up' in key else 'pick_up'} {key.partition(' ')[2]}" for key in unseen}
+
+    def by(unseen: Mapping[str, float], seen: Mapping[str, float]) -> Callable[[str, Cell], float]:
+        return lambda condition, cell: (unseen if cell.unseen else seen)[condition]
+
+    good = {"leave_out": 0.85, "baseline": 0.85}
+    return {
+        "combines": planted_card(design, by({**good, "blind": 0.05}, good)),
+        "memorises pairs": planted_card(
+            design, by({"leave_out": 0.02, "baseline": 0.8, "blind": 0.01}, good), instead=instead
+        ),
+        "ignores words, the scene suffices": planted_card(design, by({**good, "blind": 0.85}, good), seed=1),
+        "ignores words, words are needed": planted_card(
+            worded, by({"leave_out": 0.15, "baseline": 0.7, "blind": 0.15}, {"leave_out": 0.15, "baseline": 0.7})
+        ),
+        "baseline of 3 in 120": planted_card(
+            design, by({"leave_out": 0.025, "baseline": 0.025, "blind": 0.025}, good), seed=4
+        ),
+        "shorter recipe of the baseline": planted_card(
+            design, by({"leave_out": 0.5, "baseline": 0.5, "blind": 0.05}, {"leave_out": 0.85, "baseline": 0.6}),
+            steps={"baseline": 4000},
+        ),
+        "as the thesis, 0.19 against 0.264": planted_card(
+            design, by({"leave_out": 0.19, "baseline": 0.264, "blind": 0.02}, {"leave_out": 0.7, "baseline": 0.7}),
+            seed=2, spread=0.046,
+        ),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    for name, card in planted_policies().items():
+        scores = card.scores or {}
+        print(f"{name}\n  {card.verdicts[0].sentence}")  # noqa: T201
+        for key in ("relative", "relative_refused", "words", "substitution"):
+            print(f"  {key}: {scores.get(key)}")  # noqa: T201
+        for warning in card.warnings:
+            print(f"  warning: {warning}")  # noqa: T201

@@ -81,6 +81,7 @@ def test_a_policy_that_ignores_words_needs_an_experiment_with_words():
     assert low < 0 < high
     assert abs(value) < 0.06
     assert chance.verdicts[0].kind == "lower"
+    assert chance.warnings[0].startswith("The leave-out condition is not shown to use its words in held-out cells")
 
 
 def test_a_baseline_with_3_of_120_has_no_ratio_but_a_gap():
@@ -89,6 +90,7 @@ def test_a_baseline_with_3_of_120_has_no_ratio_but_a_gap():
     assert weak.scores["relative"] is None
     assert "a ratio to it means nothing" in weak.scores["relative_refused"]
     assert weak.scores["gap"][1] < 0 < weak.scores["gap"][2]
+    assert "to be as good as a baseline that fails is no success" in weak.warnings[0]
 
 
 def test_a_shorter_recipe_of_the_baseline_is_flagged_and_its_competence_differs():

@@ -50,7 +50,8 @@ def conforms(data, schema, root, path="card"):
         if parts and len(data) != len(parts):
             return f"{path} has {len(data)} items"
         faults = [
-            conforms(one, parts[i] if parts else schema.get("items", {}), root, f"{path}.{i}") for i, one in enumerate(data)
+            conforms(one, parts[i] if parts else schema.get("items", {}), root, f"{path}.{i}")
+            for i, one in enumerate(data)
         ]
     else:
         faults = []

@@ -49,7 +49,7 @@ def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     if condition not in config.conditions:
         return []
     results = results_of(folder.design, folder.path)
-    found = []
+    found: list[Wins] = []
     for replicate in range(config.replicates.count):
         rows = results[stage_name(condition, replicate)].items()
         found.append({(cell, str(number)): result.outcome == "success" for (cell, number), result in rows})

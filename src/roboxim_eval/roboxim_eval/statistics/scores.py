@@ -164,28 +164,46 @@ def scores(
     competence = None
     if seen:
         competence = condition_difference(leave_out.within(seen), baseline.within(seen))
+    gap = condition_difference(s, u, pairs)
     return Scores(
         absolute=condition_rate(u),
         baseline=condition_rate(s),
-        gap=condition_difference(s, u, pairs),
+        gap=gap,
         relative=relative_score(u, s, b, refuse_below=refuse_below),
         words=words,
         competence=competence,
         substitution=None if failed is None else substitutions(failed),
-        warnings=tuple(_warnings(condition_rate(u).low >= refuse_below, words, competence)),
+        warnings=(
+            *_weak_baseline(condition_rate(s), refuse_below),
+            *_wordless(condition_rate(u).low >= refuse_below, words, gap),
+            *_unequal(competence),
+        ),
     )
 
 
-def _warnings(
-    succeeds: bool, words: ConditionDifference | None, competence: ConditionDifference | None
-) -> Iterable[str]:
+def _weak_baseline(baseline: Interval, refuse_below: float) -> Iterable[str]:
+    if baseline.high < 2 * refuse_below:
+        yield (
+            f"The baseline succeeds in {100 * baseline.value:.0f} % ({100 * baseline.low:.0f} to "
+            f"{100 * baseline.high:.0f} %) of the held-out episodes: to be as good as a baseline that fails is no "
+            "success."
+        )
+
+
+def _wordless(succeeds: bool, words: ConditionDifference | None, gap: ConditionDifference) -> Iterable[str]:
+    """Yield what speaks against an influence of the words: no blind policy, or one that is as good."""
     if words is None:
         yield "No policy without words was evaluated, so the scene alone may explain the success."
     elif succeeds and words.replicates >= LEAST_REPLICATES and not words.interval().low > 0:
-        yield (
-            "This experiment needs no words here: without the instruction the same checkpoints are not shown to be "
-            f"worse ({_points(words.interval())})."
-        )
+        alike = f"without the instruction the same checkpoints are not shown to be worse ({_points(words.interval())})"
+        if gap.interval().low > 0:
+            yield f"The leave-out condition is not shown to use its words in held-out cells: {alike}."
+        else:
+            yield f"This experiment needs no words here: {alike}."
+
+
+def _unequal(competence: ConditionDifference | None) -> Iterable[str]:
+    """Yield that the conditions differ in cells that both have seen."""
     if competence is not None and competence.replicates >= LEAST_REPLICATES and competence.p_value <= 0.05:
         better = "the leave-out condition" if competence.value > 0 else "the baseline"
         yield (
