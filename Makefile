@@ -17,8 +17,8 @@ setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... ch
 demo: setup ## run the main job: generate, record, export, train, evaluate; ARGS="..." adds options
 	@$(BIN)/roboxim demo $(ARGS)
 
-test: setup ## run the default tests (all but those marked slow or gpu); ARGS="-k name" adds options
-	$(BIN)/pytest $(ARGS)
+test: setup ## run the default tests (all but those marked slow or gpu), one process a core; ARGS="-k name" adds options
+	$(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile $(ARGS)
 
 test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)
