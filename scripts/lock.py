@@ -23,6 +23,10 @@ UNUSED_BY_VERIFICATION = (
 """Prefixes of packages that lerobot or robomimic require but that reading a dataset does not import: NVIDIA's
 libraries of 2.5 GB (see `scripts/torch_on_cpu.py`), input devices, viewers. torchcodec needs a system's FFmpeg."""
 
+UNUSED_BY_RT1 = ("pygame", "tensorflow==")
+"""Prefixes of packages that tf-agents and tensorflow-text require but that a policy does not import: games, and the
+package tensorflow, whose place tensorflow-cpu takes."""
+
 
 def build_requirements() -> list[str]:
     """Return the build requirements of the compiled distributions."""
@@ -69,8 +73,9 @@ def main() -> None:
     lock("dev", [], "pyproject.toml", "--group", "dev", *ours, *upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
-    for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo"):
+    for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo", "policy-octo"):
         lock(name, group(name), *upgrade)
+    lock("policy-rt1", group("policy-rt1"), *upgrade, without=UNUSED_BY_RT1)
     for name in ("verify-lerobot", "verify-lerobot-2"):
         lock(name, group(name), *upgrade, without=UNUSED_BY_VERIFICATION)
 

@@ -50,7 +50,7 @@ def misfits(wire: str, metadata: Metadata, convention: Convention) -> list[str]:
 
 
 def _openpi(metadata: Metadata, convention: Convention) -> list[str]:
-    return _roboarena(metadata, convention) + _starvla(metadata, convention)
+    return _roboarena(metadata, convention) + _starvla(metadata, convention) + _stand_alone(metadata, convention)
 
 
 def _own(declared: Any, convention: Convention) -> list[str]:
@@ -98,6 +98,31 @@ def _starvla(metadata: Metadata, convention: Convention) -> list[str]:
         )
     if metadata.get("state_keys") and not convention.states:
         found.append("it needs a state, the convention sends none")
+    return found
+
+
+def _stand_alone(metadata: Metadata, convention: Convention) -> list[str]:
+    """Check what RoboXim's stand-alone servers (of Octo, RT-1-X) declare."""
+    inputs = metadata.get("inputs")
+    if "model_server" not in metadata or not isinstance(inputs, dict):
+        return []
+    found = []
+    for image in convention.images:
+        size = inputs.get(image.key)
+        if size is None:
+            found.append(f"it takes the pictures {', '.join(sorted(inputs))}, the convention sends '{image.key}'")
+        elif isinstance(size, list) and size[:2] != [image.height, image.width]:
+            found.append(
+                f"its '{image.key}' is {size[1]} x {size[0]} px, the convention's {image.width} x {image.height} px"
+            )
+    window = metadata.get("window")
+    if isinstance(window, int) and convention.window > window:
+        found.append(f"it takes {window} frames at most, the convention sends {convention.window}")
+    datasets, key = metadata.get("unnorm_keys"), convention.extras.get("unnorm_key")
+    if isinstance(datasets, list) and key is not None and key not in datasets:
+        found.append(
+            f"it has no statistics of '{key}' to un-normalise with, only those of {', '.join(map(str, datasets))}"
+        )
     return found
 
 

@@ -57,9 +57,10 @@ SOFT = {  # the steady motion of robosuite's arm, see the test below
     (0, 0, 0, 0, -1, 0): (0, 0, 0, 0, -0.13275, 0),
     (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.13275),
 }
+OCTO = ["octo_bridge", "octo_fractal", "octo_two_cameras"]
 MOTIONS = {
     **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], OSC),
-    **dict.fromkeys(["bridge", "fractal", "octo_bridge", "octo_fractal", "roboxim", "rt1_fractal"], METRES),
+    **dict.fromkeys(["bridge", "fractal", *OCTO, "roboxim", "rt1_fractal"], METRES),
     "rt1_widowx": RT1,
     "libero_soft": SOFT,
 }
@@ -74,7 +75,7 @@ GRIPPERS = {  # number to opening, 1 = open
     "libero_soft": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     "vla_eval_libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     **dict.fromkeys(["oft_libero", "openvla_libero", "groot_libero"], {1.0: 1, 0.0: 0, 0.6: 1, 0.4: 0}),
-    **dict.fromkeys(["bridge", "octo_bridge"], {1.0: 1, 0.0: 0, 0.51: 1, 0.49: 0, 1.3: 1, -0.2: 0}),
+    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras"], {1.0: 1, 0.0: 0, 0.51: 1, 0.49: 0, 1.3: 1, -0.2: 0}),
     **dict.fromkeys(
         ["droid_velocity", "droid_position", "roboarena_joint_velocity", "roboarena_joint_position"],
         {0.0: 1, 1.0: 0, 0.49: 1, 0.51: 0},
@@ -85,14 +86,14 @@ GRIPPERS = {  # number to opening, 1 = open
 }
 RATES = {
     **dict.fromkeys(["libero", "libero_soft", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
-    **dict.fromkeys(["bridge", "octo_bridge"], 5),
+    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras"], 5),
     **dict.fromkeys(["fractal", "octo_fractal", "rt1_widowx", "rt1_fractal"], 3),
     **dict.fromkeys(JOINT_MOTIONS, 15),
     "roboxim": 0,
 }
 BASES = {  # what a delta is added to
     **dict.fromkeys(MOTIONS, "measured"),
-    **dict.fromkeys(["bridge", "octo_bridge", "rt1_widowx", "roboxim", "libero_soft"], "commanded"),
+    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras", "rt1_widowx", "roboxim", "libero_soft"], "commanded"),
 }
 
 
@@ -291,9 +292,11 @@ KEYS = {
     },
     "bridge": {"image", "instruction", "unnorm_key"},
     "fractal": {"image", "instruction", "unnorm_key"},
-    "octo_bridge": {"image_primary", "timestep_pad_mask", "prompt"},
-    "octo_fractal": {"image_primary", "timestep_pad_mask", "prompt"},
-    "rt1_widowx": {"image", "timestep_pad_mask", "prompt"},
+    **dict.fromkeys(
+        ["octo_bridge", "octo_fractal"], {"image_primary", "timestep_pad_mask", "prompt", "unnorm_key"}
+    ),
+    "octo_two_cameras": {"image_primary", "image_wrist", "timestep_pad_mask", "prompt", "unnorm_key"},
+    "rt1_widowx": {"image", "prompt"},
 }  # fmt: skip
 KEYS["droid_position"], KEYS["roboarena_joint_position"] = KEYS["droid_velocity"], KEYS["roboarena_joint_velocity"]
 KEYS["rt1_fractal"] = KEYS["rt1_widowx"]
@@ -302,7 +305,7 @@ SIZES = {
     **dict.fromkeys(
         ["libero", "libero_soft", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)
     ),
-    **dict.fromkeys(["groot_libero", "vla_eval_libero", "octo_bridge", "octo_fractal", "roboxim"], (256, 256)),
+    **dict.fromkeys(["groot_libero", "vla_eval_libero", *OCTO, "roboxim"], (256, 256)),
     **dict.fromkeys(["rt1_widowx", "rt1_fractal"], (256, 320)),
 }
 
@@ -314,9 +317,11 @@ def test_the_request_has_the_keys_and_sizes_of_the_source_and_upright_pictures(n
     assert set(request) == KEYS[name]
     pictures = [value for value in request.values() if getattr(value, "dtype", None) == np.uint8]
     assert len(pictures) == len(convention.images)
-    for picture in pictures:
+    for key, picture in request.items():
+        if getattr(picture, "dtype", None) != np.uint8:
+            continue
         newest = picture[-1] if convention.window > 1 else picture
-        assert newest.shape == (*SIZES[name], 3)
+        assert newest.shape == (*((128, 128) if key == "image_wrist" else SIZES[name]), 3)
         rows = np.flatnonzero(newest.any(axis=(1, 2)))
         top, bottom = newest[rows[1]].astype(int), newest[rows[-2]].astype(int)
         assert (top[20:-20, 0] > 200).all()  # what is up in the camera is red
@@ -342,9 +347,16 @@ def _still(count):
     return ArmTrack(commanded=poses, measured=poses)
 
 
-@pytest.mark.parametrize("name", ["openvla_libero", "bridge"])
-def test_the_request_names_the_statistics_that_the_server_shall_use(name):
-    expected = {"openvla_libero": "libero_spatial", "bridge": "bridge_orig"}[name]
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("openvla_libero", "libero_spatial"),
+        ("bridge", "bridge_orig"),
+        ("octo_bridge", "bridge_dataset"),
+        ("octo_fractal", "fractal20220817_data"),
+    ],
+)
+def test_the_request_names_the_statistics_that_the_server_shall_use(name, expected):
     assert observed(load_convention(name), proprioception(about_x(pi)))["unnorm_key"] == expected
 
 

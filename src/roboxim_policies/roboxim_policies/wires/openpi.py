@@ -5,7 +5,8 @@ with a traceback. The three dialects differ in the envelope; the metadata tell w
 
 - **openpi**: the request itself; ``{"actions": (n, D)}``. No episodes.
 - **roboarena**: the request with ``endpoint`` and ``session_id``; ``endpoint: reset`` is answered by a text. RoboXim's
-  own server (``roboxim policy serve --wire openpi``) is one of them, and takes the episode's seed as well.
+  own servers (``roboxim policy serve --wire openpi``, those of Octo and RT-1-X) are of this dialect, and take the
+  episode's seed as well.
 - **starvla**: ``{"examples": [{"image": [...], "lang": ...}]}``; ``{"ok", "data": {"actions": (1, n, D)}}``.
 
 Source: Physical-Intelligence/openpi@15a9616a0094, robo-arena/roboarena@6fa329fd1cab, starVLA/starVLA@0ed0aad2c83f.
@@ -157,7 +158,7 @@ class OpenPiWire(Wire):
         if self._dialect != Dialect.ROBOARENA:
             return
         request: dict[str, Any] = {"session_id": self._session, "endpoint": "reset"}
-        if OWN_SERVER in (self._metadata or {}):
+        if OWN_SERVER in (self._metadata or {}) or (self._metadata or {}).get("takes_seed") is True:
             request |= {"prompt": start.instruction, "seed": start.seed}
         connection.send(encode(request), deadline)
         reply = connection.receive(deadline, "answer to the reset")

@@ -1,0 +1,333 @@
+"""Serves a model over openpi's wire, from the model's own environment.
+
+This file imports nothing of RoboXim. It needs numpy, msgpack and websockets, and any Python from 3.10 on. Derive a
+class from `Model` and call `serve`; `octo.py` and `rt1.py` beside it are two examples. On RoboXim's side:
+
+    roboxim policy check --policy openpi --option url=ws://host:8000 --option convention=... --option version=...
+
+The wire: WebSocket, MessagePack. The server speaks first, with a map, its metadata. Each request is one map with one
+reply, ``{"actions": (n, D)}`` or the model's own keys. ``{"endpoint": "reset", "prompt", "seed"}`` begins an episode.
+An error is a text message, after which the connection is closed with code 1011. No pickle is spoken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import queue
+import signal
+import sys
+import threading
+import traceback
+from abc import ABC, abstractmethod
+from concurrent.futures import Future
+from typing import Any
+
+import msgpack
+import numpy as np
+
+MESSAGE_BYTES = 64 * 2**20
+"""Largest message [bytes]."""
+MOST_CONNECTIONS = 32
+"""Largest number of connections at the same time."""
+ITEMS = 10_000
+"""Largest number of items of a list or a map in a request; arrays are bytes."""
+Request = dict  # of arrays, texts and numbers by key
+Reply = dict  # of arrays by key
+
+
+class RequestError(ValueError):
+    """A request that the model cannot answer; the message says why."""
+
+
+class Model(ABC):
+    """A model. All of its methods but `check` are called from one thread."""
+
+    metadata: dict = {}
+    """What the server says of itself. Keep ``needs_session_id``, so that RoboXim announces each episode."""
+    batch: int = 1
+    """Largest number of requests, of different connections, that `act` gets at once."""
+
+    def begin(self, seed: int) -> Any:
+        """Return the state of a session at the start of an episode, e.g. a history or a random key.
+
+        Args:
+            seed: Seed of the episode's own randomness.
+        """
+        return None
+
+    def check(self, request: Request) -> None:  # noqa: B027 - a model that takes everything needs none
+        """Refuse a request that `act` cannot answer; called in the connection's thread, before the batch is made.
+
+        Raises:
+            RequestError: When a part is missing or has another shape.
+        """
+
+    @abstractmethod
+    def act(self, asked: list) -> list:
+        """Return a pair (reply, new state) for each pair (request, state)."""
+
+
+def encode(message: Any) -> bytes:
+    """Encode a message; arrays as maps with the bytes keys of openpi's own packer.
+
+    Raises:
+        TypeError: When a part is neither plain data nor an array of numbers.
+    """
+
+    def default(part: Any) -> Any:
+        if isinstance(part, np.ndarray) and part.dtype.kind in "biuf":
+            return {b"__ndarray__": True, b"data": part.tobytes(), b"dtype": part.dtype.str, b"shape": part.shape}
+        if isinstance(part, np.generic):
+            return part.item()
+        raise TypeError(f"a value of type {type(part).__name__} cannot be sent")
+
+    return msgpack.packb(message, default=default)
+
+
+def decode(data: bytes) -> Any:
+    """Decode a message.
+
+    Raises:
+        RequestError: When an array's parts do not fit each other.
+        ValueError: When the message is damaged.
+    """
+
+    def hook(part: dict) -> Any:
+        if not part.get(b"__ndarray__"):
+            return part
+        kind, shape, content = part.get(b"dtype"), part.get(b"shape"), part.get(b"data")
+        plain = isinstance(kind, str) and isinstance(content, bytes) and isinstance(shape, (list, tuple))
+        if not plain or len(kind) > 4 or len(shape) > 8 or not all(type(n) is int and 0 <= n < 2**31 for n in shape):
+            raise RequestError("an array needs a dtype, a shape and its bytes")
+        dtype, count = np.dtype(kind), 1
+        for length in shape:
+            count *= length
+        if dtype.kind not in "biuf" or count * dtype.itemsize != len(content):
+            raise RequestError(f"an array of shape {list(shape)} and type {kind} does not have {len(content)} bytes")
+        return np.frombuffer(content, dtype).reshape(shape)
+
+    return msgpack.unpackb(
+        data, object_hook=hook, raw=False, strict_map_key=False, max_array_len=ITEMS, max_map_len=ITEMS
+    )
+
+
+def picture_of(request: Request, key: str, frames: int, shape: tuple) -> np.ndarray:
+    """Return the pictures of a camera as uint8 of shape (frames, height, width, 3).
+
+    Args:
+        request: The request.
+        key: Key of the pictures.
+        frames: Largest number of frames; a request may have fewer.
+        shape: Height, width and channels.
+
+    Raises:
+        RequestError: When there are none, or they have another shape.
+    """
+    value = request.get(key)
+    if not isinstance(value, np.ndarray) or value.dtype != np.uint8:
+        raise RequestError(f"the request needs uint8 pictures '{key}'; it has {sorted(map(str, request))}")
+    value = value[None] if value.ndim == 3 else value
+    if value.shape[1:] != tuple(shape) or not 1 <= len(value) <= frames:
+        raise RequestError(
+            f"'{key}' has shape {list(value.shape)}; expected at most {frames} frames of {list(shape)} (height, width, "
+            "channels)"
+        )
+    return value
+
+
+def text_of(request: Request) -> str:
+    """Return a request's instruction.
+
+    Raises:
+        RequestError: When there is none.
+    """
+    text = request.get("prompt")
+    if not isinstance(text, str):
+        raise RequestError(f"the request needs a text 'prompt'; it has {sorted(map(str, request))}")
+    return text
+
+
+class Worker:
+    """The thread of a model. It answers all requests that wait, at most ``model.batch`` at once."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._waiting: queue.Queue = queue.Queue()
+        self._thread = threading.Thread(target=self._run, name="model", daemon=True)
+        self.largest = 0
+        """Largest number of requests that were answered at once."""
+
+    def __enter__(self) -> Worker:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._waiting.put(None)
+        self._thread.join()
+
+    def begin(self, seed: int) -> Any:
+        """Return the state of a session; waits for the model.
+
+        Raises:
+            Exception: What the model raises.
+        """
+        return self._asked("begin", seed)
+
+    def act(self, request: Request, state: Any) -> tuple:
+        """Return the reply and the session's new state; waits for the model.
+
+        Raises:
+            Exception: What the model raises.
+        """
+        return self._asked("act", (request, state))
+
+    def _asked(self, kind: str, value: Any) -> Any:
+        future: Future = Future()
+        self._waiting.put((kind, value, future))
+        return future.result()
+
+    def _run(self) -> None:
+        ended = False
+        while not ended:
+            batch: list = []
+            entry = self._waiting.get()
+            while entry is not None and entry[0] == "act":
+                batch.append(entry[1:])
+                if len(batch) == self._model.batch:
+                    break
+                try:
+                    entry = self._waiting.get_nowait()
+                except queue.Empty:
+                    break
+            self._answer(batch)
+            ended = entry is None
+            if entry is not None and entry[0] == "begin":
+                _resolve(entry[2], lambda seed=entry[1]: self._model.begin(seed))
+
+    def _answer(self, batch: list) -> None:
+        if not batch:
+            return
+        self.largest = max(self.largest, len(batch))
+        try:
+            found = self._model.act([asked for asked, _ in batch])
+        except Exception as error:
+            if len(batch) == 1:
+                batch[0][1].set_exception(error)
+                return
+            for entry in batch:  # one request must not cost the others theirs
+                self._answer([entry])
+            return
+        for (_, future), answer in zip(batch, found, strict=True):
+            future.set_result(answer)
+
+
+def _resolve(future: Future, call: Any) -> None:
+    try:
+        future.set_result(call())
+    except Exception as error:
+        future.set_exception(error)
+
+
+class Server:
+    """A server of one model; a context manager. Each connection has a session of its own."""
+
+    def __init__(self, model: Model, host: str = "127.0.0.1", port: int = 8000, *, quiet: bool = False) -> None:
+        self.model = model
+        self.worker = Worker(model)
+        self.host, self.port = host, port
+        self._quiet = quiet
+        self._places = threading.Semaphore(MOST_CONNECTIONS)
+
+    @property
+    def url(self) -> str:
+        """Address of the server."""
+        return f"ws://{self.host}:{self.port}"
+
+    def __enter__(self) -> Server:
+        """Listen.
+
+        Raises:
+            OSError: When the port is taken.
+        """
+        from websockets.sync.server import serve
+
+        self._server = serve(
+            self._connected, self.host, self.port, compression=None, max_size=MESSAGE_BYTES, ping_interval=None,
+            close_timeout=1.0, origins=[None], process_request=_health,
+        )  # fmt: skip
+        self.port = self._server.socket.getsockname()[1]
+        self.worker.__enter__()
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop listening."""
+        self._server.shutdown()
+        self._thread.join()
+        self.worker.__exit__()
+
+    def _connected(self, connection: Any) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        if not self._places.acquire(blocking=False):
+            connection.close(1013, f"the server has {MOST_CONNECTIONS} connections already")
+            return
+        try:
+            self._talk(connection)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._places.release()
+
+    def _talk(self, connection: Any) -> None:
+        connection.send(encode({"needs_session_id": True, "takes_seed": True, **self.model.metadata}))
+        state, has_begun = None, False
+        for message in connection:
+            try:
+                request = decode(message) if isinstance(message, bytes) else None
+                if not isinstance(request, dict):
+                    raise RequestError("a request must be a binary MessagePack map")
+                if request.get("endpoint") == "reset" or not has_begun:
+                    seed = request.get("seed", 0)
+                    state, has_begun = self.worker.begin(seed if isinstance(seed, int) else 0), True
+                if request.get("endpoint") == "reset":
+                    reply: Any = "reset successful"
+                else:
+                    self.model.check(request)
+                    answer, state = self.worker.act(request, state)
+                    reply = encode(answer)
+            except Exception as error:  # a model may raise anything
+                if not self._quiet:
+                    sys.stderr.write(traceback.format_exc())
+                connection.send(f"{type(error).__name__}: {error}"[:2000])
+                connection.close(1011, "Internal server error. The error is in the previous frame.")
+                return
+            connection.send(reply)
+
+
+def _health(connection: Any, request: Any) -> Any:
+    return connection.respond(200, "OK\n") if request.path == "/healthz" else None
+
+
+def arguments(about: str) -> argparse.ArgumentParser:
+    """Return a parser with the options that all servers have."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen at; whoever connects can use the model")
+    parser.add_argument("--port", type=int, default=8000, help="port to listen at; 0: any (default: 8000)")
+    return parser
+
+
+def serve(model: Model, host: str, port: int) -> int:
+    """Serve until Ctrl-C or SIGTERM, and return the exit code."""
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    try:
+        with Server(model, host, port) as server:
+            print(f"serving at {server.url}", flush=True)
+            ended.wait()
+    except OSError as error:
+        print(f"cannot listen at {host}:{port}: {error}; choose another --port", file=sys.stderr)
+        return 1
+    return 0
