@@ -13,13 +13,9 @@ from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("rclpy")
 
-from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.config_folders import config_names
-from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, EvaluationError, PolicyError
-from roboxim_recorder.bag import BagReader
 
 NAME = "roboxim:roboxim/PickCube-v0"
 
@@ -32,17 +28,10 @@ def env():
 
 
 @pytest.fixture(scope="module")
-def expert(tmp_path_factory):
-    """An expert's bag of the second scene that an evaluation with seed 5 has."""
-    folder = tmp_path_factory.mktemp("expert")
-    config = RunConfig(
-        run_seed=5, purpose="eval", task_config=task_text("pick_cube"), image_width=32, image_height=32,
-        output_dir=str(folder),
-    )  # fmt: skip
-    with CoreGraph(folder) as graph:
-        result = EpisodeRunner(graph.ports, config).run_index(1)
-    assert result.outcome == "success"
-    return result, list(BagReader(folder / result.bag).ticks())
+def expert(expert_bag):
+    """The second scene that an evaluation with seed 5 has."""
+    _, result, ticks = expert_bag(seed=5, index=1, size=32)
+    return result, ticks
 
 
 def test_gymnasiums_checker_finds_nothing(env):

@@ -6,14 +6,10 @@ from vla_eval import api
 from vla_eval.model_servers.predict import PredictModelServer
 
 from roboxim.vla_eval import RoboXimBenchmark
-from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.conventions import load_convention
-from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import InvalidRequestError
 from roboxim_policies.builtin import ReplayPolicy
 from roboxim_policies.serving import policy_server
-from roboxim_recorder.bag import BagReader
 
 
 class Actions(PredictModelServer):
@@ -34,18 +30,10 @@ class Actions(PredictModelServer):
 
 
 @pytest.fixture(scope="module")
-def expert(tmp_path_factory):
-    """The folder of an expert's bag, and its executed actions."""
-    folder = tmp_path_factory.mktemp("expert")
-    config = RunConfig(
-        run_seed=5, purpose="eval", task_config=task_text("pick_cube"), image_width=256, image_height=256,
-        output_dir=str(folder),
-    )  # fmt: skip
-    with CoreGraph(folder) as graph:
-        result = EpisodeRunner(graph.ports, config).run_index(0)
-    assert result.outcome == "success"
-    ticks = list(BagReader(folder / result.bag).ticks(cameras=()))[1 : result.steps + 1]
-    return folder / result.bag, np.array([tick.step.action_executed for tick in ticks], np.float32)
+def expert(expert_bag):
+    """An expert's bag, and its executed actions."""
+    bag, result, ticks = expert_bag(seed=5, size=256)
+    return bag, np.array([tick.step.action_executed for tick in ticks[1 : result.steps + 1]], np.float32)
 
 
 def run(url, tmp_path, episodes=1, **params):

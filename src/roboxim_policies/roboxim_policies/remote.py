@@ -9,9 +9,10 @@ metadata), and its replies to a fixed request (`Probe`).
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -34,10 +35,7 @@ from roboxim_policies.base import POLICIES, BasePolicy
 from roboxim_policies.fitting import misfits
 from roboxim_policies.wires import Metadata, Wire, find_wire
 from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S
-from roboxim_policies.wires.groot import GrootWire
-from roboxim_policies.wires.openpi import OWN_SERVER, OpenPiWire
-from roboxim_policies.wires.openvla import OpenVlaWire
-from roboxim_policies.wires.vla_eval import VlaEvalWire
+from roboxim_policies.wires.openpi import OWN_SERVER
 
 SERVERS_OWN = "server"
 """Name of a convention that the server itself declares; RoboXim's own servers do."""
@@ -350,102 +348,48 @@ def remote_policy(
     return RemotePolicy(made, convention, version=version)
 
 
-@POLICIES.register("openpi")
-def openpi_policy(
-    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
-    key_env: str = "", dialect: str = "", unnorm_key: str = "",
-) -> RemotePolicy:  # fmt: skip
-    """A policy served by openpi, RoboArena, StarVLA, or ``roboxim policy serve --wire openpi``.
+SERVED_BY = {
+    "openpi": "openpi, RoboArena, StarVLA, RoboXim's own of Octo and RT-1-X, or `roboxim policy serve --wire openpi`",
+    "vla_eval": "vla-eval",
+    "openvla": "OpenVLA or OpenVLA-OFT (`POST /act`)",
+    "groot": "Isaac-GR00T, N1.5 to N1.7",
+}
+"""Wire to the servers that speak it. Each is a policy by its wire's name."""
+
+
+def behind(wire: type[Wire], servers: str) -> Callable[..., RemotePolicy]:
+    """Return the factory of policies behind a wire; it takes the wire's arguments beside the convention and version.
 
     Args:
-        url: Address of the server, e.g. ``ws://127.0.0.1:8000``.
-        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
+        wire: The wire's class.
+        servers: The servers that speak it, in words.
+    """
+
+    def make(url: str, convention: str, version: Version, **options: Any) -> RemotePolicy:
+        return RemotePolicy(wire(url, **options), convention, version=version)
+
+    own = inspect.signature(make, eval_str=True)
+    first = [own.parameters[name] for name in ("url", "convention", "version")]
+    more = [part for part in inspect.signature(wire, eval_str=True).parameters.values() if part.name != "url"]
+    if not wire.takes_key:
+        more = [part for part in more if part.name != "key_env"]
+    make.__signature__ = own.replace(parameters=first + more)  # type: ignore[attr-defined]
+    make.__name__ = f"{wire.name()}_policy"
+    make.__doc__ = f"""A policy behind a server of {servers}.
+
+    Args:
+        url: Address of the server, e.g. ``{wire.schemes[0]}://127.0.0.1:{wire.port}``.
+        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``: the server's own.
         version: What the model is.
-        timeout_s: Deadline of an answer [s].
-        reconnect_s: Time in which a refused connection is tried again [s].
-        key_env: Environment variable with the server's key.
-        dialect: ``openpi``, ``roboarena`` or ``starvla``; empty: as the metadata tell.
-        unnorm_key: Dataset whose statistics StarVLA un-normalises with.
+        **options: Arguments of `{wire.__name__}`.
 
     Raises:
         ConfigError: On a wrong argument.
     """
-    made = OpenPiWire(
-        url, timeout_s=timeout_s, reconnect_s=reconnect_s, key_env=key_env, dialect=dialect, unnorm_key=unnorm_key
-    )
-    return RemotePolicy(made, convention, version=version)
+    return make
 
 
-@POLICIES.register("vla_eval")
-def vla_eval_policy(
-    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
-    image_format: str = "raw",
-) -> RemotePolicy:  # fmt: skip
-    """A policy served by a model server of vla-eval.
-
-    Args:
-        url: Address of the server, e.g. ``ws://127.0.0.1:8000``.
-        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
-        version: What the model is.
-        timeout_s: Deadline of an answer [s].
-        reconnect_s: Time in which a refused connection is tried again [s].
-        image_format: How pictures are sent: ``raw`` or ``png``.
-
-    Raises:
-        ConfigError: On a wrong argument.
-    """
-    made = VlaEvalWire(url, timeout_s=timeout_s, reconnect_s=reconnect_s, image_format=image_format)
-    return RemotePolicy(made, convention, version=version)
-
-
-@POLICIES.register("openvla")
-def openvla_policy(
-    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
-    unnorm_key: str = "", double_encoding: bool = False,
-) -> RemotePolicy:  # fmt: skip
-    """A policy served by OpenVLA or OpenVLA-OFT (``POST /act``).
-
-    Args:
-        url: Address of the server, e.g. ``http://127.0.0.1:8000``.
-        convention: A name in ``config/conventions``, or the path of a YAML file.
-        version: What the model is.
-        timeout_s: Deadline of an answer [s].
-        reconnect_s: Time in which a refused connection is tried again [s].
-        unnorm_key: Dataset whose statistics OpenVLA un-normalises with, e.g. ``bridge_orig``.
-        double_encoding: Whether to send JSON within JSON.
-
-    Raises:
-        ConfigError: On a wrong argument.
-    """
-    made = OpenVlaWire(
-        url, timeout_s=timeout_s, reconnect_s=reconnect_s, unnorm_key=unnorm_key, double_encoding=double_encoding
-    )
-    return RemotePolicy(made, convention, version=version)
-
-
-@POLICIES.register("groot")
-def groot_policy(
-    url: str, convention: str, version: Version, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S,
-    key_env: str = "", sim_policy_wrapper: bool = False,
-) -> RemotePolicy:  # fmt: skip
-    """A policy served by Isaac-GR00T, N1.5 to N1.7.
-
-    Args:
-        url: Address of the server, e.g. ``tcp://127.0.0.1:5555``.
-        convention: A name in ``config/conventions``, or the path of a YAML file.
-        version: What the model is.
-        timeout_s: Deadline of an answer [s].
-        reconnect_s: Time in which a refused connection is tried again [s].
-        key_env: Environment variable with the server's token.
-        sim_policy_wrapper: Whether the server runs with ``--use-sim-policy-wrapper``.
-
-    Raises:
-        ConfigError: On a wrong argument.
-    """
-    made = GrootWire(
-        url, timeout_s=timeout_s, reconnect_s=reconnect_s, key_env=key_env, sim_policy_wrapper=sim_policy_wrapper
-    )
-    return RemotePolicy(made, convention, version=version)
-
+for _name, _servers in SERVED_BY.items():
+    POLICIES.register(_name)(behind(find_wire(_name), _servers))
 
 __all__ = ["Probe", "RemotePolicy", "changed_facts", "declared_convention", "probe_from_plain", "probe_window"]

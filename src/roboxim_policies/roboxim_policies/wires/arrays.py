@@ -20,6 +20,8 @@ from roboxim_policies.wires.errors import unreadable
 
 MESSAGE_BYTES = 64 * 2**20
 """Largest message that is sent or received [bytes]: dozens of large pictures."""
+MOST_ROWS = 1_000
+"""Largest number of actions in an answer."""
 AXES = 8
 """Largest number of axes of an array."""
 NPY_HEADER_BYTES = 4096
@@ -112,13 +114,12 @@ def npy_bytes(array: npt.NDArray[Any]) -> bytes:
     return b"".join((_NPY_MAGIC, b"\x01\x00", len(header).to_bytes(2, "little"), header.encode(), array.tobytes()))
 
 
-def rows_of(value: Any, what: str, *, most: int) -> npt.NDArray[np.float64]:
+def rows_of(value: Any, what: str) -> npt.NDArray[np.float64]:
     """Return a server's actions as rows.
 
     Args:
         value: Its answer: an array of shape (n, D), (D,) or (1, n, D), or nested lists of numbers.
         what: What it is, for messages, e.g. ``"actions"``.
-        most: Largest number of rows.
 
     Returns:
         float64, shape (n, D).
@@ -135,8 +136,10 @@ def rows_of(value: Any, what: str, *, most: int) -> npt.NDArray[np.float64]:
     if value.ndim == 3 and value.shape[0] == 1:
         value = value[0]
     rows = np.asarray(value[None] if value.ndim == 1 else value, np.float64)
-    if rows.ndim != 2 or not 1 <= rows.shape[0] <= most or not 1 <= rows.shape[1] <= 256:
-        raise invalid(f"{what} must have shape (n, D) with n from 1 to {most}, or (D,); got {echo(list(value.shape))}")
+    if rows.ndim != 2 or not 1 <= rows.shape[0] <= MOST_ROWS or not 1 <= rows.shape[1] <= 256:
+        raise invalid(
+            f"{what} must have shape (n, D) with n from 1 to {MOST_ROWS}, or (D,); got {echo(list(value.shape))}"
+        )
     if not np.isfinite(rows).all():
         row, column = np.argwhere(~np.isfinite(rows))[0].tolist()
         raise invalid(f"{what} must be finite, got {rows[row, column]} in step {row}, component {column}")

@@ -42,8 +42,6 @@ TIMEOUT_S = 90.0
 RECONNECT_S = 10.0
 """Default time in which a refused connection is tried again [s]."""
 FIRST_PAUSE_S = 0.25
-MOST_ROWS = 1_000
-"""Largest number of actions in an answer."""
 LONGEST_TIMEOUT_S = 3_600.0
 
 

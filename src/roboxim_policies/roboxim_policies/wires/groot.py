@@ -25,7 +25,6 @@ from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, array_from_npy, checked_dtype, npy_bytes, rows_of
 from roboxim_policies.wires.base import (
-    MOST_ROWS,
     RECONNECT_S,
     REFUSED,
     TIMEOUT_S,
@@ -254,7 +253,7 @@ class GrootWire(Wire):
                     f"{self.server} answered without the action '{key}', only with {', '.join(actions)[:300]}"
                 )
             value = value[0] if value.ndim == 3 and value.shape[0] == 1 else value
-            columns[name] = rows_of(value[:, None] if value.ndim == 1 else value, f"action '{key}'", most=MOST_ROWS)
+            columns[name] = rows_of(value[:, None] if value.ndim == 1 else value, f"action '{key}'")
         if len({len(column) for column in columns.values()}) > 1:
             lengths = {name: len(column) for name, column in columns.items()}
             raise invalid(f"{self.server} answered actions of different lengths: {lengths}")

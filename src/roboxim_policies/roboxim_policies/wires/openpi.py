@@ -24,7 +24,6 @@ from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_policies.wires.arrays import array_from, checked_dtype, rows_of
 from roboxim_policies.wires.base import (
-    MOST_ROWS,
     RECONNECT_S,
     TIMEOUT_S,
     WIRES,
@@ -197,7 +196,7 @@ class OpenPiWire(Wire):
         for key in self.action_keys:
             if key not in reply:
                 raise invalid(f"{self.server} answered without '{key}', only with {echo(sorted(map(str, reply)))}")
-            found[key] = rows_of(reply[key], f"'{key}' of {self.server}", most=MOST_ROWS)
+            found[key] = rows_of(reply[key], f"'{key}' of {self.server}")
         return found
 
     def _message(self, deadline: Deadline, what: str) -> Any:

@@ -25,7 +25,7 @@ import numpy as np
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.limits import echo
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, rows_of
-from roboxim_policies.wires.base import MOST_ROWS, RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire
+from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire
 from roboxim_policies.wires.errors import Deadline, died, fault, invalid, quoted, unreadable
 
 
@@ -141,7 +141,7 @@ class OpenVlaWire(Wire):
             if len({row.shape for row in reply}) > 1:
                 raise invalid(f"{what} have different sizes: {echo([list(row.shape) for row in reply])}")
             reply = np.stack(reply)
-        return {"actions": rows_of(reply, what, most=MOST_ROWS)}
+        return {"actions": rows_of(reply, what)}
 
     def _post(self, body: bytes, deadline: Deadline) -> bytes:
         """Send a request, and return the body of the reply, both within the deadline and the bound of a message."""

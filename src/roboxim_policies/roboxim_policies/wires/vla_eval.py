@@ -22,7 +22,6 @@ from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, checked_shape, rows_of
 from roboxim_policies.wires.base import (
-    MOST_ROWS,
     RECONNECT_S,
     TIMEOUT_S,
     WIRES,
@@ -196,7 +195,7 @@ class VlaEvalWire(Wire):
         self._steps = (self._steps or 0) + 1
         if "actions" not in reply:
             raise invalid(f"{self.server} answered without 'actions', only with {echo(sorted(map(str, reply)))}")
-        return {"actions": rows_of(reply["actions"], f"the actions of {self.server}", most=MOST_ROWS)}
+        return {"actions": rows_of(reply["actions"], f"the actions of {self.server}")}
 
     def _send(self, kind: str, payload: dict[str, Any], deadline: Deadline) -> int:
         self._seq += 1

@@ -134,7 +134,7 @@ class WebSocket:
         with contextlib.suppress(OSError, RuntimeError):
             if not self.is_open:
                 self._connection.socket.shutdown(socket.SHUT_RDWR)
-        with contextlib.suppress(Exception):  # a closing handshake that fails has closed as well
+        with contextlib.suppress(OSError):  # a closing handshake that fails has closed as well
             self._connection.close()
 
     def _lost(self, error: Exception) -> PolicyError:
