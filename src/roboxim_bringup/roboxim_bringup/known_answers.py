@@ -101,8 +101,6 @@ def in_convention(convention: Convention, episode: ExpertEpisode) -> Floats:
 def play_expert(convention: Convention, index: int, *, task_config: str = "", seed: int = 0) -> EpisodeResult | None:
     """Let a server play the expert's actions of one episode; return the result of the remote policy.
 
-    Pictures are left out, because they do not matter.
-
     Args:
         convention: The convention.
         index: Index of the episode.
@@ -112,11 +110,28 @@ def play_expert(convention: Convention, index: int, *, task_config: str = "", se
     Returns:
         The result; None: the expert itself does not solve the episode.
     """
-    convention = replace(convention, images=())
     try:
         episode = expert_episode(task_config, rate_hz=convention.rate_hz, seed=seed, index=index, attempts=1)
     except EvaluationError:
         return None
+    return play_episode(convention, episode, index, task_config=task_config, seed=seed)
+
+
+def play_episode(
+    convention: Convention, episode: ExpertEpisode, index: int, *, task_config: str = "", seed: int = 0
+) -> EpisodeResult:
+    """Let a server play an episode of the expert, at the convention's rate; return the result of the remote policy.
+
+    Pictures are left out, because they do not matter.
+
+    Args:
+        convention: The convention.
+        episode: The expert's episode.
+        index: Its index.
+        task_config: Its task as YAML text; empty: the default task.
+        seed: Seed of its run.
+    """
+    convention = replace(convention, images=())
     server = PlayingServer(convention)
     with server.serving(), tempfile.TemporaryDirectory() as folder:
         server.play(in_convention(convention, episode))
