@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from roboxim_core.errors import InvalidRequestError
+from roboxim_core.errors import InvalidRequestError, PolicyError
 from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, array_from_npy, checked_dtype, npy_bytes, rows_of
@@ -118,6 +118,13 @@ def _config(value: Any) -> Any:
     return value
 
 
+def reported(server: str, error: Any) -> PolicyError:
+    """Return the error that a server reported, with what to do about a wrong token."""
+    text = quoted(error)
+    hint = "; pass the server's token with key_env" if "nauthorized" in text else ""
+    return fault(f"{server} reported an error: {text}{hint}")
+
+
 def serialiser_of(reply: bytes) -> Serialiser:
     """Tell a server's serialiser by its reply to ``get_modality_config``.
 
@@ -136,7 +143,7 @@ def serialiser_of(reply: bytes) -> Serialiser:
 
     value = unpack(reply, look)
     if isinstance(value, dict) and "error" in value:
-        raise fault(f"the server reported an error: {quoted(value['error'])}")
+        raise reported("the server", value["error"])
     known = {(CONFIG_MARKERS[0], "str"): N15, (CONFIG_MARKERS[0], "dict"): N16, (CONFIG_MARKERS[1], "dict"): N17}
     if len(found) != 1 or next(iter(found)) not in known:
         raise fault("the server's serialiser is unknown: its modality configuration has none of the known markers")
@@ -264,9 +271,7 @@ class GrootWire(Wire):
         reply = self._connection.exchange(self._message(endpoint, data, self._serialiser), deadline)
         value = self._serialiser.decode(reply)
         if isinstance(value, dict) and "error" in value:
-            text = quoted(value["error"])
-            hint = "; pass the server's token with key_env" if "nauthorized" in text else ""
-            raise fault(f"{self.server} reported an error: {text}{hint}")
+            raise reported(self.server, value["error"])
         return value
 
     def _message(self, endpoint: str, data: Any, serialiser: Serialiser) -> bytes:

@@ -225,7 +225,9 @@ def modality_config(kind: groot.Serialiser) -> dict:
 
 
 @contextlib.contextmanager
-def groot_fake(*behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16) -> Iterator[Fake]:
+def groot_fake(
+    *behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16, token: str = ""
+) -> Iterator[Fake]:
     import zmq
 
     fake = Fake(*behaviours)
@@ -274,7 +276,9 @@ def groot_fake(*behaviours: str, metadata: dict | None = None, kind: groot.Seria
                 continue
             request = kind.decode(server.recv())
             endpoint = request["endpoint"]
-            if endpoint == "get_action":
+            if token and request.get("api_token") != token:
+                server.send(kind.encode({"error": "Unauthorized: Invalid API token"}))
+            elif endpoint == "get_action":
                 behaviour = fake.next(request["data"])
                 if behaviour in ("death", "1011"):
                     server.close(0)

@@ -278,6 +278,17 @@ def test_wrong_token_is_named(made, monkeypatch):
         thread.join()
 
 
+@pytest.mark.parametrize("kind", [groot.N15, groot.N17])
+def test_wrong_token_of_groot_is_named(kind, made, monkeypatch):
+    with groot_fake(kind=kind, token="right") as server:
+        monkeypatch.setenv("MY_KEY", "wrong")
+        with pytest.raises(PolicyError, match="Unauthorized: Invalid API token; pass the server's token") as caught:
+            made("groot", server.url, key_env="MY_KEY").connect()
+        assert caught.value.code == FAULT
+        monkeypatch.setenv("MY_KEY", "right")
+        np.testing.assert_allclose(answer(made("groot", server.url, key_env="MY_KEY")), GOOD)
+
+
 def test_server_with_other_metadata_after_a_restart_is_refused(made):
     metadata = {"model": "a"}
     with openpi_fake("death", metadata=metadata) as server:
