@@ -58,6 +58,8 @@ def blocks() -> Iterator[Block]:
 PYTHON = [block for block in blocks() if block.language.startswith("python")]
 RUN = [block for block in PYTHON if block.language == "python" and not block.text.startswith("# kitchen/")]
 """The worked example has a separate test, test_worked_example.py, which undoes its registrations."""
+SERVERS = Path(__file__).parents[1] / "src/roboxim_policies/servers"
+"""Modules that a user copies into another environment."""
 SHELL = [
     block
     for block in blocks()
@@ -66,7 +68,8 @@ SHELL = [
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)
-def test_python_is_valid_and_its_imports_exist(block: Block) -> None:
+def test_python_is_valid_and_its_imports_exist(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(SERVERS)
     tree = ast.parse(block.text)
     assert block.language in ("python", "python not-run", "python excerpt")
     for node in ast.walk(tree):
