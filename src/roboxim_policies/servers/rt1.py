@@ -105,10 +105,10 @@ class SavedPolicy:
 
 def load_encoder(folder: str) -> Any:
     """Return a function from an instruction to its embedding."""
-    import tensorflow_hub
+    import tensorflow
     import tensorflow_text  # noqa: F401 - registers operations of the encoder's graph
 
-    encoder = tensorflow_hub.load(folder)
+    encoder = tensorflow.saved_model.load(folder)
     return lambda text: np.asarray(encoder([text])[0])
 
 
