@@ -281,6 +281,16 @@ def test_a_harder_cell_is_no_effect_of_a_factor():
     assert effect.p_value > 0.05
 
 
+def test_scenes_of_the_same_number_in_two_cells_are_two_episodes():
+    episodes = [
+        Episode(arm="a", cell=cell, scene=str(i), outcome="success", drawn={"light": f"{cell}{i % 2}"})
+        for cell in ("x", "y")
+        for i in range(4)
+    ]
+    (effect,) = factor_effects([e.trial for e in episodes])
+    assert {level: rate.episodes for level, rate in effect.levels.items()} == {"x0": 2, "x1": 2, "y0": 2, "y1": 2}
+
+
 @pytest.mark.slow
 def test_factors_without_an_effect_are_seldom_found():
     alarms = sum(any(e.adjusted <= 0.05 for e in factor_effects(trials(0.0, seed=s, cells=3))) for s in range(200))

@@ -110,7 +110,10 @@ def test_verdicts_are_sentences():
     assert "at least 3 are needed" in one.sentence
     assert (one.difference.low, one.p_value) == (-math.inf, 1.0)
     assert "within the margin" in said(exactly(0.9, each=2000), exactly(0.95, each=2000)).sentence
-    assert said(exactly(0.4), exactly(0.8), p_value=0.3).kind == "cannot_tell", "Holm's adjustment counts"
+    adjusted = said(exactly(0.4), exactly(0.8), p_value=0.3)
+    assert adjusted.kind == "cannot_tell", "Holm's adjustment counts"
+    assert "p is 0.3 after adjustment for several comparisons" in adjusted.sentence
+    assert "compatible" not in adjusted.sentence, "the interval alone excludes 0"
 
 
 def test_one_checkpoint_says_nothing_about_the_way_to_train():

@@ -53,9 +53,9 @@ class Episode:
     @property
     def trial(self) -> Trial:
         """The episode, as the test of factors sees it."""
+        stratum = f"{self.arm}.{self.replicate} {self.cell}"
         return Trial(
-            episode=f"{self.arm}.{self.replicate}/{self.scene}", stratum=f"{self.arm}.{self.replicate} {self.cell}",
-            success=self.success, drawn=self.drawn,
+            episode=f"{stratum}/{self.scene}", stratum=stratum, success=self.success, drawn=self.drawn
         )  # fmt: skip
 
 

@@ -117,7 +117,7 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
     facts = {
         "cells": f"{len(design.cells)}, {len(held_out)} of them held out{named}",
         "demonstrations": ", ".join(f"{name} {sum(d.by_cell.values())}" for name, d in card.datasets.items())
-        or "none, the policies exist",
+        or ("not stated" if card.trainings else "none, the policies exist"),
         "trainings": replicates if card.trainings else "none",
         "rollouts": f"{sum(n for e in card.evaluations for _, n, _ in e.by_cell.values()):,}",
     }  # fmt: skip

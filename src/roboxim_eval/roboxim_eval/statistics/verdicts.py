@@ -73,10 +73,10 @@ def condition_verdict(
         needed = {None: "", 0: "; more scenes for each training would decide"}.get(
             more, f"; about {more} more trainings each would decide {100 * margin:.0f} points"
         )
-        sentence = (
-            f"Cannot tell whether {first} differs from {second}: {_number(interval.low)} to "
-            f"{_number(interval.high)} points are compatible with {many}{needed}."
-        )
+        unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible with {many}"
+        if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
+            unclear = f"p is {own:.2g} after adjustment for several comparisons, over {many}"
+        sentence = f"Cannot tell whether {first} differs from {second}: {unclear}{needed}."
     return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
 
 

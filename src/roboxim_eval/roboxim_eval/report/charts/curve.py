@@ -63,7 +63,13 @@ def learning_curve(curves: Mapping[str, Sequence[CurvePoint]]) -> Markup:
         parts += [element("circle", cx=px, cy=py, r=3.0, class_=f"spot {colour}") for px, py in mean]
         label = _free(mean[-1][1] + 4, taken)
         parts.append(element("text", name, x=mean[-1][0] + 8, y=label, class_=f"name {colour}"))
-    return drawing(parts, width=WIDTH, height=HEIGHT, label="Learning curve: success rate over training steps")
+    return drawing(
+        parts,
+        width=WIDTH,
+        height=HEIGHT,
+        label="Learning curve: success rate over training steps",
+        class_="chart curve",
+    )
 
 
 def _free(y: float, taken: list[float]) -> float:

@@ -79,9 +79,10 @@ def difference_map(
             return None
         apart = one.successes / one.episodes - two.successes / two.episodes
         sign = "p" if apart > 0 else "m"
-        number = f"{one.successes}/{one.episodes} - {two.successes}/{two.episodes}"
+        number = f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}"
+        each = f"2 x {one.episodes}" if one.episodes == two.episodes else f"{one.episodes}, {two.episodes}"
         return HeatCell(
-            text=f"{round(100 * apart) + 0:+d}", number=number, shade=f"d{sign}{round(SHADES / 2 * abs(apart))}",
+            text=f"{round(100 * apart) + 0:+d}", number=each, shade=f"d{sign}{round(SHADES / 2 * abs(apart))}",
             unseen=cell.unseen, link=link(cell.key),
             title=f"{cell.key}: {number} = {100 * apart:+.0f} points{_held_out(cell)}",
         )  # fmt: skip
