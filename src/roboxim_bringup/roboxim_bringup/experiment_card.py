@@ -2,7 +2,8 @@
 
 What follows from these parts, and the check of a stored card, is in `roboxim_eval.experiments`. Proofs of delivery and
 substitutions are stored by the stages that find them, as ``OUT/proofs.json`` (check to the numbers of episodes that
-passed and that were checked) and ``OUT/judged_again.json`` (a list of ``{cell, satisfied}``).
+passed and that were checked), ``OUT/excluded.json`` (evaluation stage to indices of episodes that are none of their
+cells) and ``OUT/judged_again.json`` (a list of ``{cell, satisfied}``).
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ CARD_FILE = "card.json"
 STAGES_FILE = "stages.jsonl"
 PROOFS_FILE = "proofs.json"
 JUDGED_FILE = "judged_again.json"
+EXCLUDED_FILE = "excluded.json"
 TIMES = ("wall_s", "inference_s")
 """Fields of a result that are not part of its hash."""
 
@@ -55,6 +57,8 @@ def evaluation_folder(out: Path, stage: str) -> Path:
 def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult]]:
     """Return the results of an experiment's evaluations: stage name to scene to result.
 
+    Episodes that are none of their cells by the proofs of delivery (`EXCLUDED_FILE`) are left out.
+
     Args:
         design: The experiment.
         out: Its folder.
@@ -63,6 +67,7 @@ def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult
         ConfigError: When an evaluation is not finished, or its results are damaged.
     """
     found = {}
+    excluded = _excluded(out)
     for stage in stages_of(design):
         if stage.kind == "evaluate":
             folder = evaluation_folder(out, stage.name)
@@ -71,7 +76,18 @@ def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult
                 raise ConfigError(
                     f"{folder} has {len(by_scene)} of {stage.inputs['episodes']} rollouts; run the experiment again"
                 )
-            found[stage.name] = by_scene
+            none = excluded.get(stage.name, ())
+            found[stage.name] = {scene: result for scene, result in by_scene.items() if result.index not in none}
+    return found
+
+
+def _excluded(out: Path) -> dict[str, tuple[int, ...]]:
+    path = out / EXCLUDED_FILE
+    if not path.exists():
+        return {}
+    found: dict[str, tuple[int, ...]] = from_plain(
+        parse_json(read_text(path), source=str(path)), dict[str, tuple[int, ...]], source=str(path)
+    )
     return found
 
 

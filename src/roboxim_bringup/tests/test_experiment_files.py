@@ -23,9 +23,9 @@ from roboxim_eval.experiments import Rates, design_of, scale_names
 from roboxim_tasks.config import load_task_config, task_mix
 
 RATES = Rates(
-    machine="test", measured="2026-01-01", source="test", workers=2, demonstration_s=1.2, demonstration_bytes=1e7,
-    dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0, rollout_bytes=1e7,
-    start_s=10,
+    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
+    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
+    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, evaluate_start_s=10, proof_start_s=5,
 )  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def test_a_plan_says_counts_time_disk_and_power():
     assert "432; datasets: leave_out 324, baseline 324" in text
     assert "[-/18]" in text
     assert "1,440 of 9 policies" in text
-    assert "3.0 h: 10 min demonstrations, 1.2 h trainings, 1.6 h rollouts" in text
+    assert "3.0 h: 11 min demonstrations, 1.2 h trainings, 1.7 h rollouts" in text
     assert "a drop from 80 to 48 % with a chance of 80 % (3 trainings, 120 rollouts each)" in text
     unknown = "\n".join(plan_lines("skill_object", "laptop", design, None))
     assert "roboxim experiment calibrate" in unknown
@@ -131,7 +131,7 @@ def test_the_command_plans_and_lists():
     planned = run.invoke(command, ["plan", "skill_object", "--scale", "laptop", "--json"], catch_exceptions=False)
     data = json.loads(planned.stdout)[0]
     assert (data["demonstrations"]["pick_up target=cube"], data["trainings"], data["rollouts"]) == (18, 6, 1440)
-    assert data["hours"] == pytest.approx(2.98, abs=0.01)
+    assert data["hours"] == pytest.approx(3.035, abs=0.01)
     fitted = run.invoke(
         command, ["plan", "skill_object", "--scale", "laptop", "--budget", "8h"], catch_exceptions=False
     )
@@ -155,11 +155,12 @@ def test_the_benchmark_has_the_three_experiments_and_fits_a_night():
 
 
 def test_rates_are_stored_for_this_machine():
-    assert stored_rates() is None
-    assert store_rates(RATES) == rates_file()
-    assert stored_rates() == RATES
-    rates_file().write_text("{}")
-    assert stored_rates() is None, "those of another version are measured again"
+    assert stored_rates("128x128") is None
+    assert store_rates(RATES) == rates_file("128x128")
+    assert stored_rates("128x128") == RATES
+    assert stored_rates("256x256") is None, "rates hold for one image size"
+    rates_file("128x128").write_text("{}")
+    assert stored_rates("128x128") is None, "those of another version are measured again"
 
 
 def test_durations():

@@ -44,7 +44,8 @@ conditions:
   baseline: {train: baseline}
   blind: {checkpoint_of: leave_out, instruction: ""}
 trainers:
-  bc: {command: "roboxim train bc {dataset} --out {out} --seed {seed} --steps {steps}", policy: bc, steps: 4000}
+  bc: {command: "roboxim train bc {dataset} --out {out} --seed {seed} --steps {steps}", until: "--until {until}",
+    policy: bc, steps: 4000}
 evaluate: {per_cell: 20, cells: {blind: unseen}}
 replicates: {count: 5}
 compare:
@@ -54,9 +55,9 @@ scales:
   smoke: {replicates: {count: 1}, evaluate: {per_cell: 2}, trainers: {bc: {steps: 50}}}
 """
 RATES = Rates(
-    machine="test", measured="2026-01-01", source="test", workers=2, demonstration_s=1.2, demonstration_bytes=1e7,
-    dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0, rollout_bytes=1e7,
-    start_s=10,
+    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
+    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
+    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, evaluate_start_s=10, proof_start_s=5,
 )  # fmt: skip
 
 
@@ -77,7 +78,7 @@ def config(text=TEXT, scale="full", **changes):
         ("train: baseline}", "train: base_line}", ["conditions.baseline.train", "did you mean 'baseline'"]),
         ("checkpoint_of: leave_out", "checkpoint_of: blind", ["conditions.blind.checkpoint_of", "'blind'"]),
         ("{train: leave_out}", "{train: leave_out, given: true}", ["conditions.leave_out", "give one of"]),
-        ("second: baseline,", "second: base,", ["compare.0.second (line 24)", "'base'"]),
+        ("second: baseline,", "second: base,", ["compare.0.second (line 25)", "'base'"]),
         ("cells: seen,", "cells: unknown,", ["datasets.leave_out", "unknown 'unknown'", "seen"]),
         ("per_cell: 27", "per_cells: 27", ["per_cells", "did you mean 'per_cell'"]),
         ("{out}", "{output}", ["trainers.bc", "unknown placeholder 'output'"]),
@@ -188,10 +189,10 @@ def test_a_changed_input_changes_the_stages_behind_it_alone():
         after = {s.name: s.sha for s in stages_of(design_of(config(**changes)))}
         return {name.split("/")[0] for name in before if before[name] != after[name]}
 
-    assert changed(evaluate={"per_cell": 10, "cells": {"blind": "unseen"}}) == {"evaluate"}
+    assert changed(evaluate={"per_cell": 10, "cells": {"blind": "unseen"}}) == {"evaluate", "prove"}
     data = copy.deepcopy(dict(parse_yaml(TEXT)["datasets"]))
     data["baseline"] = {"cells": "all", "per_cell": 12}
-    assert changed(datasets=data) == {"generate", "export", "train", "evaluate"}
+    assert changed(datasets=data) == {"generate", "export", "train", "evaluate", "prove"}
     assert changed(about="Other words") == set()
     names = [s.name for s in stages_of(design_of(config()))]
     for stage in stages_of(design_of(config())):
@@ -205,8 +206,8 @@ def test_the_cost_follows_from_measured_rates():
     design = design_of(config())
     cost = cost_of(design, RATES)
     assert cost.train_s == pytest.approx(10 * (4000 / 5.7 + 10))
-    assert cost.evaluate_s == pytest.approx(1400 * 4.0 + 15 * 10)
-    assert cost.generate_s == pytest.approx(144 * 1.2 + 216 * 0.1 + 3 * 10)
+    assert cost.evaluate_s == pytest.approx(1400 * (4.0 + 0.1) + 15 * 10 + 5 * 5)
+    assert cost.generate_s == pytest.approx(144 * (1.2 + 0.1) + 216 * 0.1 + 10 + 2 * 5)
     assert cost.disk_bytes == pytest.approx((144 + 10 + 1400) * 1e7 + 216 * 1e6)
     assert 0.1 < cost.detectable < 0.3
     away = cost_of(design_of(config(trainers={"external": {}})), RATES)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from roboxim_bringup.named import Named
+
+if TYPE_CHECKING:
+    from roboxim_eval.experiments import ExperimentConfig, Rates
 
 
 @click.group()
@@ -28,7 +31,7 @@ def list_experiments() -> None:
     from roboxim_core.errors import ConfigError
     from roboxim_eval.experiments import cost_of, design_of, scale_names
 
-    rates = stored_rates()
+    measured = False
     broken = []
     click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
     for name in config_names("experiments"):
@@ -36,7 +39,9 @@ def list_experiments() -> None:
             config = load_experiment(name)
             scales = []
             for scale in scale_names(config):
-                design = design_of(load_experiment(name, scale))
+                scaled = load_experiment(name, scale)
+                design, rates = design_of(scaled), stored_rates(scaled.image_size)
+                measured = measured or rates is not None
                 scales.append(scale if rates is None else f"{scale} {hours(cost_of(design, rates).total_s)}")
         except ConfigError as error:
             broken.append(str(error))
@@ -48,7 +53,7 @@ def list_experiments() -> None:
         benchmark = load_benchmark(name)
         click.echo(f"  {name:<30} {benchmark.thesis or '-':<7} {benchmark.about}")
         click.echo(f"  {'':<30} {'':<7} {', '.join(benchmark.experiments)}")
-    if rates is None:
+    if not measured:
         click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
     if broken:
         raise ConfigError("\n".join(broken))
@@ -60,12 +65,16 @@ def list_experiments() -> None:
 @click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
 @click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
 @click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
+@click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
-    name: str, benchmark: str, scale: str, trainer: str, budget: str, write: Path | None, as_json: bool
+    name: str, benchmark: str, scale: str, trainer: str, budget: str, no_probe: bool, write: Path | None, as_json: bool
 ) -> None:  # fmt: skip
-    r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts nothing.
+    r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
+
+    Times come from this machine's last runs. If it has none with this image size, a probe of about a minute measures
+    them.
 
     \b
     roboxim experiment plan skill_object --scale laptop
@@ -89,29 +98,39 @@ def plan(
 
     if bool(name) == bool(benchmark):
         raise ConfigError("name one experiment, or --benchmark NAME")
-    rates = stored_rates()
     configs = (
         benchmark_experiments(load_benchmark(benchmark), scale) if benchmark else {name: load_experiment(name, scale)}
     )
+    by_size: dict[str, Rates | None] = {
+        config.image_size: stored_rates(config.image_size) for config in configs.values()
+    }
+    for key, config in configs.items():
+        if by_size[config.image_size] is None and config.datasets and not no_probe:
+            by_size[config.image_size] = _probe(key, config)
     if budget:
-        if rates is None:
+        if None in by_size.values():
             raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
         seconds = duration_s(budget) / len(configs)
         for key, config in configs.items():
+            rates = by_size[config.image_size]
+            assert rates is not None
             sized = fitted(config, rates, seconds, trainer)
             if sized is None:
                 raise ConfigError(
                     f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
                 )
             configs[key] = sized
+    rates_of = {key: by_size[config.image_size] for key, config in configs.items()}
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
-        click.echo(json.dumps([plan_data(key, scale, design, rates) for key, design in designs.items()], indent=2))
+        plans = [plan_data(key, scale, design, rates_of[key]) for key, design in designs.items()]
+        click.echo(json.dumps(plans, indent=2))
     else:
         for key, design in designs.items():
-            click.echo("\n".join(plan_lines(key, scale, design, rates)))
-        if len(designs) > 1 and rates is not None:
-            costs = [cost_of(design, rates) for design in designs.values()]
+            click.echo("\n".join(plan_lines(key, scale, design, rates_of[key])))
+        known = [(design, rates) for key, design in designs.items() if (rates := rates_of[key]) is not None]
+        if len(designs) > 1 and len(known) == len(designs):
+            costs = [cost_of(design, rates) for design, rates in known]
             disk = sum(cost.disk_bytes for cost in costs) / 1e9
             click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
     if write is not None:
@@ -164,6 +183,9 @@ def run(
     click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
     if result.card is None:
         click.echo(f"missing: {', '.join(result.missing)}")
+        for name in result.waiting:
+            key = name.removeprefix("evaluate/")
+            click.echo(f"{name} waits for a policy that is trained elsewhere: name it with --policy {key}=SPEC")
         return
     for sentence in result.card.sentences:
         click.echo(sentence)
@@ -305,9 +327,10 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     size = parse_size(config.image_size)
     with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
         mix = write_mixes(design, Path(folder))[0].rename(Path(folder) / f"{experiment}.yaml")
+        more: dict[str, Any] = {} if workers is None else {"workers": workers}
         settings = CalibrationConfig(
             mix=mix, size=size if isinstance(size, tuple) else (size, size), episodes=episodes, rollouts=rollouts,
-            steps=steps, **({} if workers is None else {"workers": workers}),
+            steps=steps, **more,
         )  # fmt: skip
         with EventPrinter() as printer:
             rates = calibrate(settings, on_event=printer)
@@ -316,8 +339,34 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     click.echo(f"exports          {rates.export_s:.2f} s, {rates.dataset_bytes / 1e6:.2f} MB each")
     click.echo(f"training         {rates.steps_per_s:.1f} steps a second")
     click.echo(f"rollouts         {rates.rollout_s:.1f} s, {rates.rollout_bytes / 1e6:.1f} MB each")
-    click.echo(f"start of a stage {rates.start_s:.0f} s")
+    click.echo(f"proofs           {rates.proof_s:.2f} s each")
+    click.echo(
+        f"start of a stage {rates.start_s:.0f} s generation, {rates.train_start_s:.0f} s training, "
+        f"{rates.evaluate_start_s:.0f} s evaluation, {rates.proof_start_s:.0f} s proof"
+    )
     click.echo(f"stored in {store_rates(rates)}")
+
+
+def _probe(name: str, config: ExperimentConfig) -> Rates:
+    """Measure this machine for about a minute, and store the rates."""
+    import tempfile
+
+    from roboxim_bringup.experiment_files import checked_design, write_mixes
+    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, store_rates
+
+    size = parse_size(config.image_size)
+    click.echo(f"no rates of this machine for images of {config.image_size}: measuring, about a minute", err=True)
+    with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
+        mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(
+            Path(folder) / f"{Path(name).stem}.yaml"
+        )
+        settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size))
+        with EventPrinter() as printer:
+            rates = calibrate(settings, on_event=printer)
+    store_rates(rates)
+    return rates
 
 
 def duration_s(text: str) -> float:

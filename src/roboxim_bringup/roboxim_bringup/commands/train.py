@@ -25,9 +25,10 @@ def command() -> None:
 @click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's.")
 @click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation.")
 @click.option("--config", type=click.Path(path_type=Path), help="YAML file with BCConfig's fields.")
+@click.option("--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued.")
 @click.option("--limit", type=click.IntRange(0), default=0, help="Largest number of episodes to use; 0: all.")
 def behaviour_cloning(
-    dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, limit: int
+    dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, until: int | None, limit: int
 ) -> None:
     r"""Train a small behaviour-cloning network on a dataset of any format, on CPU.
 
@@ -45,7 +46,7 @@ def behaviour_cloning(
     if seed is not None:
         settings = replace(settings, seed=seed)
     with EventPrinter() as printer:
-        result = train_bc(dataset, out, settings, limit=limit, on_event=printer)
+        result = train_bc(dataset, out, settings, limit=limit, until=until or 0, on_event=printer)
     if result.steps_now:
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:

@@ -1,32 +1,43 @@
-"""Measures this machine's rates for ``roboxim experiment plan``, by a small run of every stage.
+"""Measures this machine's rates for ``roboxim experiment plan``: by a small run of every stage, or from a real run.
 
-The rates are kept in the user's cache folder. Each measurement replaces the one before.
+The rates are kept in the user's cache folder, for each image size. Each measurement replaces the one before.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation
+from roboxim_bringup.runs.delivery import BagJob, DeliveryReader, demands_of
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, ignore
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.proving import Reading
+from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.runs.training import BCConfig, train_bc
-from roboxim_core.config import from_json, to_json
+from roboxim_core.config import from_json, parse_yaml, to_json
 from roboxim_core.documents import read_text
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import Rates
+from roboxim_core.models.library import ModelLibrary
+from roboxim_eval.experiments import Design, Rates
+
+LEAST_START_S = 0.5
+"""Least time of a start, where a measurement is too short to show one [s]."""
+LEAST_EPISODES, LEAST_STEPS = 20, 1000
+"""Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +56,20 @@ class CalibrationConfig:
     """Training steps; the first ones, which compile, are not counted."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
     """Processes that run episodes."""
+    kind: str = "calibration"
+    """What it is, for messages: ``calibration`` or ``probe``."""
+
+    @staticmethod
+    def probe(mix: Path, size: tuple[int, int], workers: int | None = None) -> CalibrationConfig:
+        """Return a measurement that takes about a minute on two free cores.
+
+        Args:
+            mix: Task mix, a YAML file.
+            size: Image size [px].
+            workers: Processes that run episodes; none: 2 or fewer.
+        """
+        more = {} if workers is None else {"workers": workers}
+        return CalibrationConfig(mix=mix, size=size, episodes=6, rollouts=2, steps=40, kind="probe", **more)
 
 
 @dataclass
@@ -99,19 +124,28 @@ def calibrate(
             lambda: export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0), **options)
         )
         watch = _Watch(on_event)
-        trained = train_bc(
-            folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
+        trained, train_s = _timed(
+            lambda: train_bc(
+                folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
+            )
         )
         policy = PolicySpec(spec="bc", options={"checkpoint": str(folder / "bc")})
-        rollouts = evaluate(
-            EvaluationConfig(policies=policy, out=folder / "evaluation", episodes=config.rollouts, **common), **options
+        rollouts, evaluate_s = _timed(
+            lambda: evaluate(
+                EvaluationConfig(policies=policy, out=folder / "evaluation", episodes=config.rollouts, **common),
+                **options,
+            )
         )
+        bags = [str(folder / "demos" / result.bag) for result in demos.kept]
+        proof_s, proof_start_s = _proof_times(bags, config, folder / "logs", options)
         demonstration_s = sum(result.wall_s for result in demos.results) / kept / config.workers
+        rollout_s = sum(result.wall_s for result in rollouts.results) / config.rollouts / config.workers
         return Rates(
             machine=f"{platform.machine()}, {os.cpu_count()} cores",
             measured=datetime.now().isoformat(timespec="minutes"),
-            source=f"{kept} demonstrations and {config.rollouts} rollouts of {config.mix.stem}, "
+            source=f"{config.kind} of {kept} demonstrations and {config.rollouts} rollouts of {config.mix.stem}, "
             f"{config.size[0]} x {config.size[1]} px, {config.steps} steps of bc",
+            size=f"{config.size[0]}x{config.size[1]}",
             workers=config.workers,
             demonstration_s=demonstration_s,
             demonstration_bytes=_size(folder / "demos" / "episodes") / kept,
@@ -119,10 +153,33 @@ def calibrate(
             export_s=export_s / kept,
             steps_per_s=watch.steps_per_s,
             checkpoint_bytes=_size(trained.checkpoint.parent),
-            rollout_s=sum(result.wall_s for result in rollouts.results) / config.rollouts / config.workers,
+            rollout_s=rollout_s,
             rollout_bytes=_size(rollouts.first.folder / "episodes") / config.rollouts,
-            start_s=max(1.0, generate_s - demonstration_s * kept),
+            proof_s=proof_s,
+            start_s=max(LEAST_START_S, generate_s - demonstration_s * kept),
+            train_start_s=max(LEAST_START_S, train_s - config.steps / watch.steps_per_s),
+            evaluate_start_s=max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts),
+            proof_start_s=proof_start_s,
         )
+
+
+def _proof_times(
+    bags: list[str], config: CalibrationConfig, logs: Path, options: Mapping[str, Any]
+) -> tuple[float, float]:
+    """Return the wall time of the proof of a bag with all workers busy, and of the start of a proof [s]."""
+    mix = config.mix.read_text()
+    demands = demands_of(mix_json := json.dumps(parse_yaml(mix)))
+    reader = DeliveryReader(ModelLibrary())
+    try:
+        reader.read(Path(bags[0]), demands.get)  # makes the renderer
+        _, one_s = _timed(lambda: [reader.read(Path(bag), demands.get) for bag in bags])
+    finally:
+        reader.close()
+    reading = Reading(workers=config.workers, logs=logs, **options)
+    jobs = [BagJob(bag=bag, mix="all") for bag in bags]
+    _, all_s = _timed(lambda: list(reading.read("proving", jobs, {"all": mix_json})))
+    proof_s = one_s / len(bags) / config.workers
+    return proof_s, max(LEAST_START_S, all_s - proof_s * len(jobs))
 
 
 def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
@@ -137,19 +194,22 @@ def _size(folder: Path) -> int:
 # ------------------------------------------------------------------ storage
 
 
-def rates_file() -> Path:
-    """Return the file of this machine's rates, in the user's cache folder."""
+def rates_file(size: str) -> Path:
+    """Return the file of this machine's rates for an image size, e.g. ``128x128``, in the user's cache folder."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "roboxim" / "rates.json"
+    return base / "roboxim" / f"rates-{size}.json"
 
 
-def stored_rates() -> Rates | None:
+def stored_rates(size: str) -> Rates | None:
     """Return this machine's last rates; none: never measured, or measured by another version.
+
+    Args:
+        size: Image size, e.g. ``128x128``.
 
     Raises:
         ConfigError: When the file cannot be read.
     """
-    path = rates_file()
+    path = rates_file(size)
     if not path.is_file():
         return None
     try:
@@ -160,9 +220,61 @@ def stored_rates() -> Rates | None:
 
 def store_rates(rates: Rates) -> Path:
     """Store rates as this machine's; return the file."""
-    path = rates_file()
+    path = rates_file(rates.size)
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".draft")
     draft.write_text(to_json(rates) + "\n")
     shutil.move(draft, path)
     return path
+
+
+# ------------------------------------------------------------------ rates of runs
+
+
+def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
+    """Return the rates that a finished run of an experiment shows; none: it was too small to show any.
+
+    What a run does not show, e.g. the start of its trainings, is taken from earlier rates.
+
+    Args:
+        name: Name and scale of the experiment, for messages.
+        out: Its folder.
+        design: The experiment.
+        workers: Processes that ran episodes.
+        before: Earlier rates of this machine.
+
+    Raises:
+        ConfigError: When a file of the folder is damaged.
+    """
+    wall = {entry.data["stage"]: float(entry.data["wall_s"]) for entry in ResultsLog(out / "stages.jsonl").read()}
+    of = {kind: [stage for stage in wall if stage.startswith(f"{kind}/")] for kind in ("generate", "train", "evaluate")}
+    small = design.episodes < LEAST_EPISODES or design.rollouts < LEAST_EPISODES or design.steps < LEAST_STEPS
+    if small or not all(of.values()):
+        return None
+    demos = [result for stage in of["generate"] for result in RunFolder(out / stage).results()]
+    rollouts = [
+        result
+        for stage in of["evaluate"]
+        for result in RunFolder(out / stage / stage.removeprefix("evaluate/").rpartition(".")[0]).results()
+    ]
+    demonstration_s = sum(result.wall_s for result in demos) / len(demos) / workers
+    rollout_s = sum(result.wall_s for result in rollouts) / len(rollouts) / workers
+    training_s = sum(wall[stage] for stage in of["train"]) - len(of["train"]) * before.train_start_s
+    if not demonstration_s > 0 or not rollout_s > 0 or not training_s > 0:
+        return None
+    proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith("prove/evaluation"))
+    proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
+    return replace(
+        before,
+        measured=datetime.now().isoformat(timespec="minutes"),
+        source=f"run of {name}: {len(demos)} demonstrations, {design.steps:,} steps, {len(rollouts)} rollouts",
+        workers=workers,
+        demonstration_s=demonstration_s,
+        start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
+                    - demonstration_s * len(demos) / len(of["generate"])),
+        steps_per_s=design.steps / training_s,
+        rollout_s=rollout_s,
+        evaluate_start_s=max(LEAST_START_S, sum(wall[s] for s in of["evaluate"]) / len(of["evaluate"])
+                             - rollout_s * len(rollouts) / len(of["evaluate"])),
+        proof_s=proof_s if proof_s > 0 else before.proof_s,
+    )  # fmt: skip

@@ -6,6 +6,7 @@ The source is never changed. ``<copy>-planted.json`` lists what was planted, so 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -100,6 +101,7 @@ def corrupt(
     rate: float,
     *,
     seed: int = 0,
+    link: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> Corrupted:
@@ -111,6 +113,8 @@ def corrupt(
         fault: One of `fault_kinds`.
         rate: Share of the episodes, above 0 and at most 1; at least one.
         seed: Seed of the choice of episodes and of every plant.
+        link: Whether bags without the fault are hard links, which take no space, instead of copies; bags are never
+            changed in place. Where the file system has no links, they are copied.
         on_event: Receives the run's events.
         cancellation: Ends the run when it is set; the unfinished copy is removed.
 
@@ -138,7 +142,9 @@ def corrupt(
         raise RecorderError(f"{out} exists; choose another folder", ErrorCode.EXPORT_REFUSED)
     try:
         with telling_interruption(on_event, lambda: "nothing is left; the same call or command starts again"):
-            planter = _Planting(fault=fault, rate=rate, seed=seed, on_event=on_event, cancellation=cancellation)
+            planter = _Planting(
+                fault=fault, rate=rate, seed=seed, link=link, on_event=on_event, cancellation=cancellation
+            )
             planted, refused = planter.bags(source, out) if of_bags else planter.dataset(source, out)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)
@@ -159,6 +165,7 @@ class _Planting:
     fault: str
     rate: float
     seed: int
+    link: bool
     on_event: OnEvent
     cancellation: Cancellation | None
 
@@ -197,7 +204,7 @@ class _Planting:
             planted, refused = self._edited(bags, out)
         for name, path in bags.items():
             if name not in planted:
-                shutil.copytree(path, out / PLACES["keep"] / name)
+                shutil.copytree(path, out / PLACES["keep"] / name, copy_function=_linked if self.link else shutil.copy2)
         return planted, refused
 
     def _simulated(self, bags: dict[str, Path], out: Path) -> tuple[dict[str, str], list[str]]:
@@ -307,6 +314,14 @@ def _same_options(dataset: Dataset, options: type[Any]) -> dict[str, Any]:
     """Return the options of a dataset's format that the dataset itself has as attributes."""
     known = {name: getattr(dataset, name) for name in options.__dataclass_fields__ if hasattr(dataset, name)}
     return {name: value for name, value in known.items() if not callable(value) and value not in ("", None)}
+
+
+def _linked(source: str, target: str) -> None:
+    """Link a file, or copy it where that is not possible."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 # ------------------------------------------------------------------ edits of bags

@@ -9,19 +9,14 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
-import subprocess
-import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import yaml
-
-from roboxim_bringup.executors import Cancellation, CancelledError
-from roboxim_bringup.experiment_card import collect_card
+from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.experiment_card import EXCLUDED_FILE, JUDGED_FILE, PROOFS_FILE, collect_card
 from roboxim_bringup.experiment_files import checked_design, load_experiment
 from roboxim_bringup.experiment_provenance import (
     ATTEST_FILE,
@@ -29,29 +24,31 @@ from roboxim_bringup.experiment_provenance import (
     attestation_template,
     folder_sha256,
 )
-from roboxim_bringup.parameters import parse_options
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted, ignore
+from roboxim_bringup.runs.calibration import rates_of_run, store_rates, stored_rates
+from roboxim_bringup.runs.events import Notice, OnEvent, ignore
+from roboxim_bringup.runs.experiment_policies import named_policies, policy_of, require_found, require_known
 from roboxim_bringup.runs.experiment_report import (
     STATE_FILE,
     ExperimentFolder,
     write_card,
     write_experiment_report,
 )
-from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
 from roboxim_bringup.runs.folder import checked_path, make_folder
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.runs.policies import PolicySpec, find_policies
+from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
-from roboxim_core.documents import parse_json, read_text
-from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.documents import parse_json, read_json_object, read_text
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 
 KINDS = ("generate", "export", "train", "evaluate")
-POLL_S = 1.0
+"""Parts of an experiment that may run alone; the proofs of training data are part of the export, those of rollouts of
+the evaluation."""
+
+__all__ = ["KINDS", "ExperimentResult", "ExperimentRunConfig", "named_policies", "run_experiment"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,12 +95,18 @@ class ExperimentResult:
     """Names of the finished stages."""
     missing: tuple[str, ...]
     """Names of the stages that are not finished."""
+    waiting: tuple[str, ...]
+    """Evaluations among them whose policy is trained elsewhere and not named yet."""
     card: Card | None
     """Results; none while evaluations are missing."""
 
 
 def run_experiment(
-    config: ExperimentRunConfig, *, on_event: OnEvent = ignore, cancellation: Cancellation | None = None
+    config: ExperimentRunConfig,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
 ) -> ExperimentResult:
     """Run the stages of an experiment that its folder lacks.
 
@@ -111,59 +114,69 @@ def run_experiment(
         config: Configuration of the run.
         on_event: Receives the events of all stages.
         cancellation: Ends the run when it is set.
+        executor: Runs episodes and reads bags; none: processes of this machine.
 
     Raises:
         CancelledError: When the run was cancelled; the same call continues.
-        ConfigError: When the experiment is invalid, a policy is not named, or inputs of a finished stage have changed.
-        RoboximError: When a stage fails.
+        ConfigError: When the experiment is invalid, a policy is unknown, or inputs of a finished stage have changed.
+        RoboximError: When a stage fails, or a proof does.
     """
     experiment = load_experiment(config.experiment, config.scale, changes=config.changes)
-    if experiment.curve is not None:
-        experiment = replace(experiment, curve=None)
-        on_event(Notice(text="the learning curve is left out: only the last checkpoint of each training is evaluated"))
     design = checked_design(config.experiment, experiment, config.trainer)
-    faulty = [name for name in design.datasets if experiment.datasets[name].fault]
-    if faulty:
-        raise ConfigError(f"datasets with planted faults cannot be made by 'experiment run' yet: {', '.join(faulty)}")
-    run = _Run(config, design, on_event, cancellation)
+    if experiment.curve is not None and not design.trainer.until:
+        on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
+    run = _Run(config, design, on_event, cancellation, executor)
     run.open()
     for stage in run.stages:
-        if stage.kind in config.only:
+        if stage.part in config.only and run.ready(stage):
             run.finish(stage)
     done = run.done
     missing = tuple(stage.name for stage in run.stages if stage.name not in done)
     card = None
-    if not any(name.startswith("evaluate/") for name in missing):
+    if not any(name.startswith(("evaluate/", "prove/")) for name in missing):
         name = Path(config.experiment).stem
+        run.collect_proofs()
         card = collect_card(
             name, config.scale, design, run.out, trainer=config.trainer, renderer=config.renderer
         )  # fmt: skip
         write_card(card, run.out)
         write_experiment_report(ExperimentFolder.of(run.out), card)
+        run.learn_rates(f"{name} at scale {config.scale}")
     return ExperimentResult(
-        out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing, card=card
-    )
+        out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing,
+        waiting=tuple(name for name in missing if run.waits_for_policy(name)), card=card,
+    )  # fmt: skip
 
 
 class _Run:
     """An experiment's folder, and its stages."""
 
     def __init__(
-        self, config: ExperimentRunConfig, design: Design, on_event: OnEvent, cancellation: Cancellation | None
+        self,
+        config: ExperimentRunConfig,
+        design: Design,
+        on_event: OnEvent,
+        cancellation: Cancellation | None,
+        executor: Executor | None,
     ) -> None:
         self.config, self.design = config, design
         self.out = checked_path(config.out)
         self.log = ResultsLog(self.out / "stages.jsonl")
-        self._options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
-        self._on_event, self._cancellation = on_event, cancellation
         trained = bool(design.trainer.command)
         self.stages = tuple(stage for stage in stages_of(design) if stage.kind != "train" or trained)
+        self._ran = False
+        self._by_name = {stage.name: stage for stage in self.stages}
+        require_known(design, config.policies)
         self.policies = {
-            stage.name: self._policy(stage)
+            stage.name: policy_of(design, stage, config.policies, self.out)
             for stage in self.stages
             if stage.kind == "evaluate" and "evaluate" in config.only
         }
-        _require_found(self.policies.values())
+        require_found(self.policies.values())
+        self._runner = Stages(
+            design=design, out=self.out, policies=self.policies, workers=config.workers, renderer=config.renderer,
+            on_event=on_event, cancellation=cancellation, executor=executor,
+        )  # fmt: skip
 
     # -------------------------------------------------------------- state
 
@@ -175,18 +188,18 @@ class _Run:
         before = stored.get("stages", {}) if isinstance(stored, dict) else {}
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}
         for stage in self.stages:
-            if stage.name in done and done[stage.name] != self._key(stage) and stage.kind in self.config.only:
-                changed = differences(before.get(stage.name, {}), _plain(self._inputs(stage)))
+            if stage.name in done and done[stage.name] != self._key(stage) and stage.part in self.config.only:
+                changed = differences(before.get(stage.name, {}), plain(self._inputs(stage)))
                 raise ConfigError(
                     f"{self.out}: stage '{stage.name}' was finished with other inputs "
                     f"({changed or 'of a stage that it needs'}); choose another output folder (--out)"
                 )
-        inputs = {stage.name: _plain(self._inputs(stage)) for stage in self.stages}
+        inputs = {stage.name: plain(self._inputs(stage)) for stage in self.stages}
         content = {
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
             "renderer": self.config.renderer, "config": to_plain(self.design.config), "stages": {**before, **inputs},
         }  # fmt: skip
-        write_atomically(state, json.dumps(_plain(content), indent=2) + "\n")
+        write_atomically(state, json.dumps(plain(content), indent=2) + "\n")
         self._attest()
 
     def _attest(self) -> None:
@@ -211,189 +224,59 @@ class _Run:
         policy = self.policies.get(stage.name)
         if policy is None and stage.kind == "evaluate":  # not to be run now: what it ran with is unknown
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
-        return digest({"sha": stage.sha, "name": stage.name, "policy": _plain(to_plain(policy)) if policy else None})
+        return digest({"sha": stage.sha, "name": stage.name, "policy": plain(to_plain(policy)) if policy else None})
+
+    def collect_proofs(self) -> None:
+        """Write what the proofs of all stages found, for the card."""
+        checks: dict[str, list[int]] = {}
+        excluded: dict[str, list[int]] = {}
+        again: list[Any] | None = None
+        for stage in self.stages:
+            if stage.kind != "prove":
+                continue
+            proof = read_json_object(self.out / stage.name / PROOF_FILE)
+            prefix = "training " if stage.part == "export" else ""
+            for name, (passed, number) in proof["checks"].items():
+                before = checks.get(prefix + name, [0, 0])
+                checks[prefix + name] = [before[0] + passed, before[1] + number]
+            replicate = stage.name.rpartition(".")[2]
+            excluded |= {f"evaluate/{name}.{replicate}": indices for name, indices in proof["excluded"].items()}
+            if proof["judged_again"] is not None:
+                again = [*(again or []), *proof["judged_again"]]
+        write_atomically(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
+        write_atomically(self.out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
+        if again is not None:
+            write_atomically(self.out / JUDGED_FILE, json.dumps(again) + "\n")
+
+    def learn_rates(self, name: str) -> None:
+        """Store the rates that a whole run showed, for later plans; those of a run in pieces are as good."""
+        before = stored_rates(self.design.config.image_size)
+        found = None if before is None else rates_of_run(name, self.out, self.design, self.config.workers, before)
+        if found is not None and self._ran:
+            store_rates(found)
 
     # -------------------------------------------------------------- stages
 
+    def waits_for_policy(self, name: str) -> bool:
+        """Return whether a stage is an evaluation whose policy is not named yet."""
+        return name in self.policies and self.policies[name] is None
+
+    def ready(self, stage: Stage) -> bool:
+        """Return whether a stage can run; it cannot while a policy that it needs is trained elsewhere."""
+        return not any(map(self.waits_for_policy, (stage.name, *stage.needs)))
+
     def finish(self, stage: Stage) -> None:
         """Run a stage unless it is finished."""
-        if stage.name in self.done:
+        done = self.done
+        if stage.name in done:
             return
-        absent = [need for need in stage.needs if need not in self.done and need in {s.name for s in self.stages}]
+        absent = [need for need in stage.needs if need not in done and need in self._by_name]
         if absent:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")
         started = time.monotonic()
-        getattr(self, f"_{stage.kind}")(stage)
-        entry = {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1)}
+        made = self._runner.run(stage, self._by_name)
+        self._ran = True
+        entry = {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1), **made}
         if stage.kind in ("export", "train"):
-            entry["sha256"] = folder_sha256(self._folder(stage.name))
+            entry["sha256"] = folder_sha256(self.out / stage.name)
         self.log.append(self._key(stage), entry)
-
-    def _folder(self, stage: str) -> Path:
-        return self.out / stage
-
-    def _mix(self, stage: Stage) -> str:
-        """Write a stage's task mix, and return the file."""
-        path = self.out / "mixes" / f"{stage.name.replace('/', '-')}.yaml"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(yaml.safe_dump(_plain(stage.inputs["mix"]), sort_keys=False))
-        return str(path)
-
-    def _generate(self, stage: Stage) -> None:
-        size = tuple(map(int, stage.inputs["size"].split("x")))
-        result = generate(
-            GenerationConfig(
-                task=self._mix(stage), out=self._folder(stage.name), episodes=stage.inputs["episodes"],
-                seed=stage.inputs["seed"], size=(size[0], size[-1]), first_try=True, workers=self.config.workers,
-                renderer=self.config.renderer,
-            ),
-            **self._options,
-        )  # fmt: skip
-        failed = len(result.results) - len(result.kept)
-        if failed:
-            raise RoboximError(
-                f"{failed} of {len(result.results)} demonstrations in {result.out} failed in all attempts, so the "
-                "cells do not have their numbers; raise max_draws of the task, or widen what it draws"
-            )
-
-    def _export(self, stage: Stage) -> None:
-        counts: dict[str, int] = stage.inputs["counts"]
-        selection = ExportConfig(
-            val_fraction=0.0, where=(f"cell={','.join(counts)}",), per_cell=max(counts.values()),
-        )  # fmt: skip
-        report = export_rlds(self._folder(stage.needs[0]), self._folder(stage.name), selection, **self._options)
-        exported = sum(report.splits.values())
-        if exported != sum(counts.values()):
-            raise RoboximError(
-                f"{stage.name} has {exported} episodes, expected {sum(counts.values())}: {report.left_out}"
-            )
-
-    def _train(self, stage: Stage) -> None:
-        folder = self._folder(stage.name)
-        words = [
-            word.format(dataset=self._folder(stage.needs[0]), out=folder, seed=stage.inputs["seed"],
-                        steps=stage.inputs["steps"])
-            for word in shlex.split(stage.inputs["command"])
-        ]  # fmt: skip
-        folder.parent.mkdir(exist_ok=True)
-        self._on_event(StageStarted(title=f"training {stage.name}", total=1))
-        with open(folder.parent / f"{folder.name}.log", "a") as log:
-            process = _started(words, log)
-            try:
-                while process.poll() is None:
-                    if self._cancellation is not None and self._cancellation.is_set():
-                        raise CancelledError("the experiment was cancelled")
-                    try:
-                        process.wait(POLL_S)
-                    except subprocess.TimeoutExpired:
-                        continue
-            finally:
-                if process.poll() is None:
-                    process.terminate()
-                    process.wait()
-        if process.returncode:
-            raise RoboximError(f"{shlex.join(words)} ended with code {process.returncode}; see {log.name}")
-        self._on_event(StageFinished())
-
-    def _evaluate(self, stage: Stage) -> None:
-        size = tuple(map(int, self.design.config.image_size.split("x")))
-        result = evaluate(
-            EvaluationConfig(
-                policies=self.policies[stage.name], task=self._mix(stage), out=self._folder(stage.name),
-                episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
-                size=(size[0], size[-1]), workers=self.config.workers, renderer=self.config.renderer,
-            ),
-            **self._options,
-        )  # fmt: skip
-        result.require_measured()
-
-    # -------------------------------------------------------------- policies
-
-    def _policy(self, stage: Stage) -> PolicySpec:
-        """Return the policy of an evaluation.
-
-        Raises:
-            ConfigError: When it is trained elsewhere and not named.
-        """
-        name, replicate = stage.name.removeprefix("evaluate/").rsplit(".", 1)
-        condition = self.design.config.conditions[name]
-        given = self.config.policies
-        for key in (f"{name}.{replicate}", name):
-            if key in given:
-                return replace(given[key], name=name)
-        base = condition.checkpoint_of or name
-        for key in (f"{base}.{replicate}", base):
-            if key in given:
-                return _worded(given[key], name, condition.instruction)
-        if not self.design.trainer.command or self.design.config.conditions[base].given:
-            raise ConfigError(
-                f"the policy of {base}.{replicate} is trained elsewhere: name it with --policy {base}.{replicate}=SPEC"
-            )
-        checkpoint = str(self._folder(f"train/{base}.{replicate}").resolve())
-        policy = PolicySpec(spec=self.design.trainer.policy, options={"checkpoint": checkpoint})
-        return _worded(policy, name, condition.instruction)
-
-
-def _started(words: Sequence[str], log: IO[str]) -> subprocess.Popen[bytes]:
-    """Start a training command; ``roboxim`` is the one of this environment.
-
-    Raises:
-        ConfigError: When there is no such program.
-    """
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)))
-    try:
-        return subprocess.Popen(words, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "PATH": path})
-    except OSError as error:
-        raise ConfigError(f"the training command cannot be started: {shlex.join(words)} ({error.strerror})") from None
-
-
-def _worded(policy: PolicySpec, name: str, instruction: str | None) -> PolicySpec:
-    """Return a policy that receives another instruction; none: the task's own."""
-    if instruction is None:
-        return replace(policy, name=name)
-    if policy.spec == "expert":
-        raise ConfigError(f"the expert reads the task, not its words; name another policy with --policy {name}=SPEC")
-    options = {**policy.options, "policy": policy.spec, "instruction": instruction}
-    return PolicySpec(spec="reworded", name=name, options=options)
-
-
-def named_policies(words: Sequence[str], options: Sequence[str] = ()) -> dict[str, PolicySpec]:
-    """Return policies named on the command line.
-
-    Args:
-        words: ``CONDITION[.R]=SPEC``.
-        options: ``CONDITION[.R].KEY=VALUE``.
-
-    Raises:
-        ConfigError: When a word has another form, or an option is for a policy that is not named.
-    """
-    found = {}
-    for word in words:
-        name, equals, spec = word.partition("=")
-        if not equals or not spec:
-            raise ConfigError(f"--policy {word}: expected CONDITION[.R]=SPEC, e.g. leave_out.0=client.py:Mine")
-        found[name] = PolicySpec(spec=spec)
-    given: dict[str, list[str]] = {}
-    for word in options:
-        name = next((n for n in sorted(found, key=len, reverse=True) if word.startswith(f"{n}.")), "")
-        if not name:
-            raise ConfigError(f"--option {word}: it is for none of the policies; {one_of(found, word)}")
-        given.setdefault(name, []).append(word[len(name) + 1 :])
-    return {name: replace(policy, options=parse_options(given.get(name, []))) for name, policy in found.items()}
-
-
-def _require_found(policies: Iterable[PolicySpec]) -> None:
-    """Check policies that are named by the user before anything runs.
-
-    Raises:
-        ConfigError: When one is unknown or does not take its options.
-    """
-    checked: list[PolicySpec] = []
-    for policy in policies:
-        if policy not in checked and "checkpoint" not in policy.options:
-            find_policies([policy])
-            checked.append(policy)
-
-
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(value))

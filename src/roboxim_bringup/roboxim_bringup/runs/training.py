@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +19,18 @@ from roboxim_bringup.runs.events import (
 )
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import CHECKPOINT, PolicySpec
+from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.config import load_config, load_yaml
+from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_datasets.dataset import EXPORT_FILE
+from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.config import BCConfig
 
-__all__ = ["BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
+TRAINED_ON = "trained_on.json"
+"""File in a training's folder that names the export which the trainer read: its identity and cells."""
+
+__all__ = ["TRAINED_ON", "BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +58,7 @@ def train_bc(
     config: BCConfig | None = None,
     *,
     limit: int = 0,
+    until: int = 0,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> TrainingResult:
@@ -62,6 +71,7 @@ def train_bc(
         out: Folder of the checkpoint.
         config: Configuration of network and training; none: the defaults.
         limit: Largest number of episodes to use; 0: all.
+        until: Step after which to end for now, with a checkpoint that the same call continues; 0: the last one.
         on_event: Receives the run's events.
         cancellation: Ends the training when it is set.
 
@@ -93,6 +103,7 @@ def train_bc(
     on_event(StageFinished())
     make_folder(folder)
     trainer = Trainer(data, settings, Path(out))
+    name_dataset(Path(dataset), folder)
     before = trainer.step
     if before < settings.steps:
         if before:
@@ -105,11 +116,28 @@ def train_bc(
                 "continues from it"
             ),
         ):
-            trainer.run(training)
+            trainer.run(training, until=until)
         on_event(StageFinished())
     return TrainingResult(
         checkpoint=trainer.path, steps=trainer.step, steps_now=trainer.step - before, wall_s=time.monotonic() - started
     )
+
+
+def name_dataset(dataset: Path, training: Path) -> None:
+    """Write which export a training reads; experiments prove by it what a checkpoint was trained on.
+
+    Args:
+        dataset: The dataset.
+        training: Folder of the training.
+
+    Raises:
+        ConfigError: When the folder is not a dataset.
+    """
+    folder = open_dataset(dataset).folder
+    file = folder / EXPORT_FILE
+    facts = read_json_object(file) if file.is_file() else {}
+    named = {"identity": facts.get("identity", ""), "cells": facts.get("cells", {})}
+    write_atomically(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
 
 
 def _check(cancellation: Cancellation | None) -> None:

@@ -1,13 +1,13 @@
 """An experiment as a graph of runs: planted policies, resuming, refusals, the card."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.runs import experiment
+from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import PolicySpec
@@ -15,6 +15,7 @@ from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.experiments.proofs import Fault, Tally
 from roboxim_tasks.config import task_mix
 
 TEXT = """
@@ -54,6 +55,10 @@ class Fakes:
     planted: dict
     calls: list
     fail_at: str = ""
+    training: Tally = Tally()
+    evaluation: Tally = Tally()
+    excluded: dict = field(default_factory=dict)
+    judged: list = field(default_factory=list)
 
     def generate(self, config, **_):
         self.calls.append(f"generate {config.episodes}")
@@ -68,7 +73,19 @@ class Fakes:
         assert config.val_fraction == 0.0
         return type("Report", (), {"splits": {"train": number}, "left_out": {}})()
 
-    def evaluate(self, config, **_):
+    def prove_training(self, claims, mix, unseen, reading):
+        self.calls.append(f"prove {' '.join(claim.name for claim in claims)}")
+        return self.training
+
+    def prove_evaluation(self, arms, reading):
+        self.calls.append(f"prove {' '.join(arm.condition for arm in arms)}")
+        return self.evaluation, self.excluded
+
+    def judge_again(self, failed, dataset, mix, reading):
+        self.judged.append((dataset.name, len(failed)))
+        return [{"cell": cell, "satisfied": ["place_on target=cube"]} for cell in failed.values()]
+
+    def evaluate(self, config, executor, **_):
         name, replicate = config.policies.name, Path(config.out).name.split(".")[1]
         if self.fail_at == f"{name}.{replicate}":
             raise RoboximError("the machine was switched off")
@@ -80,7 +97,9 @@ class Fakes:
                 rate = self.planted[name, drawn["cell"] in UNSEEN]
                 success = (int(drawn["cell_number"]) + int(replicate)) % 10 < 10 * rate
                 outcome = "success" if success else "failure"
-                folder.append(EpisodeResult(episode_id=f"{index}", index=index, attempt=0, outcome=outcome))
+                folder.append(
+                    EpisodeResult(episode_id=f"{index}", index=index, attempt=0, outcome=outcome, bag=f"{index}")
+                )
         return type("Result", (), {"require_measured": lambda self: None})()
 
 
@@ -89,8 +108,8 @@ def fakes(monkeypatch):
     planted = {(name, unseen): 0.8 for name in ("leave_out", "baseline") for unseen in (True, False)}
     planted |= {("blind", True): 0.1, ("leave_out", True): 0.3}
     found = Fakes(planted=planted, calls=[])
-    for name in ("generate", "export_rlds", "evaluate"):
-        monkeypatch.setattr(experiment, name, getattr(found, name))
+    for name in ("generate", "export_rlds", "evaluate", "prove_training", "prove_evaluation", "judge_again"):
+        monkeypatch.setattr(experiment_stages, name, getattr(found, name))
     return found
 
 
@@ -115,8 +134,11 @@ def test_all_stages_run_once_and_the_card_has_the_planted_result(fakes, config, 
     scores = result.card.scores
     assert scores["absolute"][0] == pytest.approx(0.3)
     assert scores["relative"][0] == pytest.approx(0.375)
+    assert fakes.judged == [("leave_out.0", 14)] * 3, "failed held-out episodes of the leave-out condition"
+    assert scores["substitution"]["rate"][0] == 1.0
     assert result.card.pairs["0"] == ((6, 0, 10, 4),) * 3
     before = list(fakes.calls)
+    assert before.index("prove leave_out.0 baseline.0") == 3, "before any training"
     again = run_experiment(config())
     assert fakes.calls == before, "nothing runs twice"
     assert again.card.sha256 == result.card.sha256
@@ -143,13 +165,21 @@ def test_a_changed_input_is_refused_by_name(fakes, config):
     assert run_experiment(config(more)).missing == (), "more replicates are no change of the others"
 
 
-def test_policies_that_are_trained_elsewhere_are_named_before_anything_runs(fakes, config):
-    with pytest.raises(ConfigError, match=r"leave_out.0 is trained elsewhere.*--policy leave_out.0=SPEC"):
-        run_experiment(config(trainer="external"))
-    assert fakes.calls == []
-    half = run_experiment(config(trainer="external", only=("generate", "export")))
-    assert len(half.missing) == 9
+def test_an_experiment_waits_for_policies_that_are_trained_elsewhere(fakes, config):
+    half = run_experiment(config(trainer="external"))
+    assert fakes.calls == ["generate 10", "export leave_out.0 6", "export baseline.0 8", "prove leave_out.0 baseline.0"]
+    assert len(half.waiting) == 9
     assert half.card is None
+    first = run_experiment(config(trainer="external", policies=named_policies(["leave_out.0=random"])))
+    assert "evaluate leave_out.0 random" in fakes.calls
+    assert len(first.waiting) == 7, "blind.0 has its policy too"
+    with pytest.raises(ConfigError, match="no such condition or replicate; did you mean"):
+        run_experiment(config(trainer="external", policies=named_policies(["leave_out.9=random"])))
+    with pytest.raises(ConfigError, match="evaluate/leave_out.0' was finished with other inputs"):
+        run_experiment(config(trainer="external", policies=named_policies(["leave_out=zero"])))
+
+
+def test_policies_that_are_trained_elsewhere_are_evaluated(fakes, config):
     policies = named_policies(["leave_out=random", "baseline=zero"], ["leave_out.scale=0.1"])
     assert policies["leave_out"] == PolicySpec(spec="random", options={"scale": 0.1})
     result = run_experiment(config(trainer="external", policies=policies))
@@ -183,7 +213,7 @@ def test_a_command_that_fails_ends_the_run(fakes, config, tmp_path):
 
 def test_the_trainer_roboxim_is_the_one_of_this_environment(tmp_path):
     with open(tmp_path / "log", "w") as log:
-        assert experiment._started(["roboxim", "--help"], log).wait(300) == 0
+        assert experiment_stages.started(["roboxim", "--help"], log).wait(300) == 0
 
 
 def test_a_card_is_checked_against_its_counts(fakes, config, tmp_path):
@@ -200,3 +230,31 @@ def test_a_card_is_checked_against_its_counts(fakes, config, tmp_path):
         check_card(flattered)
     with pytest.raises(ConfigError, match="no card of schema"):
         check_card({"schema": 0})
+
+
+def test_training_data_with_a_held_out_episode_are_refused_before_any_training(fakes, config, tmp_path):
+    fault = Fault(check="unseen", bag="episodes/demo-3", text="it is of the held-out cell 'pick_up target=cube'")
+    fakes.training = Tally(checks={"unseen": (999, 1000)}, faults=(fault,))
+    for _ in range(2):
+        with pytest.raises(
+            RoboximError, match=r"prove/training.0: 1 of 1000 .*\n  episodes/demo-3: .*pick_up target=cube"
+        ):
+            run_experiment(config())
+    assert not (tmp_path / "out/train").exists()
+    assert (
+        json.loads((tmp_path / "out/prove/training.0/proof.json").read_text())["faults"][0]["bag"] == "episodes/demo-3"
+    )
+
+
+def test_an_episode_without_proof_is_none_of_its_cell(fakes, config):
+    fakes.evaluation = Tally(checks={"camera": (119, 120)}, faults=(Fault(check="camera", bag="a", text="moved"),))
+    fakes.excluded = {"leave_out": [0]}
+    card = run_experiment(config()).card.plain
+    rollouts = {row["condition"]: sum(n for _, n, _ in row["by_cell"].values()) for row in card["evaluations"]}
+    assert rollouts == {"leave_out": 39, "baseline": 40, "blind": 20}
+    assert card["proofs"] == {"camera": [357, 360]}
+    fakes.evaluation = Tally(checks={"camera": (118, 120)}, faults=tuple(
+        Fault(check="camera", bag=bag, text="camera 'workspace' is 5.0 cm from the demanded pose") for bag in "ab"
+    ))  # fmt: skip
+    with pytest.raises(RoboximError, match=r"2 of 120 .*1 % are tolerated.*\n  a: camera.*5.0 cm"):
+        run_experiment(config(TEXT.replace("count: 3", "count: 4")))

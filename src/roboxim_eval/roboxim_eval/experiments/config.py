@@ -98,6 +98,9 @@ class TrainerConfig:
     """Policy that runs a checkpoint, as for ``roboxim evaluate --policy``; empty: named by ``--policy``."""
     steps: int = 0
     """Training steps."""
+    until: str = ""
+    """Arguments that end the same training after ``{until}`` steps, e.g. ``--until {until}``, for the checkpoints of a
+    learning curve; the command without them continues it. Empty: the trainer has none, so that there is no curve."""
 
     def __post_init__(self) -> None:
         """Check the command.
@@ -105,6 +108,8 @@ class TrainerConfig:
         Raises:
             ConfigError: When a placeholder is missing or unknown.
         """
+        if self.until and "{until}" not in self.until:
+            raise ConfigError(f"until: needs {{until}}, got '{self.until}'")
         if self.command:
             try:
                 self.command.format(dataset="", out="", seed=0, steps=0)

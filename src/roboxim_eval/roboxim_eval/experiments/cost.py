@@ -23,6 +23,8 @@ class Rates:
     """Date of the measurement, ISO 8601."""
     source: str
     """What was measured, e.g. ``probe of 8 episodes`` or ``runs/demos``."""
+    size: str
+    """Width and height of the images [px], e.g. ``128x128``; rates hold for this size."""
     workers: int
     """Number of processes that ran episodes at a time."""
     demonstration_s: float
@@ -41,8 +43,16 @@ class Rates:
     """Wall time of a rollout, with all workers busy [s]."""
     rollout_bytes: float
     """Size of a rollout's bag."""
+    proof_s: float
+    """Wall time of the proof of a bag, with all workers busy [s]."""
     start_s: float
-    """Wall time of the start of a stage, before its first episode or step [s]."""
+    """Wall time of a generation beside its episodes: the start of the graph, and the pictures at the end [s]."""
+    train_start_s: float
+    """Wall time of a training before its first step: reading the data, compiling [s]."""
+    evaluate_start_s: float
+    """Wall time of an evaluation beside its episodes: the start of graph and policy, and the report [s]."""
+    proof_start_s: float
+    """Wall time of the start of a proof [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -60,11 +70,11 @@ class Cost:
     """Cost of an experiment on a machine."""
 
     generate_s: float
-    """Time of generating and exporting the demonstrations [s]."""
+    """Time of generating, proving and exporting the demonstrations [s]."""
     train_s: float | None
     """Time of the trainings [s]; none: they run elsewhere."""
     evaluate_s: float
-    """Time of the rollouts [s]."""
+    """Time of the rollouts and of their proofs [s]."""
     disk_bytes: float
     """Disk of bags, datasets and checkpoints."""
     detectable: float | None
@@ -85,13 +95,17 @@ def cost_of(design: Design, rates: Rates) -> Cost:
         rates: Measured rates of the machine.
     """
     exported = design.generations * sum(sum(counts.values()) for counts in design.datasets.values())
-    stages = design.generations * (1 + len(design.datasets))
     here = bool(design.trainer.command)
-    train_s = design.steps / rates.steps_per_s + len(design.trainings) * rates.start_s
+    train_s = design.steps / rates.steps_per_s + len(design.trainings) * rates.train_start_s
+    start_s = rates.start_s + len(design.datasets) * rates.proof_start_s
     return Cost(
-        generate_s=design.episodes * rates.demonstration_s + exported * rates.export_s + stages * rates.start_s,
+        generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)
+        + exported * rates.export_s
+        + design.generations * start_s,
         train_s=train_s if here else None,
-        evaluate_s=design.rollouts * rates.rollout_s + len(design.evaluations) * rates.start_s,
+        evaluate_s=design.rollouts * (rates.rollout_s + rates.proof_s)
+        + len(design.evaluations) * rates.evaluate_start_s
+        + design.config.replicates.count * rates.proof_start_s,
         disk_bytes=design.episodes * rates.demonstration_bytes
         + exported * rates.dataset_bytes
         + (len(design.trainings) * rates.checkpoint_bytes if here else 0.0)

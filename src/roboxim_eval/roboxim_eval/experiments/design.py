@@ -14,6 +14,7 @@ from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig, Tra
 DEMONSTRATION_SEED = 1000
 EVALUATION_SEED = 2000
 CURVE_SEED = 3000
+CORRUPTION_SEED = 4000
 """Run seeds of the first replicate; the next replicates have the following ones. Curves never use final scenes."""
 
 
@@ -154,13 +155,13 @@ def _trainings(config: ExperimentConfig, trainer: TrainerConfig) -> Iterator[Tra
                 steps = condition.steps or trainer.steps
                 yield Training(
                     condition=name, replicate=replicate, dataset=condition.train, steps=steps,
-                    checkpoints=_checkpoints(config, steps, replicate),
+                    checkpoints=_checkpoints(config, trainer, steps, replicate),
                 )  # fmt: skip
 
 
-def _checkpoints(config: ExperimentConfig, steps: int, replicate: int) -> tuple[int, ...]:
+def _checkpoints(config: ExperimentConfig, trainer: TrainerConfig, steps: int, replicate: int) -> tuple[int, ...]:
     curve = config.curve
-    if curve is None or (curve.replicates and replicate >= curve.replicates):
+    if curve is None or not trainer.until or (curve.replicates and replicate >= curve.replicates):
         return ()
     return tuple(range(curve.every, steps + 1, curve.every))
 
@@ -176,7 +177,7 @@ def _evaluations(config: ExperimentConfig, cells: tuple[Cell, ...], trainer: Tra
             if condition.train and config.curve is not None:
                 seen = [cell.key for cell in mine if not cell.unseen] or list(each)
                 shares = _spread(config.curve.per_checkpoint, seen)
-                for checkpoint in _checkpoints(config, condition.steps or trainer.steps, replicate):
+                for checkpoint in _checkpoints(config, trainer, condition.steps or trainer.steps, replicate):
                     yield Evaluation(condition=name, replicate=replicate, counts=shares, checkpoint=checkpoint)
             yield Evaluation(condition=name, replicate=replicate, counts=each)
 
@@ -210,13 +211,20 @@ class Stage:
     name: str
     """Unique name, e.g. ``train/leave_out.0``; the folder of its result."""
     kind: str
-    """``generate``, ``export``, ``train`` or ``evaluate``."""
+    """``generate``, ``corrupt``, ``export``, ``train``, ``evaluate`` or ``prove``."""
     needs: tuple[str, ...]
     """Stages that must be finished before."""
     inputs: dict[str, Any]
     """Everything that the result depends on, as plain data, besides the stages that it needs."""
     sha: str
     """Hash of the inputs and of the needed stages' hashes."""
+
+    @property
+    def part(self) -> str:
+        """What it is part of: ``generate``, ``export``, ``train`` or ``evaluate``."""
+        if self.kind == "prove":
+            return "export" if self.name.startswith("prove/training") else "evaluate"
+        return "export" if self.kind == "corrupt" else self.kind
 
 
 def stages_of(design: Design) -> tuple[Stage, ...]:
@@ -235,18 +243,32 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             "generate", f"{replicate}", (), mix=mix_of(config, design.demonstrations),
             episodes=sum(design.demonstrations.values()), seed=DEMONSTRATION_SEED + replicate, size=config.image_size,
         )  # fmt: skip
+        exports = []
         for name, counts in design.datasets.items():
-            dataset = config.datasets[name]
-            add(
-                "export", f"{name}.{replicate}", (f"generate/{replicate}",), counts=counts, fault=dataset.fault,
-                share=dataset.share,
+            dataset, source = config.datasets[name], f"generate/{replicate}"
+            if dataset.fault:
+                source = add(
+                    "corrupt", f"{name}.{replicate}", (source,), fault=dataset.fault, share=dataset.share,
+                    counts=counts, seed=CORRUPTION_SEED + replicate,
+                )  # fmt: skip
+            exports.append(
+                add(
+                    "export", f"{name}.{replicate}", (source,), counts=counts, fault=dataset.fault,
+                    share=dataset.share,
+                )
             )  # fmt: skip
+        once = mix_of(config, {cell.key: 1 for cell in design.cells})
+        add(
+            "prove", f"training.{replicate}", tuple(exports), mix=once,
+            unseen=[cell.key for cell in design.cells if cell.unseen],
+        )  # fmt: skip
     for training in design.trainings:
         data = training.replicate if design.generations > 1 else 0
         add(
-            "train", f"{training.condition}.{training.replicate}", (f"export/{training.dataset}.{data}",),
+            "train", f"{training.condition}.{training.replicate}",
+            (f"export/{training.dataset}.{data}", f"prove/training.{data}"),
             command=design.trainer.command, steps=training.steps, seed=training.replicate,
-            checkpoints=list(training.checkpoints),
+            checkpoints=list(training.checkpoints), until=design.trainer.until if training.checkpoints else "",
         )  # fmt: skip
     for evaluation in design.evaluations:
         condition = config.conditions[evaluation.condition]
@@ -260,4 +282,8 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
             instruction=condition.instruction, max_steps=config.evaluate.max_steps,
         )  # fmt: skip
+    for replicate in range(config.replicates.count):
+        finals = (e.condition for e in design.evaluations if e.replicate == replicate and not e.checkpoint)
+        once = mix_of(config, {cell.key: 1 for cell in design.cells})
+        add("prove", f"evaluation.{replicate}", tuple(f"evaluate/{name}.{replicate}" for name in finals), mix=once)
     return tuple(found.values())

@@ -1,0 +1,22 @@
+"""Runs a command that dies with its parent: ``python -m roboxim_bringup.run_command PROGRAM [ARGUMENT ...]``.
+
+The kernel's request to kill this process with its parent outlives `exec`, so any program can be such a child.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from roboxim_bringup.process import die_with_parent
+
+
+def main() -> None:
+    """Become the command."""
+    die_with_parent(int(os.environ["ROBOXIM_PARENT"]))
+    program, *_ = words = sys.argv[1:]
+    os.execvp(program, words)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,486 @@
+"""Reads what `roboxim_eval.experiments.delivery` compares: a cell's demands from its task, and what a bag shows.
+
+The pictures of tick 0 are compared with pictures that the bag's renderer draws of the recorded state from the camera
+poses that the *cell* demands. A camera that stood elsewhere thus shows the tool beside its projection.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from roboxim_core.cameras import load_camera, project
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.visuals import ScenePoses, camera_parent, drawn_entities
+from roboxim_core.poses import Pose, distance
+from roboxim_core.rendering import CameraImages
+from roboxim_core.seeds import CELL, CELL_NUMBER
+from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec, TaskSpec
+from roboxim_datasets.audit.color import color_difference, median_lab
+from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, Value, View
+from roboxim_recorder.bag import BagReader, BagTick
+from roboxim_sim.rendering import make_renderer
+from roboxim_sim.rendering.states import StateRenderer
+from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.config import TaskMix, task_mix
+from roboxim_tasks.meaning import read_instruction
+from roboxim_tasks.roles import task_objects
+from roboxim_tasks.task_config import TaskConfig
+
+DRAWN_AGAIN = ("raster", "tiny")
+"""Renderers whose pictures are drawn again for a comparison; the others take minutes."""
+TOOL_M = 0.045
+"""Distance from the tool centre point within which the open fingers are [m]."""
+WINDOW = 0.15
+"""Half the side of the window around the tool, as a fraction of the picture's longer side."""
+ALIKE = 0.5
+"""Least correlation of two windows that show the same."""
+LEAST_PIXELS = 12
+"""Fewest pixels of a surface from which its median colour is taken."""
+HAND = "gripper"
+"""Parent of a camera on the hand of any robot, in a camera's file."""
+THUMBNAIL = 16
+"""Side of a thumbnail [px]."""
+RECEIVED = re.compile(r"with the instruction '(.*)'$", re.DOTALL)
+"""How the policy ``reworded`` names, in its version, the instruction that it passes on."""
+
+RGB = npt.NDArray[np.uint8]
+
+
+# ------------------------------------------------------------------ demands
+
+
+def demand_of(config: TaskConfig, *, words: str | None = None) -> Demand:
+    """Return what a task demands of its episodes.
+
+    Args:
+        config: A cell's task.
+        words: What the policy must receive as instruction; none: the task's.
+    """
+    area = config.reset.get("interaction_area")
+    areas = {}
+    if area is not None:
+        names = map(str, area.area.values) if area.area else area.areas
+        boxes = tuple(_allowed(area.areas[name]) for name in names)
+        areas = dict.fromkeys(area.roles, boxes)
+    robot, cameras = config.reset.get("robot"), config.reset.get("cameras")
+    physics = "physics" in config.reset
+    return Demand(
+        skill=config.skill,
+        arguments={name: _allowed(choice) for name, choice in config.arguments.items()},
+        models={role: _allowed(thing.models) for role, thing in config.objects.items()},
+        modifiers={
+            role: {k: _allowed(c) for k, c in thing.modifiers.items() if not (physics and k in ("mass", "friction"))}
+            for role, thing in config.objects.items()
+        },
+        distractors=(config.distractors.minimum, config.distractors.maximum),
+        areas=areas,
+        start=_allowed(robot.position) if robot is not None and robot.joints is None else None,
+        cameras={} if cameras is None else {name: _views(cameras, name) for name in cameras.names},
+        shifts={} if cameras is None else {name: _allowed(choice) for name, choice in cameras.shift_m.items()},
+        turned=() if cameras is None else tuple(cameras.turn_rad),
+        look=_look_demand(config),
+        words=words,
+    )
+
+
+def _allowed(choice: Choice | VectorChoice) -> Allowed:
+    """Return the values of a choice; numbers of a range are vectors of one axis."""
+    if isinstance(choice, VectorChoice):
+        return Allowed(values=choice.values, lower=choice.lower or (), upper=choice.upper or ())
+    if choice.values:
+        return Allowed(values=tuple(_value(value) for value in choice.drawable))
+    assert choice.lower is not None
+    assert choice.upper is not None
+    return Allowed(lower=(choice.lower,), upper=(choice.upper,))
+
+
+def _views(cameras: Any, name: str) -> tuple[View, ...]:
+    files = map(str, cameras.views[name].values) if name in cameras.views else (name,)
+    return tuple(View(parent=camera.parent, pose=camera.pose) for camera in map(load_camera, files))
+
+
+def _look_demand(config: TaskConfig) -> dict[str, Allowed]:
+    found: dict[str, Allowed] = {}
+
+    def demand(name: str, choice: Choice | VectorChoice | None) -> None:
+        if choice is not None:
+            found[name] = _allowed(choice)
+
+    if (lights := config.reset.get("lights")) is not None:
+        for key in ("intensity", "color", "position", "radius", "ambient"):
+            demand(f"light.{key}", getattr(lights, key))
+    if (surfaces := config.reset.get("surfaces")) is not None:
+        for surface in ("table", "floor", "wall"):
+            for key in ("color", "texture", "roughness"):
+                demand(f"{surface}.{key}", getattr(getattr(surfaces, surface), key))
+    if (background := config.reset.get("background")) is not None:
+        demand("background", background.kind)
+    if (cameras := config.reset.get("cameras")) is not None:
+        for name, choice in cameras.exposure_ev.items():
+            base = load_camera(str(cameras.views[name].values[0]) if name in cameras.views else name)
+            demand(f"exposure.{name}", _raised(choice, base.noise.exposure_ev))
+    return found
+
+
+def _raised(choice: Choice, by: float) -> Choice:
+    if choice.values:
+        return replace(choice, values=tuple(float(value) + by for value in choice.values))
+    assert choice.lower is not None
+    assert choice.upper is not None
+    return replace(choice, lower=choice.lower + by, upper=choice.upper + by)
+
+
+def _value(value: Any) -> Value:
+    if isinstance(value, list | tuple):
+        return tuple(float(number) for number in value)
+    return value if isinstance(value, str) else float(value)
+
+
+# ------------------------------------------------------------------ bags
+
+
+class DeliveryReader:
+    """Reads what bags show; belongs to the thread that made it."""
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Use a library of models; renderers are made when a bag needs them."""
+        self._library = library
+        self._renderers: dict[str, StateRenderer] = {}
+        self._arms: dict[str, ArmKinematics] = {}
+
+    def close(self) -> None:
+        """Free the renderers."""
+        for renderer in self._renderers.values():
+            renderer.renderer.close()
+        self._renderers.clear()
+
+    def read(self, bag: Path, demand_for: Callable[[str], Demand | None], *, pictures: bool = True) -> Shown:
+        """Return what a bag shows.
+
+        Args:
+            bag: The bag.
+            demand_for: Returns what a cell demands, by the cell's key; none: there is no such cell.
+            pictures: Whether to compare the pictures of tick 0.
+
+        Raises:
+            RoboximError: When the bag is damaged, or its scene cannot be drawn.
+        """
+        reader = BagReader(bag)
+        info = reader.info
+        tick = next(iter(reader.ticks()))
+        base = info.scene.robot.pose.inverse()
+        present = {entity.name for entity in tick.state.entities}
+        entities = {entity.name: entity for entity in info.scene.entities if entity.name in present}
+        roles = {role: thing.entity for role, thing in info.task.objects.items() if thing.entity in entities}
+        named = {thing.entity for thing in task_objects(info.task)}
+        drawn = info.task.drawn
+        received = RECEIVED.search(info.actor_version)
+        shown = Shown(
+            bag=str(bag),
+            cell=drawn.get(CELL, ""),
+            number=int(drawn.get(CELL_NUMBER, info.index)),
+            skill=info.task.skill,
+            arguments={name: _value(value) for name, value in info.task.arguments.items()},
+            models={role: entities[name].model for role, name in roles.items() if name in named},
+            modifiers={
+                role: {kind: _value(value) for kind, value in entities[name].modifiers.items()}
+                for role, name in roles.items()
+                if name in named
+            },
+            others=tuple(
+                entities[state.name].model
+                for state in tick.state.entities
+                if state.name in entities and state.name not in named and _on_table(info.scene, state.pose)
+            ),
+            positions={role: _vec(base.apply(tick.state.entity(name).pose.position)) for role, name in roles.items()},
+            start=_vec(base.apply(tick.state.robot.pose_tcp_measured.position)),
+            cameras={
+                camera.name: View(parent=_parent(camera, self._arm(info.scene)), pose=camera.pose)
+                for camera in info.scene.cameras
+            },
+            look=_look(info.scene),
+            state_hash=tick.state.state_hash,
+            pictures={name: zlib.crc32(image.tobytes()) for name, image in tick.images.items()},
+            thumbnails={name: _thumbnail(image) for name, image in tick.images.items()},
+            instruction=info.task.instruction,
+            received=received[1] if received else info.task.instruction,
+        )
+        demand = demand_for(shown.cell)
+        name = info.renderer.split(" ")[0]
+        if not pictures or demand is None or name not in DRAWN_AGAIN or not info.scene.cameras:
+            return shown
+        return self._with_pictures(shown, info.task, info.scene, tick, demand, name)
+
+    def asked(self, bag: Path, instruction: str) -> list[dict[str, Any]]:
+        """Return skill and models, by role, that an instruction may ask for in a bag's scene; empty: it says nothing.
+
+        Raises:
+            RoboximError: When the bag is damaged.
+        """
+        tasks = read_instruction(instruction, BagReader(bag).info.scene, self._library).tasks
+        return [
+            {"skill": task.skill, "models": {role: thing.model for role, thing in task.objects.items()}}
+            for task in tasks
+        ]
+
+    def _arm(self, scene: SceneSpec) -> ArmKinematics:
+        model = scene.robot.model
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        return self._arms[model]
+
+    def _with_pictures(
+        self, shown: Shown, task: TaskSpec, scene: SceneSpec, tick: BagTick, demand: Demand, renderer: str
+    ) -> Shown:
+        if renderer not in self._renderers:
+            self._renderers[renderer] = StateRenderer(make_renderer(renderer), self._library)
+        arm = self._arm(scene)
+        cameras = tuple(
+            replace(_demanded(camera, demand, arm), segmentation=True, depth=False, rate_hz=0.0)
+            for camera in scene.cameras
+        )
+        scene = replace(scene, cameras=cameras)
+        drawn = self._renderers[renderer].draw(scene, tick.state)
+        poses = ScenePoses(scene, self._library, arm).camera_poses(tick.state.robot)
+        ids = {name: number for number, name in enumerate(drawn_entities(scene), start=1)}
+        tool = tick.state.robot.pose_tcp_measured.position
+        offsets = {}
+        for camera in cameras:
+            found = tool_offset(
+                camera, poses[camera.name].inverse().apply(tool), tick.images[camera.name], drawn[camera.name],
+                ids["robot"],
+            )  # fmt: skip
+            if found is not None:
+                offsets[camera.name] = found
+        fixed = [camera for camera in cameras if camera.parent == "world"]
+        named = {role: t.entity for role, t in task.objects.items() if t in task_objects(task) and t.entity in ids}
+        return replace(
+            shown,
+            tool_px=offsets,
+            pixels={role: _visible(fixed, drawn, ids[name]) for role, name in named.items()} if fixed else {},
+            colors=_colors(fixed, tick.images, drawn, {"table": ids["table"], **{r: ids[n] for r, n in named.items()}}),
+            brightness={
+                camera.name: float(_grey(tick.images[camera.name]).mean() - _grey(drawn[camera.name].rgb).mean())
+                for camera in cameras
+            },
+        )
+
+
+def _on_table(scene: SceneSpec, pose: Pose) -> bool:
+    (x, y, z), (cx, cy, _), (sx, sy, _) = pose.position, scene.table.center, scene.table.size
+    return z > -0.05 and abs(x - cx) <= sx / 2 and abs(y - cy) <= sy / 2
+
+
+def _vec(position: npt.ArrayLike) -> tuple[float, float, float]:
+    x, y, z = (float(number) for number in np.asarray(position))
+    return x, y, z
+
+
+def _parent(camera: CameraSpec, arm: ArmKinematics) -> str:
+    """Return what a camera is mounted on, as a camera's file says it."""
+    if camera.parent == "world":
+        return "world"
+    hand = camera_parent(replace(camera, parent=HAND), arm)
+    return HAND if camera.parent == hand else camera.parent
+
+
+def _look(scene: SceneSpec) -> dict[str, Value]:
+    look: LookSpec = scene.look
+    found: dict[str, Value] = {"background": look.background, "light.ambient": _value(look.ambient)}
+    for surface in ("table", "floor", "wall"):
+        material = getattr(look, surface)
+        found |= {
+            f"{surface}.color": _value(material.color), f"{surface}.texture": material.texture,
+            f"{surface}.roughness": material.roughness,
+        }  # fmt: skip
+    if look.lights:
+        light = look.lights[0]
+        found |= {
+            "light.intensity": light.intensity, "light.color": _value(light.color),
+            "light.position": _value(light.position), "light.radius": light.radius,
+        }  # fmt: skip
+    return found | {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
+
+
+def _demanded(camera: CameraSpec, demand: Demand, arm: ArmKinematics) -> CameraSpec:
+    """Return a recorded camera at the nearest pose that its cell demands; where the pose is drawn, as it is."""
+    views = demand.cameras.get(camera.name, ())
+    if not views or camera.name in demand.shifts or camera.name in demand.turned:
+        return camera
+    nearest = min(views, key=lambda view: distance(view.pose, camera.pose))
+    moved = replace(camera, parent=nearest.parent, pose=nearest.pose)
+    return replace(moved, parent=camera_parent(moved, arm))
+
+
+# ------------------------------------------------------------------ pictures
+
+
+def tool_offset(camera: CameraSpec, tool: npt.ArrayLike, picture: RGB, drawn: CameraImages, robot: int) -> float | None:
+    """Return how far the tool in a picture is from where a camera projects it [px].
+
+    The surroundings of the projection in the drawing are searched in the picture. In the drawing itself, pixels of the
+    robot must lie where the open fingers are projected.
+
+    Args:
+        camera: The demanded camera.
+        tool: Tool centre point in its optical frame [m].
+        picture: The recorded picture.
+        drawn: What the camera sees of the recorded state, with segmentation.
+        robot: Id of the robot in the segmentation.
+
+    Returns:
+        The distance; infinity if the tool is not found; none if the camera does not show it, or shows no contrast.
+    """
+    x, y, z = (float(number) for number in np.asarray(tool))
+    if z <= camera.near:
+        return None
+    u, v = project(camera, [[x, y, z]])[0]
+    if not (0 <= u < camera.width and 0 <= v < camera.height) or drawn.segmentation is None:
+        return None
+    rows, columns = np.nonzero(drawn.segmentation == robot)
+    if not len(rows):
+        return None
+    fingers = max(camera.matrix[:2]) * TOOL_M / z
+    beside = max(0.0, float(np.hypot(columns - u, rows - v).min()) - fingers)
+    moved = _moved(picture, drawn.rgb, (round(u), round(v)), max(8, round(WINDOW * max(camera.width, camera.height))))
+    return None if moved is None else max(beside, moved)
+
+
+def _moved(picture: RGB, drawn: RGB, at: tuple[int, int], radius: int) -> float | None:
+    """Return by how much a window of a drawing is moved in a picture [px]; none: it has no contrast."""
+    height, width = drawn.shape[:2]
+    left, right = max(at[0] - radius, 0), min(at[0] + radius + 1, width)
+    top, bottom = max(at[1] - radius, 0), min(at[1] + radius + 1, height)
+    seen, wanted = _grey(picture), _grey(drawn)
+    window = wanted[top:bottom, left:right]
+    if window.std() < 2.0:
+        return None
+    if np.abs(seen[top:bottom, left:right] - window).mean() < 1.0:
+        return 0.0
+    around = cv2.copyMakeBorder(seen, radius, radius, radius, radius, cv2.BORDER_REPLICATE)
+    found = cv2.matchTemplate(around, window, cv2.TM_CCOEFF_NORMED)
+    near = found[top : top + 2 * radius + 1, left : left + 2 * radius + 1]
+    row, column = np.unravel_index(int(near.argmax()), near.shape)
+    if near[row, column] < ALIKE:
+        return math.inf
+    return float(np.hypot(row - radius, column - radius))
+
+
+def _grey(image: RGB) -> npt.NDArray[np.float32]:
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.float32)
+
+
+def _thumbnail(image: RGB) -> tuple[int, ...]:
+    small = cv2.resize(np.ascontiguousarray(image), (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA)
+    return tuple(int(number) for number in small.reshape(-1))
+
+
+def _visible(cameras: list[CameraSpec], drawn: Mapping[str, CameraImages], entity: int) -> float:
+    """Return the visible pixels of an entity in the best camera, scaled to 256 x 256 px."""
+    return max(
+        float(np.count_nonzero(drawn[camera.name].segmentation == entity)) * 256**2 / (camera.width * camera.height)
+        for camera in cameras
+    )
+
+
+def _colors(
+    cameras: list[CameraSpec], pictures: Mapping[str, RGB], drawn: Mapping[str, CameraImages], ids: Mapping[str, int]
+) -> dict[str, float]:
+    """Return the least difference over the cameras between an entity's median colours in picture and drawing."""
+    found: dict[str, float] = {}
+    for name, number in ids.items():
+        for camera in cameras:
+            segmentation = drawn[camera.name].segmentation
+            mask = np.zeros(0) if segmentation is None else segmentation == number
+            if np.count_nonzero(mask) >= LEAST_PIXELS:
+                first, second = median_lab(pictures[camera.name][mask]), median_lab(drawn[camera.name].rgb[mask])
+                found[name] = min(found.get(name, math.inf), color_difference(first, second))
+    return found
+
+
+# ------------------------------------------------------------------ worker
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagJob:
+    """A bag to read."""
+
+    bag: str
+    """Its path."""
+    mix: str
+    """Name of the task mix that its cell is of."""
+    words: str | None = None
+    """What the policy must receive as instruction; none: the task's."""
+    said: str | None = None
+    """An instruction to read in its scene; none: nothing to read."""
+
+
+class DeliveryWorker:
+    """Reads one bag per job, a `BagJob` as plain data; see `roboxim_bringup.executors`."""
+
+    def __init__(self, settings: Mapping[str, Any], number: int) -> None:
+        """Make the reader.
+
+        Args:
+            settings: ``mixes``, task mixes by name as JSON texts, and ``pictures``, whether to compare pictures.
+            number: The worker's number.
+        """
+        self._mixes: Mapping[str, str] = settings["mixes"]
+        self._pictures = bool(settings["pictures"])
+        self._reader = DeliveryReader(ModelLibrary())
+
+    def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> dict[str, Any]:
+        """Return what a bag shows, and what an instruction asks for in its scene."""
+        wanted = from_plain(job, BagJob)
+        demands = demands_of(self._mixes[wanted.mix], wanted.words)
+        shown = self._reader.read(Path(wanted.bag), demands.get, pictures=self._pictures)
+        asked = [] if wanted.said is None else self._reader.asked(Path(wanted.bag), wanted.said)
+        return {"shown": to_plain(shown), "asked": asked}
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._reader.close()
+
+
+@lru_cache(maxsize=64)
+def task_mix_of(mix: str) -> TaskMix:
+    """Return the task mix of a JSON text."""
+    return task_mix(json.loads(mix))
+
+
+@lru_cache(maxsize=64)
+def demands_of(mix: str, words: str | None = None) -> dict[str, Demand]:
+    """Return what each cell of a task mix demands.
+
+    Args:
+        mix: The mix as JSON text.
+        words: What the policy must receive as instruction; none: the task's.
+    """
+    found = task_mix_of(mix)
+    return {key: demand_of(cell, words=words) for key, cell in zip(found.keys, found.cells, strict=True)}
+
+
+def shown_from(data: Mapping[str, Any]) -> Shown:
+    """Return what a bag shows from plain data, as a worker returns it."""
+    values = dict(data)
+    for name in ("arguments", "look"):
+        values[name] = {key: _value(value) for key, value in data[name].items()}
+    values["modifiers"] = {r: {k: _value(v) for k, v in kinds.items()} for r, kinds in data["modifiers"].items()}
+    values["cameras"] = {name: from_plain(view, View) for name, view in data["cameras"].items()}
+    values["positions"] = {role: tuple(position) for role, position in data["positions"].items()}
+    values["thumbnails"] = {name: tuple(numbers) for name, numbers in data["thumbnails"].items()}
+    return Shown(**{**values, "others": tuple(data["others"]), "start": tuple(data["start"])})

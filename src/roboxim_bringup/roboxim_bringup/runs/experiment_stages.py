@@ -1,0 +1,328 @@
+"""How each kind of an experiment's stages runs: an ordinary run in a folder of its own, or a proof."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+
+from roboxim_bringup.executors import Cancellation, CancelledError, Executor
+from roboxim_bringup.process import spawn
+from roboxim_bringup.runs.corruption import corrupt
+from roboxim_bringup.runs.delivery import task_mix_of
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted
+from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.proving import (
+    ArmClaim,
+    DatasetClaim,
+    Reading,
+    changed_parts,
+    judge_again,
+    prove_evaluation,
+    prove_trained_on,
+    prove_training,
+)
+from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_core.config import to_plain
+from roboxim_core.documents import read_json_object
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.seeds import CELL
+from roboxim_eval.experiments import Design, Stage
+from roboxim_eval.experiments.proofs import Tally
+
+POLL_S = 1.0
+"""Period at which a training is asked whether it has ended [s]."""
+END_S = 60.0
+"""Longest time for an interrupted training to save its checkpoint [s]."""
+PROOF_FILE = "proof.json"
+"""File of a proof's folder with its checks, faults and statements."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stages:
+    """Runs the stages of an experiment."""
+
+    design: Design
+    """The experiment."""
+    out: Path
+    """Its folder."""
+    policies: Mapping[str, PolicySpec | None]
+    """Name of an evaluation to its policy."""
+    workers: int
+    """Processes that run episodes."""
+    renderer: str
+    """Renderer of the images."""
+    on_event: OnEvent
+    """Receives the events of all stages."""
+    cancellation: Cancellation | None
+    """Ends the run when it is set."""
+    executor: Executor | None
+    """Runs episodes and reads bags; none: processes of this machine."""
+
+    def run(self, stage: Stage, stages: Mapping[str, Stage]) -> dict[str, Any]:
+        """Run a stage.
+
+        Args:
+            stage: The stage.
+            stages: All stages by name.
+
+        Returns:
+            Facts about the result for the log of stages.
+
+        Raises:
+            CancelledError: When the run was cancelled; the same call continues.
+            RoboximError: When the stage fails.
+        """
+        if stage.kind == "prove":
+            prove = self._prove_training if stage.part == "export" else self._prove_evaluation
+            prove(stage, stages)
+            return {}
+        made: dict[str, Any] | None = getattr(self, f"_{stage.kind}")(stage)
+        return made or {}
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"on_event": self.on_event, "cancellation": self.cancellation}
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        width, _, height = self.design.config.image_size.partition("x")
+        return int(width), int(height or width)
+
+    def _folder(self, stage: str) -> Path:
+        return self.out / stage
+
+    def _mix(self, stage: Stage) -> str:
+        """Write a stage's task mix, and return the file."""
+        path = self.out / "mixes" / f"{stage.name.replace('/', '-')}.yaml"
+        path.parent.mkdir(exist_ok=True)
+        write_atomically(path, yaml.safe_dump(plain(stage.inputs["mix"]), sort_keys=False))
+        return str(path)
+
+    # -------------------------------------------------------------- data
+
+    def _generate(self, stage: Stage) -> None:
+        result = generate(
+            GenerationConfig(
+                task=self._mix(stage), out=self._folder(stage.name), episodes=stage.inputs["episodes"],
+                seed=stage.inputs["seed"], size=self._size, first_try=True, workers=self.workers,
+                renderer=self.renderer,
+            ),
+            executor=self.executor, **self._options,
+        )  # fmt: skip
+        failed = len(result.results) - len(result.kept)
+        if failed:
+            raise RoboximError(
+                f"{failed} of {len(result.results)} demonstrations in {result.out} failed in all attempts, so the "
+                "cells do not have their numbers; raise max_draws of the task, or widen what it draws"
+            )
+
+    def _corrupt(self, stage: Stage) -> None:
+        folder = self._folder(stage.name)
+        shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run: only a whole copy is named in the log
+        made = corrupt(
+            self._folder(stage.needs[0]), folder, stage.inputs["fault"], stage.inputs["share"],
+            seed=stage.inputs["seed"], link=True, **self._options,
+        )  # fmt: skip
+        wanted = max(1, round(stage.inputs["share"] * sum(stage.inputs["counts"].values())))
+        if len(made.planted) < wanted:
+            raise RoboximError(
+                f"'{stage.inputs['fault']}' could be planted in {len(made.planted)} of {wanted} episodes; the others "
+                "do not allow it; lower the share, or choose a task that allows it"
+            )
+
+    def _export(self, stage: Stage) -> dict[str, Any]:
+        counts: dict[str, int] = stage.inputs["counts"]
+        selection = ExportConfig(
+            val_fraction=0.0, where=(f"cell={','.join(counts)}",), per_cell=max(counts.values()),
+        )  # fmt: skip
+        report = export_rlds(self._folder(stage.needs[0]), self._folder(stage.name), selection, **self._options)
+        exported = sum(report.splits.values())
+        if exported != sum(counts.values()):
+            raise RoboximError(
+                f"{stage.name} has {exported} episodes, expected {sum(counts.values())}: {report.left_out}"
+            )
+        return {"faulty": len(self._claim(stage).planted)}
+
+    # -------------------------------------------------------------- policies
+
+    def _train(self, stage: Stage) -> None:
+        folder = self._folder(stage.name)
+        folder.parent.mkdir(exist_ok=True)
+        command = stage.inputs["command"]
+        for step in stage.inputs["checkpoints"]:
+            kept = folder.with_name(f"{folder.name}@{step}")
+            if not kept.exists():
+                self._command(stage, folder, f"{command} {stage.inputs['until']}", until=step)
+                draft = kept.with_name(f".{kept.name}.draft")
+                shutil.rmtree(draft, ignore_errors=True)
+                shutil.copytree(folder, draft)
+                draft.rename(kept)
+        self._command(stage, folder, command)
+
+    def _command(self, stage: Stage, folder: Path, command: str, **more: int) -> None:
+        """Run a training's command."""
+        words = [
+            word.format(dataset=self._folder(stage.needs[0]), out=folder, seed=stage.inputs["seed"],
+                        steps=stage.inputs["steps"], **more)
+            for word in shlex.split(command)
+        ]  # fmt: skip
+        self.on_event(StageStarted(title=f"training {stage.name}", total=1))
+        with open(folder.parent / f"{folder.name}.log", "a") as log:
+            process = started(words, log)
+            try:
+                while process.poll() is None:
+                    if self.cancellation is not None and self.cancellation.is_set():
+                        raise CancelledError("the experiment was cancelled")
+                    try:
+                        process.wait(POLL_S)
+                    except subprocess.TimeoutExpired:
+                        continue
+            finally:
+                _end(process)
+        if process.returncode:
+            raise RoboximError(f"{shlex.join(words)} ended with code {process.returncode}; see {log.name}")
+        self.on_event(StageFinished())
+
+    def _evaluate(self, stage: Stage) -> None:
+        policy = self.policies[stage.name]
+        assert policy is not None
+        result = evaluate(
+            EvaluationConfig(
+                policies=policy, task=self._mix(stage), out=self._folder(stage.name),
+                episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
+                size=self._size, workers=self.workers, renderer=self.renderer,
+            ),
+            executor=self.executor, **self._options,
+        )  # fmt: skip
+        result.require_measured()
+
+    # -------------------------------------------------------------- proofs
+
+    def _reading(self, stage: Stage) -> Reading:
+        return Reading(
+            workers=self.workers, logs=self._folder(stage.name) / "logs", executor=self.executor, **self._options
+        )
+
+    def _prove_training(self, stage: Stage, stages: Mapping[str, Stage]) -> None:
+        claims = [self._claim(stages[need]) for need in stage.needs]
+        found = prove_training(claims, plain(stage.inputs["mix"]), stage.inputs["unseen"], self._reading(stage))
+        self._store(stage, found, {}, None, most=0.0)
+
+    def _claim(self, export: Stage) -> DatasetClaim:
+        source = self._folder(export.needs[0])
+        listing = source.with_name(f"{source.name}-planted.json")
+        planted = read_json_object(listing)["planted"] if export.needs[0].startswith("corrupt/") else {}
+        name = export.name.removeprefix("export/")
+        return DatasetClaim(
+            name=name, path=self._folder(export.name), bags=source, counts=export.inputs["counts"], planted=planted
+        )
+
+    def _prove_evaluation(self, stage: Stage, stages: Mapping[str, Stage]) -> None:
+        arms = [self._arm(stages[need]) for need in stage.needs]
+        found, excluded = prove_evaluation(arms, self._reading(stage))
+        trainings = dict.fromkeys(t for need in stage.needs for t in stages[need].needs if t.startswith("train/"))
+        for name in trainings:
+            if name in stages:
+                found += prove_trained_on(self._folder(name), self._claim(stages[stages[name].needs[0]]))
+            else:
+                found += Tally(statements=(f"{name} took place elsewhere: nothing proves what it was trained on",))
+        again = self._judge_again(stage, stages, arms, excluded)
+        self._store(stage, found, excluded, again)
+
+    def _arm(self, stage: Stage) -> ArmClaim:
+        name = stage.name.removeprefix("evaluate/").rsplit(".", 1)[0]
+        condition = self.design.config.conditions[name]
+        return ArmClaim(
+            condition=name, folder=self._folder(stage.name) / name, mix=plain(stage.inputs["mix"]),
+            words=condition.instruction, changed=changed_parts(condition.set),
+        )  # fmt: skip
+
+    def _judge_again(
+        self, stage: Stage, stages: Mapping[str, Stage], arms: Sequence[ArmClaim], excluded: Mapping[str, Sequence[int]]
+    ) -> list[dict[str, Any]] | None:
+        """Judge failed held-out episodes of the primary comparison's first condition by the training's instructions.
+
+        Returns:
+            The episodes; none: no training of this experiment held cells out.
+        """
+        primary = self.design.config.primary
+        first = self.design.config.conditions[primary.first] if primary else None
+        unseen = {cell.key for cell in self.design.cells if cell.unseen}
+        if primary is None or first is None or not first.train or not unseen:
+            return None
+        arm = next(arm for arm in arms if arm.condition == primary.first)
+        mix, run, failed = task_mix_of(json.dumps(arm.mix)), RunFolder(arm.folder), {}
+        for result in run.results():
+            cell = mix.drawn(result.index)[CELL]
+            out = result.index in excluded.get(primary.first, ())
+            if cell in unseen and result.outcome == "failure" and result.bag and not out:
+                failed[str(run.path / result.bag)] = cell
+        generation = stage.name.rpartition(".")[2] if self.design.generations > 1 else "0"
+        claim = self._claim(stages[f"export/{first.train}.{generation}"])
+        return judge_again(failed, claim, plain(stage.inputs["mix"]), self._reading(stage))
+
+    def _store(
+        self,
+        stage: Stage,
+        found: Tally,
+        excluded: Mapping[str, Sequence[int]],
+        again: Sequence[Mapping[str, Any]] | None,
+        **most: float,
+    ) -> None:
+        """Write a proof, and refuse it when too much failed.
+
+        Raises:
+            RoboximError: Naming bags and figures.
+        """
+        folder = self._folder(stage.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        content = {**to_plain(found), "excluded": excluded, "judged_again": again}
+        write_atomically(folder / PROOF_FILE, json.dumps(content, indent=2) + "\n")
+        for text in found.statements:
+            self.on_event(Notice(text=text))
+        if refusal := found.refusal(**most):
+            raise RoboximError(f"{stage.name}: {refusal}\nall of them are in {folder / PROOF_FILE}")
+
+
+def started(words: Sequence[str], log: IO[str]) -> subprocess.Popen[bytes]:
+    """Start a training command that dies with this process; ``roboxim`` is the one of this environment.
+
+    Raises:
+        ConfigError: When there is no such program.
+    """
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)))
+    if shutil.which(words[0], path=path) is None:
+        raise ConfigError(f"the training command cannot be started: {shlex.join(words)} (no such program)")
+    return spawn("roboxim_bringup.run_command", words, output=log, environment={"PATH": path})
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a training: it may save a checkpoint first."""
+    if process.poll() is not None:
+        return
+    os.killpg(process.pid, signal.SIGINT)
+    try:
+        process.wait(END_S)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def plain(value: Any) -> Any:
+    """Return plain data as JSON has it."""
+    return json.loads(json.dumps(value))

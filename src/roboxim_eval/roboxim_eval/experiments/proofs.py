@@ -1,0 +1,250 @@
+"""Proofs that an experiment was delivered: tallies of checks over the bags of its demonstrations and evaluations.
+
+An episode that fails a check is none of its cell, so it does not count. If more than `MOST_FAULTS` of the episodes of a
+stage fail, the experiment stops. Training data are refused at the first fault: a held-out episode in it cannot be
+taken out of the weights.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from roboxim_eval.experiments.delivery import CHANGED, CHECKS, Demand, Shown, belongs_to, faults_of
+
+MOST_FAULTS = 0.01
+"""Share of faulty episodes above which a run stops."""
+NAMED = 5
+"""Number of faults that a message names."""
+LOOKS = ("lights", "surfaces", "background")
+"""Reset components that change pictures and nothing else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """An episode that fails a check."""
+
+    check: str
+    """Name of the check."""
+    bag: str
+    """Its bag."""
+    text: str
+    """What is wrong, with figures."""
+
+    def __str__(self) -> str:
+        """Format bag, check and figures."""
+        return f"{self.bag}: {self.check}: {self.text}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """Results of checks."""
+
+    checks: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Check to number of episodes that passed, and number of episodes checked."""
+    faults: tuple[Fault, ...] = ()
+    """All faults."""
+    statements: tuple[str, ...] = ()
+    """What is no fault, but must be said, e.g. held-out objects that were distractors of the training."""
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return both together."""
+        names = dict.fromkeys((*self.checks, *other.checks))
+        sums = {
+            name: (
+                self.checks.get(name, (0, 0))[0] + other.checks.get(name, (0, 0))[0],
+                self.checks.get(name, (0, 0))[1] + other.checks.get(name, (0, 0))[1],
+            )
+            for name in names
+        }
+        return Tally(
+            checks=sums, faults=(*self.faults, *other.faults), statements=(*self.statements, *other.statements)
+        )
+
+    @property
+    def faulty(self) -> frozenset[str]:
+        """Bags that fail a check."""
+        return frozenset(fault.bag for fault in self.faults)
+
+    def refusal(self, most: float = MOST_FAULTS) -> str:
+        """Return why a run must stop, naming bags and figures; empty: it may go on.
+
+        Args:
+            most: Share of faulty episodes that is tolerated.
+        """
+        checked = max((n for _, n in self.checks.values()), default=0)
+        if len(self.faulty) <= most * checked:
+            return ""
+        named = "\n".join(f"  {fault}" for fault in self.faults[:NAMED])
+        more = len(self.faults) - NAMED
+        limit = f"; {100 * most:g} % are tolerated" if most else ""
+        return f"{len(self.faulty)} of {checked} episodes do not show what their cell demands{limit}:\n{named}" + (
+            f"\n  and {more} more" if more > 0 else ""
+        )
+
+
+def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown]) -> Tally:
+    """Check episodes against what their cells demand.
+
+    Args:
+        demands: Cell to what it demands.
+        episodes: What the bags show.
+    """
+    counts: Counter[str] = Counter()
+    faults: list[Fault] = []
+    checked = 0
+    for shown in episodes:
+        checked += 1
+        if shown.cell not in demands:
+            faults.append(Fault(check="cell", bag=shown.bag, text=f"the evaluation has no cell '{shown.cell}'"))
+            continue
+        found = faults_of(demands[shown.cell], shown)
+        faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items()]
+        counts.update(name for name in CHECKS if name not in found)
+    return Tally(checks={name: (counts[name], checked) for name in CHECKS} if checked else {}, faults=tuple(faults))
+
+
+# ------------------------------------------------------------------ pairing
+
+
+def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collection[str]]) -> Tally:
+    """Check that conditions met the same scenes.
+
+    Conditions without changes must share states and pictures of tick 0. A condition that changes light or surfaces
+    alone must share the states and have other pictures. Other changes move objects or cameras, which `tally` checks.
+
+    Args:
+        arms: Condition to its episodes of one replicate.
+        changed: Condition to the parts of the task that it changes, e.g. ``reset.lights``; left out: none.
+    """
+    scenes = {name: {(s.cell, s.number): s for s in shown} for name, shown in arms.items()}
+    plain = [name for name in arms if not changed.get(name)]
+    looks = [name for name in arms if changed.get(name) and all(_is_look(part) for part in changed[name])]
+    if not plain:
+        return Tally()
+    first = plain[0]
+    faults: list[Fault] = []
+    paired = delivered = asked = 0
+    for name in (*plain[1:], *looks):
+        for scene, shown in scenes[name].items():
+            other = scenes[first].get(scene)
+            if other is None:
+                continue
+            paired += 1
+            if text := _unequal(shown, other, first, pictures=name in plain):
+                faults.append(Fault(check="pairing", bag=shown.bag, text=text))
+            if name in looks:
+                asked += 1
+                delivered += (seen := _seen_change(shown, other)) >= CHANGED
+                if seen < CHANGED:
+                    text = f"its pictures are {seen:.2f} of 255 from those of '{first}', at least {CHANGED:g} expected"
+                    faults.append(Fault(check="changed", bag=shown.bag, text=text))
+    failed = sum(fault.check == "pairing" for fault in faults)
+    checks = {"pairing": (paired - failed, paired)} if paired else {}
+    return Tally(checks=checks | ({"changed": (delivered, asked)} if asked else {}), faults=tuple(faults))
+
+
+def _is_look(part: str) -> bool:
+    return part.removeprefix("reset.").split(".")[0] in LOOKS
+
+
+def _unequal(shown: Shown, other: Shown, condition: str, *, pictures: bool) -> str:
+    if shown.state_hash != other.state_hash:
+        return f"the state of tick 0 is {shown.state_hash[:8]}, that of '{condition}' is {other.state_hash[:8]}"
+    if pictures:
+        for camera in shown.pictures.keys() & other.pictures.keys():
+            if shown.pictures[camera] != other.pictures[camera]:
+                return f"the picture of camera '{camera}' at tick 0 is not that of '{condition}'"
+    return ""
+
+
+def _seen_change(shown: Shown, other: Shown) -> float:
+    """Return the largest mean difference of two episodes' pictures over the cameras, of 255."""
+    found = [0.0]
+    for camera in shown.thumbnails.keys() & other.thumbnails.keys():
+        first, second = shown.thumbnails[camera], other.thumbnails[camera]
+        found.append(sum(abs(a - b) for a, b in zip(first, second, strict=True)) / max(len(first), 1))
+    return max(found)
+
+
+# ------------------------------------------------------------------ training data
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """An episode of a dataset."""
+
+    shown: Shown
+    """What its bag shows."""
+    asked: tuple[Demand, ...] = ()
+    """Skill and objects that the dataset's instruction asks for in the scene; empty: it is not understood."""
+    planted: str = ""
+    """Fault that was planted on purpose; empty: none."""
+
+
+def training_tally(
+    demands: Mapping[str, Demand], unseen: Collection[str], counts: Mapping[str, int], episodes: Sequence[Trained]
+) -> Tally:
+    """Check a training dataset against the cells that it may have.
+
+    Args:
+        demands: All cells of the experiment with what they demand.
+        unseen: Held-out cells.
+        counts: Cells of the dataset with their numbers of episodes.
+        episodes: Episodes of the dataset.
+    """
+    closed = [cell for cell in unseen if cell not in counts]
+    faults: list[Fault] = []
+    leaks = 0
+    for episode in episodes:
+        if text := _leak(episode, demands, closed):
+            leaks += 1
+            faults.append(Fault(check="unseen", bag=episode.shown.bag, text=text))
+    found = Counter(episode.shown.cell for episode in episodes)
+    wrong = [
+        Fault(check="counts", bag=cell, text=f"{found[cell]} episodes, {counts.get(cell, 0)} expected")
+        for cell in dict.fromkeys((*counts, *found))
+        if found[cell] != counts.get(cell, 0)
+    ]
+    cells = len(dict.fromkeys((*counts, *found)))
+    number = len(episodes)
+    return Tally(
+        checks={"unseen": (number - leaks, number), "counts": (cells - len(wrong), cells)},
+        faults=(*faults, *wrong),
+        statements=tuple(_exposures(demands, closed, episodes)),
+    )
+
+
+def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Sequence[str]) -> str:
+    for cell in closed:
+        if belongs_to(demands[cell], episode.shown):
+            claims = "" if episode.shown.cell == cell else f", although it claims '{episode.shown.cell}'"
+            return f"it is of the held-out cell '{cell}'{claims}"
+    if episode.shown.cell in closed:
+        return f"it claims the held-out cell '{episode.shown.cell}'"
+    return ""
+
+
+def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: Sequence[Trained]) -> Iterable[str]:
+    """Say where held-out objects lie beside the held-out skill's target, and where words ask for a held-out cell."""
+    for cell in closed:
+        demand = demands[cell]
+        wanted = [value for allowed in demand.models.values() for value in allowed.values]
+        same = [episode.shown for episode in episodes if episode.shown.skill == demand.skill]
+        beside = sum(any(model in wanted for model in shown.others) for shown in same)
+        if beside:
+            yield (
+                f"{beside} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "
+                f"'{cell}' as a distractor"
+            )
+        said = sum(any(_asks_for(demand, asked) for asked in episode.asked) for episode in episodes)
+        if said:
+            yield f"the instructions of {said} training episodes ask for the held-out cell '{cell}'"
+
+
+def _asks_for(demand: Demand, asked: Demand) -> bool:
+    return asked.skill == demand.skill and all(
+        role in asked.models and any(not allowed.excess(value) for value in asked.models[role].values)
+        for role, allowed in demand.models.items()
+    )

@@ -1,0 +1,162 @@
+"""Proofs of delivery: each planted defect is found, by name of its bag and with its figure; a clean episode passes."""
+
+from dataclasses import replace
+
+import pytest
+
+from roboxim_core.poses import Pose
+from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, View, belongs_to, faults_of
+from roboxim_eval.experiments.proofs import Tally, Trained, pairing, tally, training_tally
+
+VIEW = View(parent="world", pose=Pose(position=(1.0, 0.2, 0.6)))
+
+
+def words(*values):
+    return Allowed(values=values)
+
+
+DEMAND = Demand(
+    skill="pick_up", models={"target": words("cube")}, modifiers={"target": {"color": words("red")}},
+    distractors=(1, 2), areas={"target": (Allowed(lower=(0.3, -0.1), upper=(0.5, 0.1)),)},
+    start=Allowed(lower=(0.4, -0.1, 0.3), upper=(0.5, 0.1, 0.4)), cameras={"workspace": (VIEW,)},
+    look={"light.intensity": Allowed(lower=(1.0,), upper=(4.0,)), "table.texture": words("marble", "wood")},
+)  # fmt: skip
+CLEAN = Shown(
+    bag="episodes/eval-0", cell="pick_up target=cube", number=0, skill="pick_up", models={"target": "cube"},
+    modifiers={"target": {"color": "red"}}, others=("apple",), positions={"target": (0.4, 0.0, 0.02)},
+    start=(0.45, 0.0, 0.35), cameras={"workspace": VIEW}, look={"light.intensity": 2.0, "table.texture": "wood"},
+    tool_px={"workspace": 0.0}, pixels={"target": 300.0}, colors={"target": 0.5, "table": 0.2},
+    brightness={"workspace": 0.1}, state_hash="a" * 32, pictures={"workspace": 7},
+    thumbnails={"workspace": (100, 100)}, instruction="Pick up the red cube", received="Pick up the red cube",
+)  # fmt: skip
+DEMANDS = {CLEAN.cell: DEMAND}
+
+
+def moved(metres):
+    x, y, z = VIEW.pose.position
+    return View(parent="world", pose=Pose(position=(x + metres, y, z)))
+
+
+def test_a_clean_episode_passes_every_check():
+    assert faults_of(DEMAND, CLEAN) == {}
+    found = tally(DEMANDS, [CLEAN])
+    assert set(found.checks.values()) == {(1, 1)}
+    assert not found.refusal()
+
+
+@pytest.mark.parametrize(
+    ("check", "figure", "defect"),
+    [
+        ("skill", "rotate", {"skill": "rotate"}),
+        ("object", "the target is apple", {"models": {"target": "apple"}}),
+        ("object", "color of the target is blue", {"modifiers": {"target": {"color": "blue"}}}),
+        ("object", "12 visible pixels", {"pixels": {"target": 12.0}}),
+        ("object", "15.0 .CIEDE2000", {"colors": {"target": 15.0}}),
+        ("distractors", "0 distractors .* 1 to 2 expected", {"others": ()}),
+        ("area", "0.4 0.2 m, 10.0 cm outside", {"positions": {"target": (0.4, 0.2, 0.0)}}),
+        ("area", "the target is missing", {"positions": {}}),
+        ("start", "5.0 cm outside", {"start": (0.45, 0.0, 0.25)}),
+        ("camera", "5.0 cm from the demanded pose", {"cameras": {"workspace": moved(0.05)}}),
+        ("camera", "mounted on gripper", {"cameras": {"workspace": replace(VIEW, parent="gripper")}}),
+        ("camera", "missing", {"cameras": {}}),
+        ("camera", "4.0 px from its projection", {"tool_px": {"workspace": 4.0}}),
+        ("camera", "is not found", {"tool_px": {"workspace": float("inf")}}),
+        ("light", "light.intensity is 0.5, .* from 1 to 4", {"look": {**CLEAN.look, "light.intensity": 0.5}}),
+        ("light", r"-9.0 of 255", {"brightness": {"workspace": -9.0}}),
+        ("texture", "table.texture is none, .* marble or wood", {"look": {**CLEAN.look, "table.texture": ""}}),
+        ("texture", "12.0", {"colors": {"table": 12.0}}),
+        ("words", "received '', expected 'Pick up the red cube'", {"received": ""}),
+    ],
+)
+def test_each_defect_is_found_with_its_figure(check, figure, defect):
+    found = tally(DEMANDS, [CLEAN, replace(CLEAN, bag="episodes/eval-1", **defect)])
+    (fault,) = found.faults
+    assert (fault.check, fault.bag) == (check, "episodes/eval-1")
+    with pytest.raises(RuntimeError, match=rf"1 of 2 episodes .*\n  episodes/eval-1: {check}: .*{figure}"):
+        raise RuntimeError(found.refusal())
+
+
+def test_a_policy_must_receive_the_words_of_its_condition():
+    blind = replace(DEMAND, words="")
+    assert "words" in faults_of(blind, CLEAN)
+    assert not faults_of(blind, replace(CLEAN, received=""))
+
+
+def test_a_drawn_camera_must_lie_within_its_range():
+    shifted = replace(DEMAND, shifts={"workspace": Allowed(lower=(-0.06, -0.1, 0.0), upper=(0.06, 0.1, 0.0))})
+    assert not faults_of(shifted, replace(CLEAN, cameras={"workspace": moved(0.05)}))
+    assert "9.0 cm from" not in str(faults_of(shifted, replace(CLEAN, cameras={"workspace": moved(0.09)})))
+    assert "3.0 cm from" in str(faults_of(shifted, replace(CLEAN, cameras={"workspace": moved(0.09)})))
+
+
+def test_one_percent_of_faulty_episodes_is_tolerated_and_no_more():
+    bad = replace(CLEAN, others=())
+    few = tally(DEMANDS, [CLEAN] * 199 + [replace(bad, bag=f"b{n}") for n in range(2)])
+    assert few.faulty == {"b0", "b1"}
+    assert not few.refusal()
+    many = few + tally(DEMANDS, [replace(bad, bag="b2")])
+    assert "3 of 202 episodes" in many.refusal()
+    assert "2 of 201" in few.refusal(0.0)
+
+
+def test_arms_must_share_states_and_pictures():
+    other = replace(CLEAN, bag="episodes/other")
+    assert pairing({"a": [CLEAN], "b": [other]}, {}).checks == {"pairing": (1, 1)}
+    for defect in ({"state_hash": "b" * 32}, {"pictures": {"workspace": 8}}):
+        (fault,) = pairing({"a": [CLEAN], "b": [replace(other, **defect)]}, {}).faults
+        assert (fault.check, fault.bag) == ("pairing", "episodes/other")
+    assert pairing({"a": [CLEAN], "b": [replace(other, number=1)]}, {}).checks == {}, "no scene is shared"
+
+
+def test_a_changed_light_must_change_the_picture_and_nothing_else():
+    lit = replace(CLEAN, bag="episodes/lit", pictures={"workspace": 8}, thumbnails={"workspace": (104, 100)})
+    changed = {"light": ["reset.lights"]}
+    assert pairing({"a": [CLEAN], "light": [lit]}, changed).checks == {"pairing": (1, 1), "changed": (1, 1)}
+    (same,) = pairing({"a": [CLEAN], "light": [replace(CLEAN, bag="episodes/lit")]}, changed).faults
+    assert (same.check, same.bag) == ("changed", "episodes/lit")
+    (shoved,) = pairing({"a": [CLEAN], "light": [replace(lit, state_hash="b" * 32)]}, changed).faults
+    assert shoved.check == "pairing"
+    assert pairing({"a": [CLEAN], "camera": [lit]}, {"camera": ["reset.cameras"]}) == Tally(), "redrawn scenes"
+
+
+# ------------------------------------------------------------------ training data
+
+ROTATE = replace(DEMAND, skill="rotate", distractors=(0, 0))
+CELLS = {"pick_up target=cube": DEMAND, "rotate target=cube": ROTATE}
+TURN = Trained(shown=replace(CLEAN, bag="episodes/demo-1", cell="rotate target=cube", skill="rotate"))
+
+
+def trained_on(*episodes, counts=None):
+    return training_tally(CELLS, ["pick_up target=cube"], counts or {"rotate target=cube": len(episodes)}, episodes)
+
+
+def test_a_held_out_episode_is_found_whatever_cell_it_claims():
+    assert not trained_on(TURN, TURN).refusal(0.0)
+    lying = Trained(shown=replace(CLEAN, bag="episodes/demo-2", cell="rotate target=cube"))
+    refusal = trained_on(TURN, lying).refusal(0.0)
+    assert "episodes/demo-2: unseen: it is of the held-out cell 'pick_up target=cube', although it claims" in refusal
+    both = {"pick_up target=cube": 1, "rotate target=cube": 1}
+    assert not trained_on(TURN, Trained(shown=CLEAN), counts=both).refusal(0.0), "the baseline may have it"
+
+
+def test_the_counts_of_a_dataset_must_be_those_of_the_design():
+    refusal = trained_on(TURN, TURN, counts={"rotate target=cube": 3}).refusal(0.0)
+    assert "rotate target=cube: counts: 2 episodes, 3 expected" in refusal
+
+
+def test_held_out_objects_beside_the_target_and_in_words_are_stated():
+    beside = Trained(shown=replace(CLEAN, models={"target": "apple"}, others=("cube",), cell="rotate target=cube"))
+    asked = Demand(skill="pick_up", models={"target": words("cube")})
+    found = trained_on(beside, replace(TURN, asked=(asked,)))
+    assert not found.refusal(0.0)
+    assert found.statements == (
+        "1 of 1 training episodes of pick_up have the object of the held-out cell 'pick_up target=cube' as a "
+        "distractor",
+        "the instructions of 1 training episodes ask for the held-out cell 'pick_up target=cube'",
+    )
+
+
+def test_cells_are_told_apart_by_content():
+    assert belongs_to(DEMAND, CLEAN)
+    assert not belongs_to(ROTATE, CLEAN)
+    assert not belongs_to(DEMAND, replace(CLEAN, cameras={"workspace": moved(0.3)}))

@@ -1,0 +1,183 @@
+"""Proofs of delivery from real bags: clean ones pass; a moved camera, a lost distractor, a held-out episode do not."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.runs.delivery import DeliveryReader, demands_of
+from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.proving import (
+    ArmClaim,
+    DatasetClaim,
+    Reading,
+    prove_evaluation,
+    prove_trained_on,
+    prove_training,
+)
+from roboxim_bringup.runs.reenactment import Recorded, Reenactor
+from roboxim_bringup.runs.training import name_dataset
+from roboxim_core.config import to_plain
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import SimError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
+from roboxim_eval.experiments.proofs import tally
+from roboxim_policies.builtin import ZeroPolicy
+from roboxim_recorder import topics
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.edited import copy_edited
+from roboxim_recorder.run_bags import list_bags
+
+CELL = "pick_up target=cube"
+MIX = {
+    "seed_by": "cell",
+    "cells": [{"tasks": ["pick_up"], "models": {"target": ["cube"]}, "episodes": 4}],
+    "set": {"distractors": {"minimum": 1, "maximum": 1}},
+}
+CAMERA = "workspace"
+
+
+def record(out, mix, episodes, **config):
+    """Record episodes of a mix, and the results as a run has them."""
+    try:
+        graph = CoreGraph(out, policy=config.pop("policy", None))
+    except SimError as error:
+        pytest.skip(str(error))
+    with graph:
+        runner = EpisodeRunner(
+            graph.ports,
+            RunConfig(task_config=yaml.safe_dump(mix), output_dir=str(out), image_width=96, image_height=96, **config),
+        )
+        results = [runner.run_index(index) for index in range(episodes)]
+    lines = [json.dumps({**to_plain(result), "key": ""}) for result in results]
+    (out / "results.jsonl").write_text("\n".join(lines) + "\n")
+    return results
+
+
+@pytest.fixture(scope="module")
+def rollouts(tmp_path_factory):
+    """Four short rollouts of a policy that holds still."""
+    out = tmp_path_factory.mktemp("rollouts")
+    record(out, MIX, 4, policy=ZeroPolicy(), max_steps=1, settle_ticks=1)
+    return out
+
+
+def shown_of(bags, mix=MIX):
+    reader, demands = DeliveryReader(ModelLibrary()), demands_of(json.dumps(mix))
+    try:
+        return demands, [reader.read(bag, demands.get) for bag in bags]
+    finally:
+        reader.close()
+
+
+def moved(camera, metres):
+    x, y, z = camera.pose.position
+    return replace(camera, pose=Pose(position=(x, y + metres, z), quat_xyzw=camera.pose.quat_xyzw))
+
+
+def with_camera_moved(bags, out, metres):
+    """Record episodes again with the camera elsewhere."""
+    with Reenactor(out) as sim:
+        for bag in bags:
+            recorded = Recorded.of(bag)
+            cameras = tuple(moved(c, metres) if c.name == CAMERA else c for c in recorded.info.scene.cameras)
+            sim.record(recorded, replace(recorded.info.scene, cameras=cameras), recorded.acts)
+    return list_bags(out)
+
+
+def test_clean_rollouts_pass_every_check(rollouts, tmp_path):
+    arm = ArmClaim(condition="mine", folder=rollouts, mix=MIX, words=None)
+    other = replace(arm, condition="other", folder=Path(shutil.copytree(rollouts, tmp_path / "other")))
+    found, excluded = prove_evaluation([arm, other], Reading(logs=tmp_path))
+    assert found.faults == ()
+    assert excluded == {}
+    assert set(found.checks.values()) == {(8, 8), (4, 4)}
+    assert found.checks["pairing"] == (4, 4)
+    (shown, *_) = shown_of(list_bags(rollouts)[:1])[1]
+    assert shown.tool_px[CAMERA] == 0.0
+    assert shown.pixels["target"] > 100
+
+
+def test_a_camera_moved_by_5_cm_is_found_with_bag_and_figure(rollouts, tmp_path):
+    bags = with_camera_moved(list_bags(rollouts)[:3], tmp_path / "moved", 0.05)
+    demands, shown = shown_of(bags)
+    found = tally(demands, shown)
+    assert found.faulty == {str(bag) for bag in bags}
+    assert found.checks["camera"] == (0, 3)
+    assert all(
+        "camera 'workspace' is 5.0 cm from the demanded pose" in str(f) for f in found.faults if f.check == "camera"
+    )
+
+
+def test_pictures_from_elsewhere_are_found_although_the_bag_claims_the_right_pose(rollouts, tmp_path):
+    bag = list_bags(rollouts)[0]
+    (elsewhere,) = with_camera_moved([bag], tmp_path / "moved", 0.05)
+    right = next(m for _, _, m in BagReader(bag).messages((topics.INFO,)))
+
+    def lie(topic, message):
+        if topic == topics.INFO:
+            message.scene.cameras = right.scene.cameras
+
+    lying = (
+        tmp_path
+        / "lying"
+        / copy_edited(elsewhere, tmp_path / "lying", (topics.INFO,), lie).relative_to(tmp_path / "lying")
+    )
+    demands, shown = shown_of([lying])
+    assert shown[0].tool_px[CAMERA] > 2.0
+    (fault,) = [fault for fault in tally(demands, shown).faults if fault.check == "camera"]
+    assert fault.bag == str(lying)
+    assert "px from its projection" in fault.text
+
+
+def test_a_missing_distractor_is_found(rollouts, tmp_path):
+    bag = list_bags(rollouts)[0]
+
+    def drop(topic, message):
+        for entity in message.entities if topic == topics.STATE else ():
+            if entity.name == "distractor_1":
+                entity.pose.position.z = -0.7
+
+    fallen = copy_edited(bag, tmp_path / "fallen", (topics.STATE,), drop)
+    demands, shown = shown_of([fallen])
+    (fault,) = [fault for fault in tally(demands, shown).faults if fault.check == "distractors"]
+    assert (fault.bag, fault.text) == (str(fallen), "0 distractors lie on the table, 1 expected")
+
+
+@pytest.mark.slow
+def test_a_held_out_episode_that_claims_a_seen_cell_is_refused_by_name(tmp_path):
+    cells = [{"tasks": [task], "models": {"target": ["cube"]}, "episodes": 1} for task in ("pick_up", "rotate")]
+    mix = {"seed_by": "cell", "cells": cells, "set": {"distractors": {"minimum": 0, "maximum": 0}}}
+    runs = tmp_path / "generate"
+    record(runs, mix, 2, purpose="demo", keep="successful", max_attempts=5)
+    seen = "rotate target=cube"
+
+    def proof(bags, counts):
+        target = tmp_path / f"export-{bags.name}-{len(counts)}"
+        export_rlds(bags, target, ExportConfig(val_fraction=0.0, where=(f"cell={','.join(counts)}",)))
+        claim = DatasetClaim(name="leave_out", path=target, bags=bags, counts=counts, planted={})
+        return claim, prove_training([claim], mix, [CELL], Reading(logs=tmp_path))
+
+    claim, clean = proof(runs, {seen: 1})
+    assert not clean.refusal(0.0)
+    assert clean.checks["unseen"] == (1, 1)
+    name_dataset(claim.path, tmp_path)
+    assert prove_trained_on(tmp_path, claim).checks == {"trained_on": (1, 1)}
+    other, _ = proof(runs, {seen: 1, CELL: 1})
+    assert "it was trained with the export" in prove_trained_on(tmp_path, other).refusal(0.0)
+
+    def lie(topic, message):
+        for pair in message.task.drawn if topic == topics.INFO else ():
+            if pair.key == "cell":
+                pair.value = seen
+
+    leaked = next(bag for bag in list_bags(runs) if BagReader(bag).info.task.drawn["cell"] == CELL)
+    lying = copy_edited(leaked, tmp_path / "lying", (topics.INFO,), lie)
+    _, found = proof(tmp_path / "lying", {seen: 1})
+    assert f"{lying}: unseen: it is of the held-out cell '{CELL}', although it claims '{seen}'" in found.refusal(0.0)
+    assert Path(lying).exists()

@@ -1,0 +1,114 @@
+"""Experiments with policies of known ability, the real expert and simulator: the card must state what was planted."""
+
+import shutil
+
+import pytest
+import yaml
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.planted_policy import PlantedPolicy
+from roboxim_bringup.runs.experiment import ExperimentRunConfig, run_experiment
+from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.substitution import satisfied
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import SimError
+from roboxim_core.models.library import ModelLibrary
+
+pytestmark = pytest.mark.slow
+
+TEXT = """
+about: Does a policy combine a skill and an object that it never saw together?
+factors:
+  task: {pick_up: {}, rotate: {arguments: {direction: {values: [clockwise]}}}}
+  target: [cube, soda_can]
+dimensions: {task: skill, target: object}
+unseen: [{task: pick_up, target: cube}, {task: rotate, target: soda_can}]
+set: {distractors: {minimum: 0, maximum: 0}}
+datasets:
+  leave_out: {cells: seen, per_cell: 2}
+  baseline: {cells: all, per_cell: 1}
+conditions:
+  leave_out: {train: leave_out}
+  baseline: {train: baseline}
+  blind: {checkpoint_of: leave_out, instruction: ""}
+trainers: {external: {}}
+evaluate: {per_cell: 4, cells: {leave_out: unseen, baseline: unseen, blind: unseen}}
+replicates: {count: 3}
+compare:
+  - {first: leave_out, second: baseline, where: unseen, primary: true}
+  - {first: leave_out, second: blind, where: unseen}
+image_size: 64x64
+"""
+PICK, TURN = "Pick up the soda can", "Rotate the cube clockwise by 90 degrees"
+"""Instructions of the seen cells."""
+
+
+@pytest.mark.parametrize(
+    ("options", "outcome", "did"),
+    [
+        ({}, "success", ()),
+        ({"rate": 0.0}, "failure", ()),
+        ({"rate": 0.0, "instead": {"pick_up target=cube": TURN}}, "failure", ("rotate target=cube",)),
+        ({"words": False, "known": [TURN]}, "failure", ("rotate target=cube",)),
+    ],
+)
+def test_the_policy_does_what_was_planted_and_its_bag_shows_it(tmp_path, options, outcome, did):
+    cells = [{"tasks": ["pick_up"], "models": {"target": ["cube"]}}]
+    mix = {"seed_by": "cell", "cells": cells, "set": {"distractors": {"minimum": 0, "maximum": 0}}}
+    try:
+        graph = CoreGraph(tmp_path, policy=PlantedPolicy(**options))
+    except SimError as error:
+        pytest.skip(str(error))
+    run = RunConfig(task_config=yaml.safe_dump(mix), output_dir=str(tmp_path), image_width=64, image_height=64)
+    with graph:
+        result = EpisodeRunner(graph.ports, run).run_index(0)
+    assert result.outcome == outcome
+    training = {TURN: "rotate target=cube", "Pick up the cube": "pick_up target=cube"}
+    assert satisfied(tmp_path / result.bag, training, ModelLibrary(), {}) == did
+
+
+def planted(**options):
+    return PolicySpec(spec="roboxim_bringup.planted_policy:PlantedPolicy", options=options)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """An experiment with its training data and no evaluation."""
+    folder = tmp_path_factory.mktemp("planted")
+    (folder / "mine.yaml").write_text(TEXT)
+    half = run_experiment(ExperimentRunConfig(experiment=str(folder / "mine.yaml"), out=folder / "data"))
+    assert len(half.waiting) == 9
+    return folder
+
+
+def result_of(data, name, leave_out, baseline):
+    shutil.copytree(data / "data", data / name)
+    policies = {"leave_out": leave_out, "baseline": baseline}
+    config = ExperimentRunConfig(experiment=str(data / "mine.yaml"), out=data / name, policies=policies)
+    return run_experiment(config).card
+
+
+def test_a_memoriser_is_named(data):
+    """It does the seen skill with the held-out object."""
+    instead = {"pick_up target=cube": TURN, "rotate target=soda_can": PICK}
+    memoriser = planted(rate=0.0, instead=instead, known=[PICK, TURN])
+    card = result_of(data, "memoriser", memoriser, planted())
+    assert card.verdicts[0].kind == "lower"
+    assert card.scores["relative"][0] < 0.1
+    assert card.scores["substitution"]["rate"][0] > 0.9
+    assert "->" in card.scores["substitution"]["worst"]
+    pairs = {(again.cell, again.satisfied) for again in card.judged_again}
+    assert {("pick_up target=cube", ("rotate target=cube",)),
+            ("rotate target=soda_can", ("pick_up target=soda_can",))} <= pairs  # fmt: skip
+
+
+def test_equal_policies_are_not_called_lower(data):
+    card = result_of(data, "equal", planted(rate=0.7, salt=1), planted(rate=0.7, salt=2))
+    assert card.verdicts[0].kind in ("as_good", "cannot_tell")
+
+
+def test_a_policy_that_ignores_words_gets_the_warning(data):
+    looker = planted(words=False, known=[PICK, TURN, "Pick up the cube", "Rotate the soda can clockwise by 90 degrees"])
+    card = result_of(data, "looker", looker, looker)
+    assert card.scores["words"][0] == pytest.approx(0.0, abs=0.3)
+    assert any("needs no words here" in text for text in card.warnings)
