@@ -95,7 +95,7 @@ class ExperimentResult:
     """Names of the finished stages."""
     missing: tuple[str, ...]
     """Names of the stages that are not finished."""
-    waiting: tuple[str, ...]
+    waiting: tuple[str, ...] = ()
     """Evaluations among them whose policy is trained elsewhere and not named yet."""
     card: Card | None
     """Results; none while evaluations are missing."""
