@@ -41,6 +41,7 @@ STAGES_FILE = "stages.jsonl"
 PROOFS_FILE = "proofs.json"
 JUDGED_FILE = "judged_again.json"
 EXCLUDED_FILE = "excluded.json"
+STATEMENTS_FILE = "statements.json"
 TIMES = ("wall_s", "inference_s")
 """Fields of a result that are not part of its hash."""
 
@@ -142,6 +143,7 @@ def collect_card(
         },
         judged_again=_judged(out),
         proofs=_proofs(out),
+        statements=_statements(out),
         times={stage: float(data.get("wall_s", 0.0)) for stage, data in products.items()},
     )  # fmt: skip
     return concluded(card, design)
@@ -223,6 +225,16 @@ def _proofs(out: Path) -> dict[str, tuple[int, int]]:
         return {}
     found: dict[str, tuple[int, int]] = from_plain(
         parse_json(read_text(path), source=str(path)), dict[str, tuple[int, int]], source=str(path)
+    )
+    return found
+
+
+def _statements(out: Path) -> tuple[str, ...]:
+    path = out / STATEMENTS_FILE
+    if not path.exists():
+        return ()
+    found: tuple[str, ...] = from_plain(
+        parse_json(read_text(path), source=str(path)), tuple[str, ...], source=str(path)
     )
     return found
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Executor
-from roboxim_bringup.experiment_card import EXCLUDED_FILE, JUDGED_FILE, PROOFS_FILE, collect_card
+from roboxim_bringup.experiment_card import EXCLUDED_FILE, JUDGED_FILE, PROOFS_FILE, STATEMENTS_FILE, collect_card
 from roboxim_bringup.experiment_files import checked_design, load_experiment
 from roboxim_bringup.experiment_provenance import (
     ATTEST_FILE,
@@ -231,10 +231,12 @@ class _Run:
         checks: dict[str, list[int]] = {}
         excluded: dict[str, list[int]] = {}
         again: list[Any] | None = None
+        statements: list[str] = []
         for stage in self.stages:
             if stage.kind != "prove":
                 continue
             proof = read_json_object(self.out / stage.name / PROOF_FILE)
+            statements += [text for text in proof["statements"] if text not in statements]
             prefix = "training " if stage.part == "export" else ""
             for name, (passed, number) in proof["checks"].items():
                 before = checks.get(prefix + name, [0, 0])
@@ -244,6 +246,7 @@ class _Run:
             if proof["judged_again"] is not None:
                 again = [*(again or []), *proof["judged_again"]]
         write_atomically(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
+        write_atomically(self.out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
         write_atomically(self.out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
         if again is not None:
             write_atomically(self.out / JUDGED_FILE, json.dumps(again) + "\n")

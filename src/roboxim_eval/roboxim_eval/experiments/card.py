@@ -207,6 +207,8 @@ class Card:
     """Failed held-out episodes of the primary comparison's first condition; null: not judged again."""
     proofs: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Proof of delivery to the numbers of episodes that passed and that were checked."""
+    statements: tuple[str, ...] = ()
+    """What proofs say beside passed and failed, e.g. that held-out objects were distractors of the training."""
     scores: dict[str, Any] | None = None
     """Scores of the held-out cells; null: the experiment has none."""
     verdicts: tuple[CardVerdict, ...] = ()

@@ -62,7 +62,9 @@ def concluded(card: Card, design: Design | None = None) -> Card:
         card,
         scores=plain_scores(analysis),
         verdicts=tuple(_verdict(c, c.config is primary or c.config == primary) for c in analysis.comparisons),
-        warnings=(*analysis.warnings, *attestation_warnings(card.trainings), *proof_warnings(card.proofs)),
+        warnings=(
+            *analysis.warnings, *attestation_warnings(card.trainings), *proof_warnings(card.proofs), *card.statements,
+        ),
     ))  # fmt: skip
 
 
