@@ -45,13 +45,19 @@ def exported(run, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def report(exported, run):
+    """The replay of the whole dataset."""
+    return replay_dataset(exported, [run])
+
+
+@pytest.fixture(scope="module")
 def sim():
     sim = PhysicsSim()
     yield sim
     sim.close()
 
 
-def replayed(exported, run, sim, number, change=lambda step: step, **fields):
+def replayed(exported, run, sim, number, change=lambda step: step, *, labels=False, **fields):
     """Replay an episode of the dataset with changed steps and fields."""
     episode = open_dataset(exported).episode(number)
 
@@ -59,11 +65,10 @@ def replayed(exported, run, sim, number, change=lambda step: step, **fields):
         return map(change, episode.read(wanted))
 
     bag = BagReader(run / "episodes" / episode.episode_id)
-    return replay_episode(replace(episode, read=read, **fields), bag, sim, CoreJudge())
+    return replay_episode(replace(episode, read=read, **fields), bag, sim, CoreJudge(), labels=labels)
 
 
-def test_a_good_export_passes(exported, run):
-    report = replay_dataset(exported, [run])
+def test_a_good_export_passes(report):
     assert report.refusal == ""
     assert report.required == 1.0
     assert str(report.retained("executed")) == "2 of 2 successes (100.0 %)"
@@ -81,29 +86,28 @@ def test_a_good_export_passes(exported, run):
     assert "passed" in "\n".join(report.lines)
 
 
-def test_wrong_executed_actions_are_refused_and_the_first_failure_is_named(exported, run, sim):
+def test_wrong_executed_actions_are_refused_and_the_first_failure_is_named(exported, run, sim, report):
     def mirrored(step):
         return replace(step, action_executed=step.action_executed * np.float32([1, -1, 1, 1, 1, 1, 1]))
 
     episode = replayed(exported, run, sim, 1, mirrored)
     assert not episode.executed.success
     assert episode.executed.apart_at > 0
-    report = replace(replay_dataset(exported, [run], episodes=1), episodes=(episode,))
+    report = replace(report, episodes=(episode,))
     assert report.refusal.startswith("the executed actions retain 0 of 1 successes (0.0 %), required are 100 %")
     assert f"{episode.episode_id} ({episode.executed.reason}, 1 mm from the recording" in report.refusal
 
 
-def test_wrong_labels_bind_only_without_noise(exported, run, sim):
+def test_wrong_labels_bind_only_without_noise(exported, run, sim, report):
     def open_label(step):
         return replace(step, action=np.float32([*step.action[:6], 1.0]))
 
-    whole = replay_dataset(exported, [run], labels=False)
-    noisy = replayed(exported, run, sim, 1, open_label)
+    noisy = replayed(exported, run, sim, 1, open_label, labels=True)
     assert noisy.executed.success
     assert not noisy.labels.success
-    assert replace(whole, episodes=(noisy,)).refusal == ""
-    calm = replayed(exported, run, sim, 0, open_label)
-    assert "the labels of the episodes without noise retain 0 of 1" in replace(whole, episodes=(calm,)).refusal
+    assert replace(report, episodes=(noisy,)).refusal == ""
+    calm = replayed(exported, run, sim, 0, open_label, labels=True)
+    assert "the labels of the episodes without noise retain 0 of 1" in replace(report, episodes=(calm,)).refusal
 
 
 @pytest.mark.parametrize(
@@ -144,7 +148,7 @@ def test_a_dataset_at_half_the_rate_is_executed_at_its_own(exported, run, sim):
     slow = replace(
         episode, length=len(steps), semantics=ActionSemantics(rate_hz=5.0), fps=5.0, read=lambda _: iter(steps)
     )
-    found = replay_episode(slow, bag, sim, CoreJudge())
+    found = replay_episode(slow, bag, sim, CoreJudge(), labels=False)
     assert not found.lossless
     assert len(found.executed.tcp_error_m) == found.executed.steps
     assert max(found.executed.tcp_error_m) < 0.02, "it follows the recording, two ticks at a time"
