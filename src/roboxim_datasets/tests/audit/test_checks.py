@@ -344,6 +344,12 @@ def test_saturation_without_declared_limits_shows_at_the_extremes() -> None:
     assert not found("saturation", replace(audited.episode(), semantics=None))
 
 
+def test_a_target_that_is_held_is_not_saturated() -> None:
+    held = np.cumsum(audited.arrays(0)["actions"], axis=0).clip(-0.02, 0.02)
+    absolute = ActionSemantics(control="end_effector_absolute")
+    assert "absolute targets" in unchecked("saturation", replace(audited.episode(actions=held), semantics=absolute))
+
+
 def test_an_unreadable_episode_is_reported_and_the_others_are_audited() -> None:
     short = replace(audited.episode(), length=99)
     result = audited.audit(short, audited.episode(1))

@@ -119,12 +119,15 @@ class Saturation(AuditCheck):
         f"more than {100 * SATURATED_SHARE:.0f} % of the ticks within {100 * (1 - CLOSE_TO_LIMIT):.0f} % of the "
         "declared limits or beyond; without a declaration, that often exactly at the extreme of a component"
     )
+    needs = "motions, not absolute targets"
     order = 12
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find actions at the limit."""
         actions, semantics = episode.actions, episode.episode.semantics
-        if semantics is not None and (semantics.control.is_joint_space or not semantics.control.is_relative):
+        if semantics is not None and not semantics.control.is_relative:
+            raise CannotCheckError("absolute targets have no limits per tick; one that is held looks clipped")
+        if semantics is not None and semantics.control.is_joint_space:
             semantics = None
         at_limit = _at_limit(actions, semantics) if semantics else _at_extreme(actions)
         if at_limit.mean() > SATURATED_SHARE:
