@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
-    "The main job": ("demo", "tasks", "generate", "export", "dataset", "train", "evaluate"),
+    "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate"),
     "Experiments": ("experiment", "benchmark"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
     "Planning": ("planner",),

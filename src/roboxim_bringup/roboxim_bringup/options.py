@@ -62,6 +62,10 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
             "--repair", is_flag=True,
             help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
         ),
+        click.option(
+            "--shard", default="", metavar="I/N",
+            help="Run only the I-th of N parts of the episodes, in a folder of its own; roboxim merge joins them.",
+        ),
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:

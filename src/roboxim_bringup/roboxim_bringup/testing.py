@@ -1,4 +1,4 @@
-"""Pytest fixtures: the whole graph in this process, in its own domain.
+"""For tests: fixtures of the whole graph in this process, in its own domain, and comparisons of runs.
 
 Import the fixture into your ``conftest.py``::
 
@@ -13,8 +13,10 @@ Override ``graph_parameters`` for parameters other than the defaults.
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -37,3 +39,20 @@ def graph(graph_parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[Graph]:
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
         recorder = {"output_root": tempfile.gettempdir(), **graph_parameters.get("recorder", {})}
         yield start_graph(host, parameters={**graph_parameters, "recorder": recorder})
+
+
+def recordings(run: Path) -> dict[str, str]:
+    """Return the hash of every recording in a run's folder, by its path."""
+    return {
+        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest() for path in run.rglob("*/*/*.mcap")
+    }
+
+
+def repeatable_results(run: Path) -> list[dict[str, Any]]:
+    """Return a run's results without the times, which no two machines share."""
+    from roboxim_bringup.runs.folder import RunFolder
+    from roboxim_bringup.runs.merging import CLOCKED
+    from roboxim_core.config import to_plain
+
+    found = [to_plain(result) for result in RunFolder(run).results()]
+    return [{name: value for name, value in result.items() if name not in CLOCKED} for result in found]

@@ -16,7 +16,13 @@ SHOWN_CHARACTERS = 60
 _MISSING = object()
 
 
-def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: Collection[str] = ()) -> str:
+def differences(
+    there: Mapping[str, Any],
+    asked: Mapping[str, Any],
+    *,
+    ignore: Collection[str] = (),
+    words: tuple[str, str] = ("stored", "requested"),
+) -> str:
     """Describe the differences between two configurations, by their innermost keys.
 
     YAML text, such as a run's ``task_config``, is compared key by key.
@@ -25,6 +31,7 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: C
         there: The existing configuration, plain data.
         asked: The requested configuration, plain data.
         ignore: Outermost keys that may differ.
+        words: What follows a value of the first and of the second configuration.
 
     Returns:
         For example ``seed: 0 stored, 1 requested; task_config.skill: "rotate" stored, "pick_up" requested``; empty
@@ -35,7 +42,7 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], *, ignore: C
     for key in sorted(keys):
         old, new = (_leaves(key, data[key]) if key in data else {} for data in (there, asked))
         inner = [name for name in dict.fromkeys((*new, *old)) if old.get(name, _MISSING) != new.get(name, _MISSING)]
-        found += [f"{name}: {_shown(old, name)} stored, {_shown(new, name)} requested" for name in inner] or [
+        found += [f"{name}: {_shown(old, name)} {words[0]}, {_shown(new, name)} {words[1]}" for name in inner] or [
             f"{key}: the same values in another order or with other comments"
         ]
     more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []

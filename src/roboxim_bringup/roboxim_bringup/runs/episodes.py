@@ -24,6 +24,7 @@ from roboxim_bringup.runs.events import (
     telling_interruption,
 )
 from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
+from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
@@ -71,12 +72,15 @@ class EpisodesConfig:
     """Whether the cameras also give segmentation."""
     repair: bool = False
     """Whether to repeat the episodes whose bag or result is lost or damaged, instead of refusing to continue."""
+    shard: str = ""
+    """``I/N``: run only the I-th of N parts of the episodes, for `roboxim_bringup.runs.merging`; empty: all."""
 
     def __post_init__(self) -> None:
         """Check the values that need no other file.
 
         Raises:
-            ConfigError: On a number out of range, an unknown renderer, or a folder's name that is too long.
+            ConfigError: On a number out of range, an unknown renderer, a wrong shard, or a folder's name that is too
+                long.
         """
         checked_path(self.out)
         if isinstance(self.objects, str):
@@ -94,6 +98,13 @@ class EpisodesConfig:
             if side and not SIZE_PX[0] <= side <= SIZE_PX[1]:
                 raise ConfigError(f"size must be {SIZE_PX[0]} to {SIZE_PX[1]} px, or 0: as configured; got {side}")
         RENDERERS[self.renderer]
+        if not self.indices:
+            raise ConfigError(f"shard {self.shard} of {self.episodes} episodes has none; take fewer shards")
+
+    @property
+    def indices(self) -> range:
+        """Indices of the episodes to run."""
+        return Shard.parse(self.shard).indices(self.episodes)
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -138,7 +149,9 @@ class EpisodesJob:
     config: RunConfig
     """The episode loop's configuration; its ``output_dir`` is the run's folder."""
     episodes: int
-    """How many."""
+    """Number of episodes of the whole run."""
+    shard: Shard = Shard()
+    """Part of it to run."""
     workers: int = 1
     """Processes."""
     renderer: str = "raster"
@@ -159,6 +172,11 @@ class EpisodesJob:
         RENDERERS[self.renderer]
 
     @property
+    def indices(self) -> range:
+        """Indices of the episodes to run."""
+        return self.shard.indices(self.episodes)
+
+    @property
     def looking_renderer(self) -> str:
         """Renderer of the visibility check: ``tiny`` if it draws the images (no GL), else ``raster``.
 
@@ -175,6 +193,7 @@ class EpisodesJob:
             **config,
             "episodes": self.episodes,
             "workers": self.workers,
+            **({"shard": str(self.shard)} if str(self.shard) else {}),
             "renderer": self.renderer,
             "policies": [to_plain(launch) for launch in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
@@ -184,7 +203,7 @@ class EpisodesJob:
     def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
         """Return, by index, a folder's results that belong to this job and need no further attempt."""
         return {
-            result.index: result for result in results if result.index < self.episodes and result.reason != WORKER_DIED
+            result.index: result for result in results if result.index in self.indices and result.reason != WORKER_DIED
         }
 
     def work(self, environment: Mapping[str, str]) -> Work:
@@ -272,7 +291,7 @@ def run_episodes(
         repair: Repeat episodes that are lost or damaged.
 
     Returns:
-        All results, in the order of their indices.
+        All results of the job's shard, in the order of their indices.
 
     Raises:
         CancelledError: When the run was cancelled.
@@ -283,17 +302,18 @@ def run_episodes(
     folder = RunFolder(job.config.output_dir)
     with telling_interruption(on_event, lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
         done = _finished(job, folder, repair)
-        missing = [index for index in range(job.episodes) if index not in done]
+        missing = [index for index in job.indices if index not in done]
         for index in missing:
             folder.discard(index)
         if missing:
             executor = executor or LocalExecutor(job.workers, log_dir=folder.path / "logs")
-            on_event(StageStarted(title=title, total=job.episodes, done=len(done)))
-            on_event(StageProgress(done=len(done), total=job.episodes, note="starting"))
+            total = len(job.indices)
+            on_event(StageStarted(title=title, total=total, done=len(done)))
+            on_event(StageProgress(done=len(done), total=total, note="starting"))
             for result in _results(executor, job, missing, environment, folder, on_event, cancellation):
                 folder.append(result)
                 done[result.index] = result
-                on_event(StageProgress(done=len(done), total=job.episodes, note=_tally(done.values())))
+                on_event(StageProgress(done=len(done), total=total, note=_tally(done.values())))
                 on_event(EpisodeFinished(folder=folder.path, result=result))
             on_event(StageFinished())
         return [done[index] for index in sorted(done)]

@@ -6,9 +6,10 @@ policy's name or folder is refused before them.
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,9 @@ from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_envir
 from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder, require_bags
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
-from roboxim_core.config import load_config, named_config, to_json
+from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_bringup.runs.shards import Shard
+from roboxim_core.config import load_config, named_config, to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
     from roboxim_eval.statistics import SuccessRate
     from roboxim_tasks.task_config import TaskConfig
 
+RECORD_FILE = "evaluation.json"
+"""File beside a report, by which `roboxim merge` writes it again."""
 SHOWN = 12
 """Films of each policy in the report."""
 
@@ -74,6 +79,24 @@ class EvaluationConfig(EpisodesConfig):
     """Command that reproduces the report, shown in it; empty: the call of `evaluate`."""
     stopped: str = ""
     """How the number of episodes was decided, for the report; empty: it was fixed beforehand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationRecord:
+    """What a report says about an evaluation and its episodes do not; stored as `RECORD_FILE` beside it."""
+
+    task: str
+    """Name of the task."""
+    seed: int
+    """Seed of the run."""
+    policies: tuple[str, ...]
+    """Names of the policies, the one under test first; each has a run in a subfolder of its name."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Options and files of the policies."""
+    command: str = ""
+    """Command that reproduces the evaluation."""
+    stopped: str = ""
+    """How the number of episodes was decided; empty: it was fixed beforehand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,14 +245,32 @@ def evaluate(
                 job, f"rollouts of {policy.name}", environment, on_event=on_event, cancellation=cancellation,
                 executor=executor, repair=config.repair,
             )  # fmt: skip
-            if there < job.episodes and policy.files(out) != job.policy_files:
+            if there < len(job.indices) and policy.files(out) != job.policy_files:
                 raise EvaluationError(
                     f"the files of policy '{policy.name}' changed while it was evaluated, so its episodes may mix "
                     f"two policies; remove {out / policy.name} and evaluate again"
                 )
             found[policy.name] = PolicyResult(name=policy.name, results=tuple(results), folder=out / policy.name)
             on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
-    return _report(config, found, _policy_facts(chosen, jobs))
+    record = EvaluationRecord(
+        task=config.task_name, seed=config.seed, policies=tuple(found), facts=_policy_facts(chosen, jobs),
+        command=config.command or _call(config), stopped=config.stopped,
+    )  # fmt: skip
+    return _report(record, found, out)
+
+
+def report_of(out: Path, record: EvaluationRecord) -> EvaluationResult:
+    """Write the report of the finished episodes in an evaluation's folder.
+
+    Args:
+        out: The evaluation's folder, with a run for each policy.
+        record: What the report says about the evaluation.
+    """
+    found = {
+        name: PolicyResult(name=name, results=tuple(RunFolder(out / name).results()), folder=out / name)
+        for name in record.policies
+    }
+    return _report(record, found, out)
 
 
 def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
@@ -239,7 +280,7 @@ def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
     from roboxim_bringup.runs.servers import server_record
 
     return server_record(
-        policy, RunFolder(Path(config.out) / policy.name), config.episodes, config.policy_timeout_s
+        policy, RunFolder(Path(config.out) / policy.name), len(config.indices), config.policy_timeout_s
     ).plain
 
 
@@ -256,8 +297,9 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, serve
         output_dir=str((out / policy.name).resolve()),
     )  # fmt: skip
     return EpisodesJob(
-        config=run, episodes=config.episodes, workers=config.workers, renderer=config.renderer,
-        policies=() if launch is None else (launch,), policy_files=policy.files(out), server=server,
+        config=run, episodes=config.episodes, shard=Shard.parse(config.shard), workers=config.workers,
+        renderer=config.renderer, policies=() if launch is None else (launch,), policy_files=policy.files(out),
+        server=server,
     )  # fmt: skip
 
 
@@ -342,7 +384,7 @@ def _report_resume(name: str, job: EpisodesJob, on_event: OnEvent, *, repair: bo
     there = len(done) - (len(run.without_bag(done)) if repair else 0)
     if there:
         since = datetime.fromtimestamp(run.log.path.stat().st_mtime).strftime("%Y-%m-%d %H:%M")
-        on_event(PolicyResumed(policy=name, there=there, episodes=job.episodes, since=since))
+        on_event(PolicyResumed(policy=name, there=there, episodes=len(job.indices), since=since))
     return there
 
 
@@ -405,14 +447,13 @@ def _policy_run(result: PolicyResult) -> PolicyRun:
     )  # fmt: skip
 
 
-def _report(
-    config: EvaluationConfig, found: Mapping[str, PolicyResult], policy_facts: Mapping[str, str]
-) -> EvaluationResult:
-    """Write the report."""
+def _report(record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path) -> EvaluationResult:
+    """Write the record and the report."""
     from roboxim_eval.report import Report, verdict_line, write_report
 
-    facts = {"task": config.task_name, "run seed": str(config.seed), "purpose": "eval"}
-    facts |= {"episodes": str(len(next(iter(found.values())).results)), **policy_facts}
+    write_atomically(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
+    facts = {"task": record.task, "run seed": str(record.seed), "purpose": "eval"}
+    facts |= {"episodes": str(len(next(iter(found.values())).results)), **record.facts}
     versions: dict[str, str] = {}
     privileged = []
     for result in found.values():
@@ -433,10 +474,10 @@ def _report(
             privileged.append(result.name)
     runs = [_policy_run(result) for result in found.values()]
     report = Report(
-        title=f"Evaluation of {' and '.join(found)} on {config.task_name}",
-        runs=runs, facts=facts, versions=versions, command=config.command or _call(config), stopped=config.stopped,
+        title=f"Evaluation of {' and '.join(found)} on {record.task}",
+        runs=runs, facts=facts, versions=versions, command=record.command, stopped=record.stopped,
     )  # fmt: skip
-    page = write_report(report, Path(config.out))
+    page = write_report(report, out)
     return EvaluationResult(
         policies=dict(found), report=page, comparison=verdict_line(runs), privileged=tuple(privileged)
     )
@@ -456,7 +497,7 @@ def _call(config: EvaluationConfig) -> str:
     given = {
         name: str(value) if isinstance(value, Path) else value
         for name, value in vars(config).items()
-        if value != default[name] and name not in ("workers", "stopped")
+        if value != default[name] and name not in ("workers", "stopped", "shard")
     }
     return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 

@@ -25,9 +25,9 @@ from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
-MAY_DIFFER = ("episodes", "workers", "server_probe")
-"""Keys of a run's configuration that may change when it continues: more episodes, other machines. The probe of a remote
-policy is compared by `roboxim_bringup.runs.servers`."""
+MAY_DIFFER = ("episodes", "workers", "shard", "server_probe")
+"""Keys of a run's configuration that may change when it continues: other episodes, other machines. The probe of a
+remote policy is compared by `roboxim_bringup.runs.servers`."""
 COMMANDS = {"demo": "generate", "eval": "evaluate"}
 """Purpose of a run's episodes to the command that runs them."""
 LONGEST_NAME, LONGEST_PATH = 200, 3500

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_envir
 from roboxim_bringup.runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.pictures import write_contact_sheet
+from roboxim_bringup.runs.shards import Shard
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
 
@@ -48,7 +50,10 @@ class GenerationConfig(EpisodesConfig):
             keep="first_try" if self.first_try else "successful", max_attempts=self.max_attempts,
             noise_translation_m=self.noise_mm / 1000, noise_rotation_rad=self.noise_mrad / 1000,
         )  # fmt: skip
-        return EpisodesJob(config=config, episodes=self.episodes, workers=self.workers, renderer=self.renderer)
+        return EpisodesJob(
+            config=config, episodes=self.episodes, shard=Shard.parse(self.shard), workers=self.workers,
+            renderer=self.renderer,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,13 +83,14 @@ class GenerationResult:
     def summary(self) -> str:
         """Number of demonstrations, and how many of them existed before, in one line."""
         made = [result for result in self.results if result not in self.before]
-        more = sum(result.outcome == "success" for result in self.before if result.index >= len(self.results))
+        asked = {result.index for result in self.results}
+        more = sum(result.outcome == "success" for result in self.before if result.index not in asked)
         text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
         notes = []
         if made and len(made) < len(self.results):
             notes.append(f"{len(self.results) - len(made)} of {len(self.results)} episodes existed before")
         if more:
-            notes.append(f"{more} more in the folder, from an earlier, larger run")
+            notes.append(f"{more} more in the folder, from an earlier run")
         retried = sum(result.attempt > 0 for result in self.kept)
         if retried:
             notes.append(f"{retried} after a failed attempt")
@@ -150,7 +156,21 @@ def generate(
             job, "demonstrations", environment, on_event=show_first, cancellation=cancellation, executor=executor,
             repair=config.repair,
         )  # fmt: skip
-    bags = [folder.path / result.bag for result in results if result.outcome == "success" and result.bag]
+    pictured = write_first_demonstrations(folder.path, results)
+    return GenerationResult(out=out, results=tuple(results), before=before, picture=out / PICTURE if pictured else None)
+
+
+def write_first_demonstrations(folder: Path, results: Sequence[EpisodeResult]) -> bool:
+    """Write the picture of a run's first demonstrations.
+
+    Args:
+        folder: The run's folder.
+        results: Its results, in the order of their indices.
+
+    Returns:
+        Whether there is any demonstration.
+    """
+    bags = [folder / result.bag for result in results if result.outcome == "success" and result.bag]
     if bags:
-        write_contact_sheet(bags[:PICTURED], picture)
-    return GenerationResult(out=out, results=tuple(results), before=before, picture=out / PICTURE if bags else None)
+        write_contact_sheet(bags[:PICTURED], folder / PICTURE)
+    return bool(bags)

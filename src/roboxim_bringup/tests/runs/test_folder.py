@@ -85,9 +85,7 @@ def test_the_summary_of_generate(tmp_path):
     assert "(1 of 2 episodes existed before; " in summary(kept[:1], kept, tmp_path)
     again = summary(kept, kept[:1], tmp_path)
     assert again.startswith("1 demonstration in")
-    assert again.endswith(
-        "(1 more in the folder, from an earlier, larger run); all of them existed already, nothing was run"
-    )
+    assert again.endswith("(1 more in the folder, from an earlier run); all of them existed already, nothing was run")
 
 
 def test_a_foreign_folder_is_left_alone(tmp_path):

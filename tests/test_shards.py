@@ -1,0 +1,39 @@
+"""A run divided among machines is the run: the same states, results and bags, byte by byte."""
+
+from __future__ import annotations
+
+import pytest
+
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_bringup.runs.merging import merge_shards
+from roboxim_bringup.testing import recordings, repeatable_results
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+SMALL = {"size": 32, "renderer": "tiny", "workers": 1}
+
+
+def test_demonstrations_in_three_shards_are_those_of_one_run(tmp_path):
+    generate(GenerationConfig(out=tmp_path / "whole", episodes=5, **SMALL))
+    for number in (1, 2, 3):
+        generate(GenerationConfig(out=tmp_path / str(number), episodes=5, shard=f"{number}/3", **SMALL))
+    merge_shards(tmp_path / "out", [tmp_path / str(number) for number in (1, 2, 3)])
+    assert len(recordings(tmp_path / "whole")) >= 5
+    assert recordings(tmp_path / "out") == recordings(tmp_path / "whole")
+    assert repeatable_results(tmp_path / "out") == repeatable_results(tmp_path / "whole")
+    assert generate(GenerationConfig(out=tmp_path / "out", episodes=5, **SMALL)).summary.endswith("nothing was run")
+
+
+def test_rollouts_in_two_shards_are_those_of_one_evaluation_with_its_report(tmp_path):
+    def run(out, shard=""):
+        config = EvaluationConfig(policies="random", out=out, episodes=3, max_steps=8, shard=shard, **SMALL)
+        return evaluate(config)
+
+    run(tmp_path / "whole")
+    for number in (1, 2):
+        run(tmp_path / str(number), shard=f"{number}/2")
+    merge_shards(tmp_path / "out", [tmp_path / "1", tmp_path / "2"])
+    assert recordings(tmp_path / "out" / "random") == recordings(tmp_path / "whole" / "random")
+    assert repeatable_results(tmp_path / "out" / "random") == repeatable_results(tmp_path / "whole" / "random")
+    assert "0 of 3" in (tmp_path / "out" / "report.html").read_text()
