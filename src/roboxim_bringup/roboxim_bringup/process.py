@@ -32,8 +32,10 @@ def spawn(
     *,
     output: IO[Any] | None = None,
     environment: Mapping[str, str] | None = None,
+    inherited: Mapping[str, str] | None = None,
     ready: int | None = None,
     pass_fds: Sequence[int] = (),
+    folder: str | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
 
@@ -44,17 +46,20 @@ def spawn(
         arguments: Its arguments.
         output: Destination of its stdout and stderr; none: as for this process.
         ready: Write end of a pipe, which the child gets as ``$ROBOXIM_READY``; see `tell_ready`.
-        environment: Environment variables in addition to those of this process.
+        environment: Environment variables in addition to those inherited.
+        inherited: Environment variables that it inherits; none: those of this process.
         pass_fds: File descriptors that it inherits.
+        folder: Its working directory; none: this process's.
     """
     # One thread per library: the parallelism is in the processes.
-    defaults = {name: "1" for name in _THREAD_COUNTS if name not in os.environ}
+    inherited = os.environ if inherited is None else inherited
+    defaults = {name: "1" for name in _THREAD_COUNTS if name not in inherited}
     if ready is not None:
         defaults["ROBOXIM_READY"] = str(ready)
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         env={
-            **os.environ,
+            **inherited,
             **defaults,
             **(environment or {}),
             "ROBOXIM_PARENT": str(os.getpid()),
@@ -64,6 +69,7 @@ def spawn(
         stdout=output,
         stderr=output,
         process_group=0,
+        cwd=folder,
         pass_fds=(*pass_fds, *(() if ready is None else (ready,))),
     )
 
