@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale robot-visuals lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -84,6 +84,9 @@ zero-shot: setup ## evaluate Octo, RT-1-X and OpenVLA (thesis 5.1), starting the
 
 photo: setup ## install Blender (GPL) in its own environment, for roboxim rerender --renderer photo
 	@$(BIN)/python scripts/make_environment.py photo
+
+scale: setup ## add Ray, S3 and a stand-in for S3 to .venv, for --executor ray, --store and their tests
+	@$(BIN)/python scripts/add_packages.py scale
 
 robot-visuals: setup ## rebuild the robots' URDFs and decimated meshes from the example-robot-data wheel
 	$(BIN)/python config/robots/panda/derive.py

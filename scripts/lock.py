@@ -10,6 +10,7 @@ import argparse
 import re
 import subprocess
 import sys
+import tempfile
 import tomllib
 
 from environments import LOCKS, ROOT, UV, clean_environment, index_settings
@@ -26,6 +27,8 @@ libraries of 2.5 GB (see `scripts/torch_on_cpu.py`), input devices, viewers. tor
 UNUSED_BY_RT1 = ("pygame", "tensorflow==")
 """Prefixes of packages that tf-agents and tensorflow-text require but that a policy does not import: games, and the
 package tensorflow, whose place tensorflow-cpu takes."""
+OTHER_FOR_SCALE = ("python-dateutil",)
+"""Packages of which botocore (S3) needs another version than dev.lock has."""
 
 
 def build_requirements() -> list[str]:
@@ -63,6 +66,17 @@ def lock(name: str, requirements: list[str], *options: str, without: tuple[str, 
     print(f"requirements/{name}.lock: {sum(line[:1].isalnum() for line in text.splitlines())} packages")
 
 
+def lock_scale(*options: str) -> None:
+    """Resolve the packages that `make scale` adds to the environment of dev.lock, with that one's versions."""
+    pinned = re.findall(r"^([a-z0-9][^=]*)==(\S+)", (LOCKS / "dev.lock").read_text(), flags=re.MULTILINE)
+    constraints = [f"{name}=={version}" for name, version in pinned if name not in OTHER_FOR_SCALE]
+    with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
+        file.write("\n".join(constraints))
+        file.flush()
+        there = tuple(f"{constraint} " for constraint in constraints)
+        lock("scale", group("scale"), "--constraints", file.name, *options, without=there)
+
+
 def main() -> None:
     """Make every lock."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -71,6 +85,7 @@ def main() -> None:
     lock("installer", group("installer"), *upgrade)
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
     lock("dev", [], "pyproject.toml", "--group", "dev", *ours, *upgrade)
+    lock_scale(*upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
     for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo", "policy-octo"):

@@ -92,8 +92,14 @@ def short_help(name: str) -> str:
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="roboxim", message="%(prog)s %(version)s")
-def group() -> None:
+@click.option(
+    "--events", type=click.Path(path_type=Path, dir_okay=False, writable=True), metavar="FILE",
+    help="Append the command's progress to FILE, one JSON object a line, for programs.",
+)  # fmt: skip
+def group(events: Path | None) -> None:
     """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
+    if events is not None:
+        os.environ["ROBOXIM_EVENTS"] = str(events.absolute())  # trainings that the command starts write into it too
 
 
 def _terminate(number: int, _: FrameType | None) -> None:

@@ -17,6 +17,64 @@ RENDERERS = ("photo", "raster", "tiny")
 Decorator = Callable[[Any], Any]
 
 
+class Place(click.ParamType[Path | str]):
+    """A path, or the URL of a store."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path | str:
+        """Return a URL as a text, and anything else as a path."""
+        return str(value) if "://" in str(value) else Path(value)
+
+
+def executor_options() -> list[Decorator]:
+    """Return the options that choose what runs the episodes."""
+    return [
+        click.option(
+            "--executor", type=click.Choice(["local", "ray"]), default="local", show_default=True,
+            help="Run the workers on this machine, or on a Ray cluster; needs roboxim[ray].",
+        ),
+        click.option(
+            "--address", default="", metavar="ADDRESS",
+            help="Ray cluster, e.g. auto or ray://host:10001; default: one on this machine, for this run.",
+        ),
+        click.option(
+            "--resources", default="", metavar="NAME=N,...",
+            help="What a worker takes of a Ray node, e.g. CPU=2,GPU=0.25; default: CPU=1.",
+        ),
+    ]  # fmt: skip
+
+
+def make_executor(executor: str, address: str, resources: str, workers: int) -> Any:
+    """Return what runs the episodes; none: the run's own choice, processes of this machine.
+
+    Args:
+        executor: ``local`` or ``ray``.
+        address: Address of the Ray cluster; empty: one on this machine.
+        resources: ``NAME=N,...``; empty: one CPU.
+        workers: Number of workers.
+
+    Raises:
+        ConfigError: When Ray is not installed, or an option does not fit.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if executor == "local":
+        if address or resources:
+            raise ConfigError("--address and --resources are for --executor ray")
+        return None
+    from roboxim_bringup.executors.ray_cluster import RayExecutor
+
+    taken = {}
+    for part in filter(None, resources.split(",")):
+        name, _, amount = part.partition("=")
+        try:
+            taken[name.strip()] = float(amount)
+        except ValueError:
+            raise ConfigError(f"--resources is NAME=N,..., e.g. CPU=2,GPU=0.25; got '{resources}'") from None
+    return RayExecutor(workers, address=address, resources=taken or None)
+
+
 def episode_options(*, episodes: int, out: str) -> Decorator:
     """Return a decorator that adds the options of every run of episodes.
 
@@ -66,6 +124,11 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
             "--shard", default="", metavar="I/N",
             help="Run only the I-th of N parts of the episodes, in a folder of its own; roboxim merge joins them.",
         ),
+        click.option(
+            "--store", default="", metavar="URL",
+            help="Upload bags and results, e.g. to s3://bucket/demos; OUT keeps the results. Needs roboxim[store].",
+        ),
+        *executor_options(),
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from types import TracebackType
 
@@ -10,6 +11,7 @@ import click
 from roboxim_bringup.progress import ProgressLine
 from roboxim_bringup.runs.episodes import failures
 from roboxim_bringup.runs.evaluation import rate_line
+from roboxim_bringup.runs.event_log import VARIABLE, EventLog
 from roboxim_bringup.runs.events import (
     Event,
     Interrupted,
@@ -27,12 +29,16 @@ class EventPrinter:
     """Prints each event it is called with. A context manager, so that a bar ends with the run."""
 
     def __init__(self) -> None:
-        """Make the printer."""
+        """Make the printer. The events also go to the file that ``$ROBOXIM_EVENTS`` names, if it is set."""
         self._stack = ExitStack()
+        file = os.environ.get(VARIABLE)
+        self._log = EventLog(file) if file else None
         self._bar: ProgressLine | None = None
 
     def __call__(self, event: Event) -> None:
         """Print an event."""
+        if self._log is not None:
+            self._log(event)
         match event:
             case StageStarted():
                 bar = ProgressLine(event.title, event.total, event.done, unit=event.unit)

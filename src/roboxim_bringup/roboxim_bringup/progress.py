@@ -8,7 +8,9 @@ from types import TracebackType
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from roboxim_bringup.pace import Pace, duration_text
 
 LINE_PERIOD_S = 10.0
 
@@ -30,11 +32,12 @@ class ProgressLine:
         self._note = ""
         self._shown: tuple[int, str] | None = None
         self._started = self._last = time.monotonic()
+        self._pace = Pace()
         self._bar: Progress | None = None
         if sys.stdout.isatty():
             self._bar = Progress(
                 TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(),
-                TextColumn(unit), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+                TextColumn(unit), TimeElapsedColumn(), TextColumn("{task.fields[pace]}"),
                 TextColumn("{task.fields[note]}"),
                 console=Console(file=sys.stdout),
             )  # fmt: skip
@@ -43,7 +46,7 @@ class ProgressLine:
         """Show the bar."""
         if self._bar is not None:
             self._bar.start()
-            self._task = self._bar.add_task(self._title, total=self._total, completed=self._done, note="")
+            self._task = self._bar.add_task(self._title, total=self._total, completed=self._done, note="", pace="")
         return self
 
     def __exit__(
@@ -65,8 +68,9 @@ class ProgressLine:
         """
         self._done, self._note = done, note
         self._total = self._total if total is None else total
+        self._pace.add(time.monotonic(), done)
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=self._total, note=note)
+            self._bar.update(self._task, completed=done, total=self._total, note=note, pace=self._pace_text())
         elif time.monotonic() - self._last > LINE_PERIOD_S:
             self._line()
 
@@ -79,6 +83,9 @@ class ProgressLine:
 
     def _line(self) -> None:
         self._last, self._shown = time.monotonic(), (self._done, self._note)
-        seconds = self._last - self._started
-        note = f"; {self._note}" if self._note else ""
-        click.echo(f"{self._title}: {self._done} of {self._total}{self._unit} after {seconds:.0f} s{note}")
+        parts = (duration_text(self._last - self._started), self._pace_text(), self._note)
+        click.echo(f"{self._title}: {self._done} of {self._total}{self._unit} after {'; '.join(filter(None, parts))}")
+
+    def _pace_text(self) -> str:
+        """Return the rate and the time left, in words; empty while unknown."""
+        return self._pace.text(time.monotonic(), self._total - self._done)

@@ -163,6 +163,8 @@ class Run:
     """Start of each process in clock ticks since boot, to detect reused process ids."""
     nodes: tuple[str, ...] = ()
     """Full names of the run's known nodes, so that discovery knows when it has seen all."""
+    folder: str = ""
+    """Absolute path of the folder that its episodes are recorded in; empty: none."""
 
     @property
     def live_pids(self) -> tuple[int, ...]:
@@ -235,7 +237,12 @@ def _require_apart(run: Run, other: Run) -> None:
 
 @contextmanager
 def register_run(
-    kind: str, *, domain: int, namespaces: Sequence[str] = ("",), run_id: str | None = None
+    kind: str,
+    *,
+    domain: int,
+    namespaces: Sequence[str] = ("",),
+    run_id: str | None = None,
+    folder: Path | str = "",
 ) -> Iterator[Run]:
     """Register this process's graph for other terminals while the block runs.
 
@@ -244,6 +251,7 @@ def register_run(
         domain: ROS domain.
         namespaces: Namespaces of its graphs.
         run_id: Name of the run; none: a new name.
+        folder: Folder that its episodes are recorded in; empty: none.
 
     Raises:
         ConfigError: When a live run has the name, or one of the namespaces in the same domain, or the name is not
@@ -259,6 +267,7 @@ def register_run(
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         pids=(os.getpid(),),
         births=(_birth(os.getpid()) or 0,),
+        folder=str(Path(folder).absolute()) if str(folder) else "",
     )
     with _lock():
         for other in _live():

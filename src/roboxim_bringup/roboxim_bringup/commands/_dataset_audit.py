@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.options import Place
+
 PATH = click.Path(path_type=Path)
 
 
@@ -24,9 +26,9 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
 
 
 @click.command("audit")
-@click.argument("path", type=PATH)
+@click.argument("path", type=Place())
 @click.option(
-    "--bags", multiple=True, type=PATH, help="Bags of a dataset's episodes, for ground truth; may be repeated."
+    "--bags", multiple=True, type=Place(), help="Bags of a dataset's episodes, for ground truth; may be repeated."
 )
 @click.option("--check", "checks", multiple=True, metavar="NAME", help="Make this check only; may be repeated.")
 @click.option("--out", type=PATH, help="Folder of the report.  [default: PATH-audit]")
@@ -36,22 +38,29 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_checks, help="List the checks and exit."
 )
-def command(path: Path, no_render: bool, out: Path | None, **options: Any) -> None:
+def command(
+    path: Path | str, no_render: bool, out: Path | None, bags: tuple[Path | str, ...], **options: Any
+) -> None:  # fmt: skip
     r"""Find faults that spoil training data, in bags or in a dataset of any format, RoboXim's or another's.
 
     \b
     roboxim dataset audit runs/demos
     roboxim dataset audit runs/demos-rlds --bags runs/demos
 
-    Checks that need ground truth need bags. The report is PATH-audit/report.html, with audit.json beside it. The exit
-    code is 1 when a fault was found or an episode cannot be read.
+    PATH and --bags may be URLs. Checks that need ground truth need bags. The report is PATH-audit/report.html, with
+    audit.json beside it. The exit code is 1 when a fault was found or an episode cannot be read.
     """
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
+    from roboxim_bringup.runs.store import is_url, local_sources
+    from roboxim_core.errors import ConfigError
     from roboxim_datasets.audit.report import STATUS, summary_line
 
-    with EventPrinter() as printer:
-        audited = audit_dataset(path, out, AuditConfig(render=not no_render, **options), on_event=printer)
+    if is_url(path) and out is None:
+        raise ConfigError(f"the audit of {path} needs a folder of this machine for its report: give --out")
+    with EventPrinter() as printer, local_sources([path, *bags]) as (local, *local_bags):
+        config = AuditConfig(render=not no_render, bags=tuple(local_bags), **options)
+        audited = audit_dataset(local, out, config, on_event=printer)
     for check in audited.result.checks:
         if check.findings or not check.checked:
             faulty = f", {len(check.faulty_episodes)} of {check.checked} episodes" if check.faults else ""

@@ -67,7 +67,8 @@ from roboxim_bringup.options import episode_options
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
-    policy_timeout: float, ensemble: str | None, late_rows: str | None, looks: int | None, **options: Any,
+    policy_timeout: float, ensemble: str | None, late_rows: str | None, looks: int | None, executor: str, address: str,
+    resources: str, **options: Any,
 ) -> None:  # fmt: skip
     r"""Run policies in fresh scenes, count successes, and write OUT/report.html.
 
@@ -80,7 +81,7 @@ def command(
     Every policy meets the same scenes. Evaluation scenes are never those of demonstrations, whatever the seed. Ctrl-C
     stops; the same command continues. A policy whose file or checkpoint has changed since needs another --out.
     """
-    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.options import make_executor, parse_size
     from roboxim_bringup.runs.policies import choose_policies
 
     image_size = parse_size(size)
@@ -93,13 +94,14 @@ def command(
         policies=chosen, size=image_size, policy_timeout_s=policy_timeout, ensemble=ensemble or "",
         late_rows=late_rows or "", command=command_line(sys.argv[1:]), **options,
     )  # fmt: skip
+    runs_on = make_executor(executor, address, resources, config.workers)
     with EventPrinter() as printer:
         if looks is None:
-            result, stopped = evaluate(config, on_event=printer), ""
+            result, stopped = evaluate(config, on_event=printer, executor=runs_on), ""
         else:
             from roboxim_bringup.runs.sequential import evaluate_sequentially
 
-            found = evaluate_sequentially(config, looks, on_event=printer)
+            found = evaluate_sequentially(config, looks, on_event=printer, executor=runs_on)
             result, stopped = found.evaluation, found.sentence
     for name in result.privileged:
         click.echo(

@@ -48,9 +48,11 @@ def command() -> None:
 
 def _common() -> list[click.Parameter]:
     """Return the arguments and options that all formats share."""
+    from roboxim_bringup.options import Place
+
     path = click.Path(path_type=Path)
     return [
-        click.Argument(["source"], type=path, nargs=-1, required=True, metavar="RUN..."),
+        click.Argument(["source"], type=Place(), nargs=-1, required=True, metavar="RUN..."),
         click.Argument(["target"], type=path),
         click.Option(
             ["--where"], multiple=True, metavar="CONDITION",
@@ -112,16 +114,21 @@ def _common() -> list[click.Parameter]:
             ["--gate"], type=click.IntRange(0), default=0, show_default=True, metavar="EPISODES",
             help="Execute the actions of so many episodes again, and refuse the export if too few succeed.",
         ),
+        click.Option(
+            ["--store"], default="", metavar="URL",
+            help="Upload the dataset, e.g. to s3://bucket/demos-rlds. Needs roboxim[store]. RUN may be a URL too.",
+        ),
     ]  # fmt: skip
 
 
 def _export(
-    name: str, own: dict[str, Any], source: tuple[Path, ...], target: Path, cameras: tuple[str, ...], size: str,
-    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, **common: Any,
+    name: str, own: dict[str, Any], source: tuple[Path | str, ...], target: Path, cameras: tuple[str, ...], size: str,
+    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, store: str, **common: Any,
 ) -> None:  # fmt: skip
     from roboxim_bringup.options import parse_counts, parse_size
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.export import export_dataset
+    from roboxim_bringup.runs.store import local_sources, upload_dataset
     from roboxim_recorder.export import EXPORTERS
 
     width, height = parse_size(size)
@@ -129,9 +136,11 @@ def _export(
         cameras=_camera_keys(cameras), image_width=width, image_height=height, split=parse_counts("--split", split),
         only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
     )  # fmt: skip
-    with EventPrinter() as printer:
-        report = export_dataset(name, source, target, config, overwrite=overwrite, gate=gate, on_event=printer)
+    with EventPrinter() as printer, local_sources(source) as runs:
+        report = export_dataset(name, runs, target, config, overwrite=overwrite, gate=gate, on_event=printer)
     _print_report(report)
+    if store:
+        click.echo(f"{store}: {upload_dataset(target, store)} files uploaded and compared")
     if name == "rlds":
         click.echo(f"next: roboxim train bc {target}")
 

@@ -24,7 +24,7 @@ from roboxim_bringup.options import episode_options
     help="Standard deviation of the noise in free motions, per axis and tick [mm].",
 )
 @click.option("--noise-mrad", default=10.0, show_default=True, help="Standard deviation of the rotation noise [mrad].")
-def command(size: str, **options: Any) -> None:
+def command(size: str, executor: str, address: str, resources: str, **options: Any) -> None:
     r"""Generate demonstrations of a task with the expert; each becomes a bag in OUT/episodes.
 
     \b
@@ -36,14 +36,15 @@ def command(size: str, **options: Any) -> None:
     to OUT/set_apart with their reasons. Ctrl-C stops; the same command continues. Noise is added to the executed
     actions; the actions that an imitator should learn are recorded beside them.
     """
-    from roboxim_bringup.options import parse_size
+    from roboxim_bringup.options import make_executor, parse_size
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.episodes import failures
     from roboxim_bringup.runs.generation import GenerationConfig, generate
 
     config = GenerationConfig(size=parse_size(size), **options)
+    runs_on = make_executor(executor, address, resources, config.workers)
     with EventPrinter() as printer:
-        result = generate(config, on_event=printer)
+        result = generate(config, on_event=printer, executor=runs_on)
     click.echo(result.summary)
     if result.recovered:
         click.echo(
@@ -52,4 +53,4 @@ def command(size: str, **options: Any) -> None:
     for line in failures(result.results):
         click.echo(f"  {line}")
     result.require_any()
-    click.echo(f"next: roboxim export rlds {result.out} {result.out}-rlds")
+    click.echo(f"next: roboxim export rlds {config.store or result.out} {result.out}-rlds")

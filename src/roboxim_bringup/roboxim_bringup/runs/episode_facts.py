@@ -29,12 +29,15 @@ class EpisodeFacts:
     """Place of the task's first object at the start: x away from the robot, y to its left [m]; none: it has none."""
 
 
-def episode_facts(folder: Path, results: Iterable[EpisodeResult]) -> dict[str, EpisodeFacts]:
+def episode_facts(
+    folder: Path, results: Iterable[EpisodeResult], *, bags: Path | None = None
+) -> dict[str, EpisodeFacts]:
     """Return the facts of a run's episodes by episode id; those without a bag and stored facts are left out.
 
     Args:
         folder: The run's folder, in which facts are stored.
         results: Its results.
+        bags: Folder with the bags, under their paths in the run; none: the run's.
 
     Raises:
         ConfigError: When the stored facts are damaged.
@@ -42,9 +45,10 @@ def episode_facts(folder: Path, results: Iterable[EpisodeResult]) -> dict[str, E
     """
     log = ResultsLog(folder / FACTS_FILE)
     found = {entry.key: from_plain(entry.data, EpisodeFacts, source=str(log.path)) for entry in log.read()}
+    bags = folder if bags is None else bags
     for result in results:
-        if result.episode_id not in found and result.bag and (folder / result.bag).exists():
-            found[result.episode_id] = _facts(folder / result.bag)
+        if result.episode_id not in found and result.bag and (bags / result.bag).exists():
+            found[result.episode_id] = _facts(bags / result.bag)
             log.append(result.episode_id, to_plain(found[result.episode_id]))
     return found
 

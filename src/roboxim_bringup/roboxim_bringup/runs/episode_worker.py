@@ -12,6 +12,7 @@ from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 
 from roboxim_bringup.executors.protocol import WorkerBrokenError
 from roboxim_bringup.graph import GraphConfig, start_graph
+from roboxim_bringup.runs.staging import Staging
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError, raise_for_code
@@ -35,14 +36,20 @@ class EpisodeWorker:
         """Start the graph; returns when it serves.
 
         Args:
-            settings: ``graph``, a `GraphConfig`, and ``config``, a `RunConfig`, as plain data.
+            settings: ``graph``, a `GraphConfig`, ``config``, a `RunConfig`, and ``staging``, see `Staging`, as plain
+                data.
             number: The worker's number.
 
         Raises:
             RoboximError: When a node cannot be made.
         """
         graph = replace(from_plain(settings["graph"], GraphConfig), namespace=f"/w{number}")
-        self._config = from_plain(settings["config"], RunConfig)
+        config = from_plain(settings["config"], RunConfig)
+        self._staging = Staging.of(settings.get("staging"), config.output_dir, number)
+        if self._staging is not None:
+            config = replace(config, output_dir=str(self._staging.folder))
+            graph = self._staging.recording(graph)
+        self._config = config
         self._heard = time.monotonic()
         self._host = NodeHost()
         try:
@@ -76,7 +83,7 @@ class EpisodeWorker:
                 raise WorkerBrokenError(str(error)) from None
             raise
         result: dict[str, Any] = to_plain(from_msg(answer.results[0], EpisodeResult))
-        return result
+        return result if self._staging is None else {"result": result, **self._staging.handed_over()}
 
     def _check(self) -> None:
         """Raise when the graph can no longer answer."""
@@ -90,3 +97,5 @@ class EpisodeWorker:
         self._action.close()
         self._clients.close()
         self._host.close()
+        if self._staging is not None:
+            self._staging.close()

@@ -13,6 +13,7 @@ from typing import Any
 from roboxim_bringup.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
 from roboxim_bringup.executors import Job as ExecutorJob
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch
+from roboxim_bringup.runs.event_log import EVENTS_FILE, logged
 from roboxim_bringup.runs.events import (
     EpisodeFinished,
     Notice,
@@ -25,6 +26,8 @@ from roboxim_bringup.runs.events import (
 )
 from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
 from roboxim_bringup.runs.shards import Shard
+from roboxim_bringup.runs.staging import clear_staging, take_over
+from roboxim_bringup.runs.store import RunUpload, Store
 from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
@@ -74,6 +77,8 @@ class EpisodesConfig:
     """Whether to repeat the episodes whose bag or result is lost or damaged, instead of refusing to continue."""
     shard: str = ""
     """``I/N``: run only the I-th of N parts of the episodes, for `roboxim_bringup.runs.merging`; empty: all."""
+    store: str = ""
+    """URL for bags and results, e.g. ``s3://bucket/demos``, see `roboxim_bringup.runs.store`; empty: ``out``."""
 
     def __post_init__(self) -> None:
         """Check the values that need no other file.
@@ -98,6 +103,9 @@ class EpisodesConfig:
             if side and not SIZE_PX[0] <= side <= SIZE_PX[1]:
                 raise ConfigError(f"size must be {SIZE_PX[0]} to {SIZE_PX[1]} px, or 0: as configured; got {side}")
         RENDERERS[self.renderer]
+        if self.store:
+            with Store.opened(self.store):
+                pass
         if not self.indices:
             raise ConfigError(f"shard {self.shard} of {self.episodes} episodes has none; take fewer shards")
 
@@ -162,6 +170,8 @@ class EpisodesJob:
     """Files that define the policies, each with its content's hash; see `roboxim_policies.identity`."""
     server: Mapping[str, Any] = field(default_factory=dict)
     """What identifies the server of a remote policy; see `roboxim_bringup.runs.servers`."""
+    store: str = ""
+    """URL that the bags and the results go to, see `roboxim_bringup.runs.store`; empty: bags stay in the folder."""
 
     def __post_init__(self) -> None:
         """Check the renderer's name. Whether the renderer works here shows only when a scene is loaded.
@@ -194,6 +204,7 @@ class EpisodesJob:
             "episodes": self.episodes,
             "workers": self.workers,
             **({"shard": str(self.shard)} if str(self.shard) else {}),
+            **({"store": self.store} if self.store else {}),
             "renderer": self.renderer,
             "policies": [to_plain(launch) for launch in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
@@ -206,43 +217,58 @@ class EpisodesJob:
             result.index: result for result in results if result.index in self.indices and result.reason != WORKER_DIED
         }
 
-    def work(self, environment: Mapping[str, str]) -> Work:
+    def work(self, environment: Mapping[str, str], *, staged: bool = False) -> Work:
         """Return the workers' work.
 
         Args:
             environment: Environment variables by which a process takes part in the run.
+            staged: Whether each worker records into a folder of its own; see `roboxim_bringup.runs.staging`.
         """
         parameters = {
             "sim": {"renderer": self.renderer, "scene": ""},
             "tasks": {"visible_renderer": self.looking_renderer},
             "recorder": {"output_root": str(Path(self.config.output_dir).absolute())},
         }
-        return episodes_work(GraphConfig(parameters=parameters, policies=self.policies), self.config, environment)
+        staging = {"store": self.store} if staged or self.store else None
+        graph = GraphConfig(parameters=parameters, policies=self.policies)
+        return episodes_work(graph, self.config, environment, staging=staging)
 
 
-def episodes_work(graph: GraphConfig, config: RunConfig, environment: Mapping[str, str]) -> Work:
+def episodes_work(
+    graph: GraphConfig,
+    config: RunConfig,
+    environment: Mapping[str, str],
+    *,
+    staging: Mapping[str, str] | None = None,
+) -> Work:
     """Return the work of processes that run episodes, each with a whole graph. A job's data is an index.
 
     Args:
         graph: Graph that each process starts; ``/w<number>`` replaces its namespace.
         config: Configuration of the episode loop.
         environment: Environment variables by which a process takes part in the run.
+        staging: Where each worker records, see `roboxim_bringup.runs.staging`; none: in the run's folder.
     """
     return Work(
         worker="roboxim_bringup.runs.episode_worker:EpisodeWorker",
-        settings={"graph": to_plain(graph), "config": to_plain(config)},
+        settings={
+            "graph": to_plain(graph),
+            "config": to_plain(config),
+            **({} if staging is None else {"staging": dict(staging)}),
+        },
         environment=dict(environment),
     )
 
 
 @contextlib.contextmanager
-def run_environment(kind: str) -> Iterator[dict[str, str]]:
+def run_environment(kind: str, out: Path | str = "") -> Iterator[dict[str, str]]:
     """Reserve a ROS domain for a run and register the run for other terminals.
 
     This process does not take part, so its environment stays unchanged.
 
     Args:
         kind: Kind of the run, e.g. ``generate``.
+        out: Folder of the run, for `roboxim runs`.
 
     Yields:
         Environment variables by which a worker takes part.
@@ -256,7 +282,7 @@ def run_environment(kind: str) -> Iterator[dict[str, str]]:
     before = dict(os.environ)
     try:
         activate_transport()
-        with free_domain() as domain, register_run(kind, domain=domain) as run:
+        with free_domain() as domain, register_run(kind, domain=domain, folder=out) as run:
             _set_environment(before)
             yield run.environment
     finally:
@@ -303,19 +329,27 @@ def run_episodes(
     with telling_interruption(on_event, lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
         done = _finished(job, folder, repair)
         missing = [index for index in job.indices if index not in done]
+        if not missing:
+            return [done[index] for index in sorted(done)]
         for index in missing:
             folder.discard(index)
-        if missing:
-            executor = executor or LocalExecutor(job.workers, log_dir=folder.path / "logs")
-            total = len(job.indices)
-            on_event(StageStarted(title=title, total=total, done=len(done)))
-            on_event(StageProgress(done=len(done), total=total, note="starting"))
-            for result in _results(executor, job, missing, environment, folder, on_event, cancellation):
+        clear_staging(folder)
+        executor = executor or LocalExecutor(job.workers, log_dir=folder.path / "logs")
+        total = len(job.indices)
+        facts = {"title": title, "executor": type(executor).__name__.removesuffix("Executor").lower()}
+        with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as tell:
+            tell(StageStarted(title=title, total=total, done=len(done)))
+            tell(StageProgress(done=len(done), total=total, note="starting"))
+            upload = RunUpload(folder.path, job.store, shard=str(job.shard))
+            for result in _results(executor, job, missing, environment, folder, tell, cancellation):
                 folder.append(result)
+                upload.now_and_then()
                 done[result.index] = result
-                on_event(StageProgress(done=len(done), total=total, note=_tally(done.values())))
-                on_event(EpisodeFinished(folder=folder.path, result=result))
-            on_event(StageFinished())
+                tell(StageProgress(done=len(done), total=total, note=_tally(done.values())))
+                tell(EpisodeFinished(folder=folder.path, result=result))
+            upload.all()
+            tell(StageFinished())
+        clear_staging(folder)
         return [done[index] for index in sorted(done)]
 
 
@@ -342,12 +376,18 @@ def _results(
         if note.text:
             on_event(Notice(text=note.text))
 
+    staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
-        job.work(environment), episode_jobs(indices), on_note=hear,
+        job.work(environment, staged=staged), episode_jobs(indices), on_note=hear,
         before_retry=lambda key: folder.discard(index_of(key)), cancellation=cancellation,
     )  # fmt: skip
     for outcome in outcomes:
-        yield episode_result(outcome, job.config)
+        if staged and isinstance(outcome, Done):
+            result = from_plain(outcome.value["result"], EpisodeResult, source="a worker's result")
+            take_over(folder, result, outcome.value)
+            yield result
+        else:
+            yield episode_result(outcome, job.config)
 
 
 def episode_jobs(indices: Iterable[int]) -> list[ExecutorJob]:

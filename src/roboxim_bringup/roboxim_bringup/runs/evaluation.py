@@ -21,6 +21,7 @@ from roboxim_bringup.runs.folder import RunFolder, require_bags
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
 from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_bringup.runs.shards import Shard
+from roboxim_bringup.runs.store import readable_run
 from roboxim_core.config import load_config, named_config, to_json, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
@@ -237,7 +238,7 @@ def evaluate(
     for policy in chosen:
         _require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
     found = {}
-    with run_environment("evaluate") as environment:
+    with run_environment("evaluate", out) as environment:
         for policy in chosen:
             job = jobs[policy.name]
             there = _report_resume(policy.name, job, on_event, repair=config.repair)
@@ -299,7 +300,7 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, serve
     return EpisodesJob(
         config=run, episodes=config.episodes, shard=Shard.parse(config.shard), workers=config.workers,
         renderer=config.renderer, policies=() if launch is None else (launch,), policy_files=policy.files(out),
-        server=server,
+        server=server, store=f"{config.store.rstrip('/')}/{policy.name}" if config.store else "",
     )  # fmt: skip
 
 
@@ -438,10 +439,11 @@ def _policy_run(result: PolicyResult) -> PolicyRun:
 
     recorded = {episode.episode_id: episode for episode in result.results if episode.bag}
     shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
-    facts = episode_facts(result.folder, recorded.values())
+    with readable_run(result.folder, [episode.bag for episode in recorded.values()]) as run:
+        facts = episode_facts(result.folder, recorded.values(), bags=run)
+        films = {name: film(run / recorded[name].bag) for name in shown}
     return PolicyRun(
-        policy=result.name, results=result.results, folder=result.folder.name,
-        films={name: film(result.folder / recorded[name].bag) for name in shown},
+        policy=result.name, results=result.results, folder=result.folder.name, films=films,
         drawn={name: one.drawn for name, one in facts.items()},
         starts={name: one.start for name, one in facts.items() if one.start is not None},
     )  # fmt: skip
@@ -488,7 +490,10 @@ def _first_info(result: PolicyResult) -> EpisodeInfo | None:
     from roboxim_recorder.bag import BagReader
 
     first = next((episode for episode in result.results if episode.bag), None)
-    return None if first is None else BagReader(result.folder / first.bag).info
+    if first is None:
+        return None
+    with readable_run(result.folder, [first.bag]) as run:
+        return BagReader(run / first.bag).info
 
 
 def _call(config: EvaluationConfig) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.runs.results_log import REMEDY, LoggedResult, ResultsLog, write_atomically
+from roboxim_bringup.runs.store import stored_bags
 from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_json_object
@@ -25,7 +26,7 @@ from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
-MAY_DIFFER = ("episodes", "workers", "shard", "server_probe")
+MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
 """Keys of a run's configuration that may change when it continues: other episodes, other machines. The probe of a
 remote policy is compared by `roboxim_bringup.runs.servers`."""
 COMMANDS = {"demo": "generate", "eval": "evaluate"}
@@ -168,8 +169,13 @@ class RunFolder:
             raise ConfigError(f"{error}; {REMEDY}") from None
 
     def without_bag(self, results: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Return the results whose bag has vanished."""
-        return [result for result in results if result.bag and not (self.path / result.bag).exists()]
+        """Return the results whose bag has vanished; one in a store has not."""
+        stored = stored_bags(self.path)
+        return [
+            result
+            for result in results
+            if result.bag and result.bag not in stored and not (self.path / result.bag).exists()
+        ]
 
     def discard(self, index: int) -> None:
         """Remove all bags of an index without a result; a crash left them."""

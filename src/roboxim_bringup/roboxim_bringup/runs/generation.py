@@ -13,6 +13,7 @@ from roboxim_bringup.runs.events import EpisodeFinished, Event, OnEvent, Picture
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.pictures import write_contact_sheet
 from roboxim_bringup.runs.shards import Shard
+from roboxim_bringup.runs.store import readable_run
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
 
@@ -52,7 +53,7 @@ class GenerationConfig(EpisodesConfig):
         )  # fmt: skip
         return EpisodesJob(
             config=config, episodes=self.episodes, shard=Shard.parse(self.shard), workers=self.workers,
-            renderer=self.renderer,
+            renderer=self.renderer, store=self.store,
         )  # fmt: skip
 
 
@@ -148,10 +149,11 @@ def generate(
         if not isinstance(event, EpisodeFinished) or picture.exists():
             return
         if event.result.outcome == "success" and event.result.bag:
-            write_contact_sheet([folder.path / event.result.bag], picture)
+            with readable_run(folder.path, [event.result.bag]) as run:
+                write_contact_sheet([run / event.result.bag], picture)
             on_event(PictureWritten(path=out / PICTURE))
 
-    with run_environment("generate") as environment:
+    with run_environment("generate", out) as environment:
         results = run_episodes(
             job, "demonstrations", environment, on_event=show_first, cancellation=cancellation, executor=executor,
             repair=config.repair,
@@ -170,7 +172,8 @@ def write_first_demonstrations(folder: Path, results: Sequence[EpisodeResult]) -
     Returns:
         Whether there is any demonstration.
     """
-    bags = [folder / result.bag for result in results if result.outcome == "success" and result.bag]
+    bags = [result.bag for result in results if result.outcome == "success" and result.bag][:PICTURED]
     if bags:
-        write_contact_sheet(bags[:PICTURED], folder / PICTURE)
+        with readable_run(folder, bags) as run:
+            write_contact_sheet([run / bag for bag in bags], folder / PICTURE)
     return bool(bags)

@@ -13,7 +13,7 @@ import json
 import os
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, S
 from roboxim_bringup.runs.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
 from roboxim_bringup.runs.generation import write_first_demonstrations
 from roboxim_bringup.runs.results_log import KEY, write_atomically
+from roboxim_bringup.runs.store import RunUpload, note_stored, stored_bags
 from roboxim_core.config import from_json, from_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_text
@@ -107,6 +108,8 @@ def merge_shards(
                 for merge in merges:
                     merge.put(stage / merge.name, target / merge.name)
             _write_reports(target, records)
+    for merge in merges:
+        RunUpload(target / merge.name, str(merge.config.get("store", ""))).all()
     on_event(StageFinished())
     return [merge.summary for merge in merges]
 
@@ -183,9 +186,17 @@ class _Episode:
         """What every machine finds."""
         return {name: value for name, value in self.line.items() if name not in (*CLOCKED, KEY)}
 
-    @property
-    def bag(self) -> Path | None:
-        return self.run.path / self.result.bag if self.result.bag else None
+    stored: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Bags of the folder that are in its store, with the facts of their files."""
+
+    def content(self) -> dict[str, str]:
+        """Return the hashes of the bag's files."""
+        if not self.result.bag:
+            return {}
+        if self.result.bag in self.stored:
+            return {name: facts["sha256"] for name, facts in self.stored[self.result.bag].items()}
+        files = sorted((self.run.path / self.result.bag).iterdir())
+        return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 @dataclass
@@ -221,6 +232,11 @@ class _Merge:
                     f"{differences(first, other, ignore=MAY_DIFFER, words=words)}"
                 )
             _require_same_server(self.runs[0], first, run, other)
+            if first.get("store", "") != other.get("store", ""):
+                raise ConfigError(
+                    f"the bags of {self.runs[0].path} are in {first.get('store') or 'the folder'}, those of "
+                    f"{run.path} in {other.get('store') or 'the folder'}; run all shards with the same --store"
+                )
         counts = [int(config["episodes"]) for run in self.runs if "episodes" in (config := run.config())]
         whole = {key: value for key, value in first.items() if key != "shard"}
         return {**whole, "episodes": max(counts)} if counts else whole
@@ -231,7 +247,7 @@ class _Merge:
         if other is None:
             self.chosen[place] = episode
             return
-        if other.lasting != episode.lasting or _content(other.bag) != _content(episode.bag):
+        if other.lasting != episode.lasting or other.content() != episode.content():
             raise RecorderError(
                 f"{other.run.path} and {episode.run.path} have different recordings of episode "
                 f"{episode.result.episode_id}, so one of them comes from other code, another kind of machine or a "
@@ -271,10 +287,14 @@ class _Merge:
         """Make the merged run's folder; yields after each episode."""
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            attempts = {run.path: _bags_by_episode(run.path) for run in self.runs}
+            attempts = {run.path: _by_episode(_bags_in(run.path)) for run in self.runs}
+            stored = {run.path: stored_bags(run.path) for run in self.runs}
+            uploads = {path: _by_episode(bags) for path, bags in stored.items()}
             for _, episode in sorted(self.chosen.items()):
                 for bag in attempts[episode.run.path].get(episode.result.episode, []):
                     _link(episode.run.path / bag, folder / bag)
+                uploaded = uploads[episode.run.path].get(episode.result.episode, [])
+                note_stored(folder, {bag: stored[episode.run.path][bag] for bag in uploaded})
                 yield
             lines = [
                 json.dumps({**episode.line, KEY: run_key(self.config)}, sort_keys=True, separators=(",", ":")) + "\n"
@@ -310,21 +330,23 @@ def _episodes(run: RunFolder, key: str) -> Iterator[_Episode]:
     """Yield a folder's finished episodes.
 
     Raises:
-        ConfigError: When a line is of another run.
+        ConfigError: When a line is of another run, or the list of stored bags is damaged.
         RecorderError: When a bag has vanished.
     """
+    stored = stored_bags(run.path)
     latest: dict[tuple[int, str], _Episode] = {}
     for entry in run.log.read():
         if entry.key not in ("", key):
             raise ConfigError(f"{run.log.path} line {entry.line} is a result of another run; merge without this folder")
         result = from_plain(entry.data, EpisodeResult, source=f"{run.log.path} line {entry.line}")
-        latest[result.index, result.episode] = _Episode(run=run, result=result, line=dict(entry.data))
+        latest[result.index, result.episode] = _Episode(run=run, result=result, line=dict(entry.data), stored=stored)
     for episode in latest.values():
         if episode.result.reason == WORKER_DIED:
             continue
-        if episode.bag is not None and not any(episode.bag.glob("*.mcap")):
+        bag = episode.result.bag
+        if bag and bag not in stored and not any((run.path / bag).glob("*.mcap")):
             raise RecorderError(
-                f"{run.log.path} names the bag {episode.result.bag}, which is gone; put it back, or run that shard "
+                f"{run.log.path} names the bag {bag}, which is gone; put it back, or run that shard "
                 "again with --repair",
                 ErrorCode.BAG_DAMAGED,
             )
@@ -342,20 +364,17 @@ def _require_same_server(first: RunFolder, a: Mapping[str, Any], run: RunFolder,
         raise ConfigError(f"{run.path} was evaluated with another model than {first.path}: {complaint}")
 
 
-def _bags_by_episode(run: Path) -> dict[str, list[str]]:
-    """Return every attempt's bag, kept or set apart, relative to the run's folder, by the episode without attempt."""
+def _bags_in(run: Path) -> list[str]:
+    """Return every bag in a run's folder, kept or set apart, relative to the folder."""
+    return [f"{place}/{bag.name}" for place in PLACES.values() for bag in (run / place).glob("[!.]*")]
+
+
+def _by_episode(bags: Iterable[str]) -> dict[str, list[str]]:
+    """Return the bags of all attempts by their episode's name without the attempt."""
     found: dict[str, list[str]] = {}
-    for place in PLACES.values():
-        for bag in (run / place).glob("[!.]*"):
-            found.setdefault(bag.name.rpartition("-")[0], []).append(f"{place}/{bag.name}")
+    for bag in bags:
+        found.setdefault(Path(bag).name.rpartition("-")[0], []).append(bag)
     return found
-
-
-def _content(bag: Path | None) -> dict[str, str]:
-    """Return the hashes of a bag's files."""
-    if bag is None:
-        return {}
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(bag.iterdir())}
 
 
 def _link(source: Path, target: Path) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from roboxim_bringup.executors import Cancellation
+from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult, evaluate
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_core.errors import ConfigError
@@ -32,7 +32,12 @@ class SequentialResult:
 
 
 def evaluate_sequentially(
-    config: EvaluationConfig, looks: int, *, on_event: OnEvent = ignore, cancellation: Cancellation | None = None
+    config: EvaluationConfig,
+    looks: int,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
 ) -> SequentialResult:
     """Evaluate two policies on the same scenes, and stop at the first look at which they differ.
 
@@ -41,9 +46,10 @@ def evaluate_sequentially(
         looks: Number of looks at the results, evenly spaced.
         on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
+        executor: Runs the episodes; none: processes of this machine.
 
     Raises:
-        ConfigError: When there are not two policies, or fewer scenes than looks.
+        ConfigError: When there are not two policies, or fewer scenes than looks, or only a shard is to be run.
         RoboximError: As of `evaluate`.
     """
     from roboxim_eval.statistics.sequential import SequentialPlan, sequential_test
@@ -51,6 +57,8 @@ def evaluate_sequentially(
     named = config.policies
     if isinstance(named, str) or not isinstance(named, Sequence) or len(named) != 2:
         raise ConfigError("stopping early compares two policies: name exactly two (--policy)")
+    if config.shard:
+        raise ConfigError("a shard has a part of the scenes and cannot decide when to stop; run all of them (no --shard)")
     if not 1 < looks <= config.episodes:
         raise ConfigError(f"looks must be from 2 to the number of episodes ({config.episodes}), got {looks}")
     plan = SequentialPlan.even(config.episodes, looks)
@@ -58,7 +66,7 @@ def evaluate_sequentially(
     for number, scenes in enumerate(plan.looks, start=1):
         planned = f"Planned: at most {plan.looks[-1]} scenes, looks after {', '.join(map(str, plan.looks))}."
         step = replace(config, episodes=scenes, stopped=f"{planned} This is look {number}.")
-        evaluation = evaluate(step, on_event=on_event, cancellation=cancellation)
+        evaluation = evaluate(step, on_event=on_event, cancellation=cancellation, executor=executor)
         first, second = evaluation.policies.values()
         seen.append(_pairs(first, second))
         state = sequential_test(plan, seen)

@@ -58,7 +58,7 @@ class Pool:
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(episodes, "LocalExecutor", Pool)
-    monkeypatch.setattr(evaluation, "run_environment", lambda kind: contextlib.nullcontext({}))
+    monkeypatch.setattr(evaluation, "run_environment", lambda *_: contextlib.nullcontext({}))
     for name, value in (("asked", []), ("outcome", "success"), ("reason", ""), ("during", staticmethod(lambda: None))):
         monkeypatch.setattr(Pool, name, value, raising=False)
     (tmp_path / "mine.py").write_text(MINE)

@@ -1,0 +1,348 @@
+"""Stores: bags, datasets and results at a URL of any file system that fsspec knows, e.g. ``s3://bucket/demos``.
+
+A file is uploaded under its own name only when it is whole, and read back before it counts; its SHA-256 is kept in
+``stored.jsonl`` beside the results. Whatever reads a store compares with it, so a damaged or replaced object is named
+instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded while the run goes on and at its end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, UnavailableError
+
+STORED_FILE = "stored.jsonl"
+"""File with a line for each stored bag: its path in the run and the SHA-256 and size of its files."""
+SMALL_FILES = ("run.json", "results.jsonl", STORED_FILE)
+"""Files of a run that are uploaded besides its bags."""
+UPLOAD_PERIOD_S = 60.0
+"""Time between two uploads of a run's small files [s]."""
+TRIES = 4
+"""Times that a transfer is tried, with growing pauses."""
+PAUSE_S = 1.0
+MISSING = "stores need packages that are not installed; install them on all machines with: pip install 'roboxim[store]'"
+WHOLE_OBJECTS = ("s3", "s3a", "gs", "gcs", "abfs", "az", "adl", "memory")
+"""Protocols whose uploads appear only when they are whole; elsewhere a file is renamed when it is."""
+T = TypeVar("T")
+
+
+def is_url(place: Path | str) -> bool:
+    """Return whether a place is a URL rather than a path."""
+    return "://" in str(place)
+
+
+class Store:
+    """A folder at a URL."""
+
+    def __init__(self, url: str, files: Any) -> None:
+        """Store the URL and the file system that serves it; see `opened`."""
+        self.url = url.rstrip("/")
+        self._files = files
+        self._root = files._strip_protocol(self.url)
+        protocol = files.protocol if isinstance(files.protocol, str) else files.protocol[0]
+        self._whole = protocol in WHOLE_OBJECTS
+
+    @classmethod
+    @contextmanager
+    def opened(cls, url: str) -> Iterator[Store]:
+        """Open a store.
+
+        Raises:
+            ConfigError: When the packages for it are not installed, or the URL is not one of a store.
+        """
+        try:
+            import fsspec
+        except ImportError:
+            raise ConfigError(MISSING) from None
+        if not is_url(url):
+            raise ConfigError(f"a store is a URL, e.g. file:///data/demos or s3://bucket/demos; got '{url}'")
+        try:
+            files, _ = fsspec.core.url_to_fs(url, use_listings_cache=False)
+        except ImportError as error:
+            raise ConfigError(f"the store '{url}' needs a package that is not installed: {error}") from None
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"'{url}' is not the URL of a store: {error}") from None
+        yield cls(url, files)
+
+    def put(self, file: Path, name: str) -> dict[str, Any]:
+        """Upload a file: everything or nothing, and read back.
+
+        Args:
+            file: The file.
+            name: Its name in the store, with slashes.
+
+        Returns:
+            Its SHA-256 and size, plain data.
+
+        Raises:
+            RecorderError: ``BAG_DAMAGED`` when the store holds something else afterwards.
+            UnavailableError: When the store cannot be reached.
+        """
+        facts = {"sha256": _sha256(file), "bytes": file.stat().st_size}
+        target = self._place(name)
+
+        def upload() -> None:
+            if self._whole:
+                self._files.put_file(str(file), target)
+                return
+            partial = f"{target}.{secrets.token_hex(4)}.partial"
+            self._files.makedirs(target.rpartition("/")[0], exist_ok=True)
+            self._files.put_file(str(file), partial)
+            self._files.mv(partial, target)
+
+        self._tried(f"upload {name}", upload)
+        if self._tried(f"read {name} back", lambda: self._remote_sha256(target)) != facts["sha256"]:
+            raise RecorderError(
+                f"{self.url}/{name} differs from what was uploaded; upload again", ErrorCode.BAG_DAMAGED
+            )
+        return facts
+
+    def put_folder(self, folder: Path, name: str) -> dict[str, Any]:
+        """Upload the files of a folder; returns the facts of each by its name. See `put`."""
+        return {file.name: self.put(file, f"{name}/{file.name}") for file in sorted(folder.iterdir())}
+
+    def get(self, name: str, file: Path, *, sha256: str = "") -> None:
+        """Download a file: everything or nothing.
+
+        Args:
+            name: Its name in the store.
+            file: Where it goes; its folder is made.
+            sha256: What it must be; empty: anything.
+
+        Raises:
+            RecorderError: ``BAG_DAMAGED`` when it is missing or not what it must be.
+            UnavailableError: When the store cannot be reached.
+        """
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")
+        try:
+            self._tried(f"download {name}", lambda: self._files.get_file(self._place(name), str(partial)))
+            if sha256 and _sha256(partial) != sha256:
+                raise RecorderError(
+                    f"{self.url}/{name} is not the file that was stored: its SHA-256 differs from {STORED_FILE}; "
+                    "restore it, or run the episode again with --repair",
+                    ErrorCode.BAG_DAMAGED,
+                )
+            partial.replace(file)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a file of the name."""
+        return bool(self._tried(f"look for {name}", lambda: self._files.exists(self._place(name))))
+
+    def find(self) -> list[str]:
+        """Return the names of all files."""
+        found = self._tried("list it", lambda: self._files.find(self._root))
+        return sorted(path[len(self._root) :].lstrip("/") for path in found)
+
+    def _place(self, name: str) -> str:
+        return f"{self._root}/{name}" if name else self._root
+
+    def _remote_sha256(self, place: str) -> str:
+        total = hashlib.sha256()
+        with self._files.open(place, "rb") as file:
+            while chunk := file.read(1 << 22):
+                total.update(chunk)
+        return total.hexdigest()
+
+    def _tried(self, what: str, action: Callable[[], T]) -> T:
+        """Do something again after a lost connection, a few times."""
+        for attempt in range(1, TRIES + 1):
+            try:
+                return action()
+            except FileNotFoundError as error:
+                raise RecorderError(f"cannot {what}: {self.url} has no {error}", ErrorCode.BAG_DAMAGED) from None
+            except Exception as error:  # each file system has errors of its own
+                if attempt == TRIES or isinstance(error, PermissionError):
+                    raise UnavailableError(
+                        f"cannot {what} at {self.url}: {type(error).__name__}: {error}; the same command continues "
+                        "when the store can be reached"
+                    ) from error
+                time.sleep(PAUSE_S * 2 ** (attempt - 1))
+        raise AssertionError("unreachable")
+
+
+def _sha256(file: Path) -> str:
+    with open(file, "rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+# ------------------------------------------------------------------ runs
+
+
+def note_stored(run: Path, bags: Mapping[str, Mapping[str, Any]]) -> None:
+    """Append bags that are in the store, by their path in the run, to the run's list."""
+    if not bags:
+        return
+    with open(run / STORED_FILE, "a") as file:
+        for bag, files in bags.items():
+            file.write(json.dumps({"bag": bag, "files": files}, sort_keys=True) + "\n")
+
+
+def stored_bags(run: Path) -> dict[str, dict[str, Any]]:
+    """Return the bags of a run that are in its store, with the facts of their files; a torn last line is left out."""
+    try:
+        lines = (run / STORED_FILE).read_text().split("\n")[:-1]
+    except OSError:
+        return {}
+    try:
+        return {entry["bag"]: entry["files"] for entry in map(json.loads, lines)}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{run / STORED_FILE} is damaged ({error}); restore it from the store") from None
+
+
+class RunUpload:
+    """Uploads the small files of a run, now and then while it goes on."""
+
+    def __init__(self, run: Path, url: str, *, shard: str = "") -> None:
+        """Store the places.
+
+        Args:
+            run: The run's folder.
+            url: The run's store; empty: none.
+            shard: ``I/N``: a shard's files go to ``shards/I-of-N`` in the store, those of a whole run to its root.
+        """
+        self._run, self._url, self._last = run, url, time.monotonic()
+        self._prefix = f"shards/{shard.replace('/', '-of-')}/" if shard else ""
+
+    def now_and_then(self) -> None:
+        """Upload them if the last upload is long ago."""
+        if self._url and time.monotonic() - self._last > UPLOAD_PERIOD_S:
+            self.all()
+
+    def all(self) -> None:
+        """Upload them."""
+        if not self._url:
+            return
+        with Store.opened(self._url) as store:
+            for name in SMALL_FILES:
+                if (self._run / name).exists():
+                    store.put(self._run / name, self._prefix + name)
+        self._last = time.monotonic()
+
+
+@contextmanager
+def local_sources(places: Iterable[Path | str]) -> Iterator[list[Path]]:
+    """Give runs and bags as folders of this machine while the block runs.
+
+    A URL, and a run whose bags are in a store, are downloaded to a temporary folder and compared with their checksums.
+
+    Args:
+        places: Paths and URLs of runs or of folders of bags.
+
+    Raises:
+        ConfigError: When a URL has nothing in it.
+        RecorderError: ``BAG_DAMAGED`` when a bag is missing in a store or not what was stored.
+        UnavailableError: When a store cannot be reached.
+    """
+    with ExitStack() as stack:
+        found = []
+        for place in places:
+            if is_url(place):
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="roboxim-store-")))
+                _download(str(place), folder)
+                found.append(folder)
+            elif stored_bags(Path(place)):
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="roboxim-store-")))
+                _gather(Path(place), folder)
+                found.append(folder)
+            else:
+                found.append(Path(place))
+        yield found
+
+
+def _download(url: str, folder: Path) -> None:
+    with Store.opened(url) as store:
+        names = store.find()
+        if not names:
+            raise ConfigError(f"{url} has nothing in it")
+        for name in SMALL_FILES:
+            if name in names:
+                store.get(name, folder / name)
+        known = stored_bags(folder)
+        for bag, files in known.items():
+            for name, facts in files.items():
+                store.get(f"{bag}/{name}", folder / bag / name, sha256=facts["sha256"])
+        for name in names:
+            if not (folder / name).exists() and str(Path(name).parent) not in known:
+                store.get(name, folder / name)
+
+
+def _gather(run: Path, folder: Path) -> None:
+    """Bring a run's local bags and its stored ones together."""
+    url = json.loads((run / "run.json").read_text()).get("store", "")
+    for name in SMALL_FILES:
+        if (run / name).exists():
+            shutil.copy2(run / name, folder / name)
+    fetch_bags(run, url, stored_bags(run), folder)
+    for place in ("episodes", "set_apart"):
+        for bag in (run / place).glob("[!.]*"):
+            (folder / place).mkdir(exist_ok=True)
+            if not (folder / place / bag.name).exists():
+                (folder / place / bag.name).symlink_to(bag.resolve(), target_is_directory=True)
+
+
+def fetch_bags(run: Path, url: str, bags: Iterable[str], folder: Path) -> None:
+    """Download bags of a run into a folder, compared with their checksums; local ones are left out.
+
+    Args:
+        run: The run's folder.
+        url: Its store.
+        bags: Paths of the bags in the run.
+        folder: Where they go, under the same paths.
+    """
+    known = stored_bags(run)
+    with Store.opened(url) as store:
+        for bag in bags:
+            for name, facts in known.get(bag, {}).items():
+                if not (folder / bag / name).exists():
+                    store.get(f"{bag}/{name}", folder / bag / name, sha256=facts["sha256"])
+
+
+@contextmanager
+def readable_run(run: Path, bags: Sequence[str]) -> Iterator[Path]:
+    """Give a folder in which bags of a run can be read while the block runs: the run's, or one with those of its store.
+
+    Args:
+        run: The run's folder.
+        bags: Paths of the bags in the run that will be read.
+    """
+    if not stored_bags(run) or all((run / bag).exists() for bag in bags):
+        yield run
+        return
+    with tempfile.TemporaryDirectory(prefix="roboxim-store-") as place:
+        folder = Path(place)
+        fetch_bags(run, json.loads((run / "run.json").read_text()).get("store", ""), bags, folder)
+        for bag in bags:
+            if not (folder / bag).exists():
+                (folder / bag).parent.mkdir(parents=True, exist_ok=True)
+                (folder / bag).symlink_to((run / bag).resolve(), target_is_directory=True)
+        yield folder
+
+
+def upload_dataset(folder: Path, url: str) -> int:
+    """Upload a dataset's files; the list of their checksums comes last, as ``SHA256SUMS``.
+
+    Args:
+        folder: The dataset's folder.
+        url: Where it goes.
+
+    Returns:
+        Number of files.
+    """
+    with Store.opened(url) as store, tempfile.TemporaryDirectory(prefix="roboxim-store-") as place:
+        names = sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+        sums = Path(place) / "SHA256SUMS"
+        sums.write_text("".join(f"{store.put(folder / name, name)['sha256']}  {name}\n" for name in names))
+        store.put(sums, sums.name)
+    return len(names)
