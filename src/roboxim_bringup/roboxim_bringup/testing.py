@@ -13,7 +13,9 @@ Override ``graph_parameters`` for parameters other than the defaults.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -56,3 +58,33 @@ def repeatable_results(run: Path) -> list[dict[str, Any]]:
 
     found = [to_plain(result) for result in RunFolder(run).results()]
     return [{name: value for name, value in result.items() if name not in CLOCKED} for result in found]
+
+
+def ray_cluster(nodes: int = 2) -> Any:
+    """Return a `ray.cluster_utils.Cluster` of so many nodes on this machine, each with one CPU; the caller ends it."""
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, **_agent_ports()})
+    for _ in range(nodes - 1):
+        add_ray_node(cluster)
+    return cluster
+
+
+def add_ray_node(cluster: Any, **options: Any) -> Any:
+    """Add a node with one CPU to a cluster and return it.
+
+    Args:
+        cluster: As `ray_cluster` returns it.
+        **options: For `ray.cluster_utils.Cluster.add_node`.
+    """
+    return cluster.add_node(num_cpus=1, **_agent_ports(), **options)
+
+
+def _agent_ports() -> dict[str, int]:
+    """Return free ports for a node's agents: Ray ends a node that has not chosen its own within 15 s."""
+    names = ("metrics_agent_port", "metrics_export_port", "runtime_env_agent_port", "dashboard_agent_listen_port")
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in names]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return {name: one.getsockname()[1] for name, one in zip(names, sockets, strict=True)}
