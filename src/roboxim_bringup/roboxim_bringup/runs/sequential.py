@@ -58,7 +58,9 @@ def evaluate_sequentially(
     if isinstance(named, str) or not isinstance(named, Sequence) or len(named) != 2:
         raise ConfigError("stopping early compares two policies: name exactly two (--policy)")
     if config.shard:
-        raise ConfigError("a shard has a part of the scenes and cannot decide when to stop; run all of them (no --shard)")
+        raise ConfigError(
+            "a shard has a part of the scenes and cannot decide when to stop; run all of them (no --shard)"
+        )
     if not 1 < looks <= config.episodes:
         raise ConfigError(f"looks must be from 2 to the number of episodes ({config.episodes}), got {looks}")
     plan = SequentialPlan.even(config.episodes, looks)
