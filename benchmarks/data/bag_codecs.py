@@ -48,12 +48,11 @@ class Codec:
     """Whether an image can be read without the images before it in its chunk."""
 
 
-def chunked(
-    images: Images, filtered: Callable[[npt.NDArray[np.uint8]], npt.NDArray[np.uint8]], level: int
-) -> list[bytes]:
+def chunked(images: Images, filtered: Filter, level: int, window_log: int) -> list[bytes]:
     """Compress filtered images in chunks as the bag's writer does."""
     per_chunk = max(1, CHUNK_BYTES // images[0].nbytes)
-    compressor = zstandard.ZstdCompressor(level=level)
+    parameters = zstandard.ZstdCompressionParameters.from_level(level, window_log=window_log, enable_ldm=window_log > 0)
+    compressor = zstandard.ZstdCompressor(compression_params=parameters)
     stacks = (np.stack(images[i : i + per_chunk]) for i in range(0, len(images), per_chunk))
     return [compressor.compress(np.ascontiguousarray(filtered(stack)).tobytes()) for stack in stacks]
 
