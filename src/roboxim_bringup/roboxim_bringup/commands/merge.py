@@ -20,7 +20,7 @@ def command(out: Path, shards: tuple[Path, ...], partial: bool) -> None:
 
     Folders of another configuration are refused, and so are missing episodes and different recordings of one episode.
     An episode that several folders have is taken once. OUT gets everything or stays as it was; the shards stay too.
-    Folders of evaluations and experiments are merged run by run, and the reports written anew.
+    Folders of evaluations are merged policy by policy, and the reports written anew.
     """
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.merging import merge_shards

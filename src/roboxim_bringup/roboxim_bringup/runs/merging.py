@@ -34,7 +34,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 
 DEEPEST = 3
-"""Levels below a shard's folder at which runs are looked for: an experiment's are at the third."""
+"""Levels below a shard's folder at which runs are looked for."""
 SHOWN = 5
 """Further episodes are only counted."""
 CLOCKED = ("wall_s", "inference_s")
