@@ -91,20 +91,21 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
         (demos / "first_demonstrations.png", "pictures of the first demonstrations"),
         (demos / "episodes", "the demonstrations, one MCAP bag each (Foxglove opens them)"),
         (dataset, "the RLDS dataset, for Octo and OpenVLA"),
-        (_card(dataset), "its card: what it holds, how it was made, how to load it"),
+        (_card("rlds", dataset), "its card: what it holds, how it was made, how to load it"),
         (lerobot, "the LeRobot dataset, for ACT, Diffusion, SmolVLA and pi0"),
-        (_card(lerobot), "its card"),
+        (_card("lerobot", lerobot), "its card"),
         (trained, "the trained policy"),
     ):
         click.echo(f"  {path}: {what}")
 
 
-def _card(export: Path) -> Path:
-    """Return the card of an export's dataset."""
+def _card(format: str, target: Path) -> Path:
+    """Return the card of a dataset that was exported with the defaults."""
     from roboxim_datasets.card import card_path
-    from roboxim_datasets.formats import open_dataset
+    from roboxim_recorder.export import EXPORTERS
 
-    return card_path(open_dataset(export).path)
+    exporter = EXPORTERS[format]()
+    return card_path(exporter.path(target, exporter.config()))
 
 
 def _renderer() -> str:
