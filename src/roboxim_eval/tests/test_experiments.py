@@ -162,6 +162,18 @@ def test_every_condition_and_replicate_is_trained_and_evaluated():
     assert design.rollouts == 5 * (120 + 120 + 40)
 
 
+def test_a_faulty_dataset_has_all_demonstrations_so_that_its_share_is_exact():
+    data = copy.deepcopy(dict(parse_yaml(TEXT)["datasets"]))
+    data["baseline"] |= {"fault": "wrong_instruction", "share": 0.3}
+    with pytest.raises(ConfigError, match="datasets.baseline: a fault is planted in a share of all demonstrations"):
+        design_of(config(datasets=data))
+    data["baseline"]["per_cell"] = data["leave_out"]["per_cell"]
+    stages = {stage.name: stage for stage in stages_of(design_of(config(datasets=data)))}
+    assert stages["export/baseline.0"].needs == ("corrupt/baseline.0",)
+    assert stages["export/leave_out.0"].needs == ("generate/0",)
+    assert stages["train/baseline.0"].needs == ("export/baseline.0", "prove/training.0")
+
+
 def test_curves_and_final_evaluations_never_meet_the_same_scenes():
     design = design_of(config(curve={"every": 1000, "per_checkpoint": 10, "replicates": 1}))
     assert [t.checkpoints for t in design.trainings if t.replicate == 0] == [(1000, 2000, 3000, 4000)] * 2

@@ -118,6 +118,13 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
     for name in used:
         for cell, count in datasets[name].items():
             demonstrations[cell] = max(count, demonstrations.get(cell, 0))
+    for name in used:
+        if config.datasets[name].fault and datasets[name] != demonstrations:
+            raise ConfigError(
+                f"datasets.{name}: a fault is planted in a share of all demonstrations, so this dataset must have all "
+                f"of them, {sum(demonstrations.values())}; it has {sum(datasets[name].values())}. Give all datasets "
+                "the same cells and per_cell"
+            )
     order = {cell.key: number for number, cell in enumerate(cells)}
     design = Design(
         config=config,
