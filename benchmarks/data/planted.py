@@ -82,7 +82,7 @@ def measure(kind: FaultKind, rate: float, source: Path, out: Path, seed: int) ->
         checks=(kind.found_by,),
         replay=kind.found_by == "replay",
         render=kind.found_by in NEEDS_RENDERER,
-        bags=() if kind.bags else (out / "bags",),
+        bags=() if kind.bags else (out / "all",),
     )
     result = audit_dataset(made.path, report, config).result
     faulty = set(result.check(kind.found_by).faulty_episodes)
