@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,9 +14,13 @@ from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble, proprio_features, word_indices
+from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
+from roboxim_policies.bc.features import GraspMemory, HeldRange, proprio_features, state_features, word_indices
+from roboxim_policies.bc.network import TargetHead
 from roboxim_policies.bc.policy import BCPolicy
-from roboxim_policies.bc.train import Trainer
+from roboxim_policies.bc.samples import Samples, augmentation
+from roboxim_policies.bc.train import Trainer, statistics
+from roboxim_policies.bc.validation import validate
 
 CONFIG = BCConfig(
     steps=300, learning_rate=3e-3, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2,
@@ -167,12 +173,13 @@ def test_words_and_yaw_are_read_as_meant():
     half_turn = Proprioception(tcp_rotation_6d=(-1.0, 0.0, 0.0, 0.0, 1.0, 0.0)).vector()  # the same for two fingers
     eighth = Proprioception(tcp_rotation_6d=(2**-0.5, 2**-0.5, 0.0, 2**-0.5, -(2**-0.5), 0.0), gripper_opening=0.5)
     assert np.allclose(proprio_features(down), proprio_features(half_turn), atol=1e-6)
-    assert proprio_features(eighth.vector()) == pytest.approx([0, 0, 0, 0.5, 1, 0], abs=1e-6)
+    assert proprio_features(eighth.vector()) == pytest.approx([0, 0, 0, 0.5, 1, 0, 0, 0], abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("changed", "said"),
     [({"format": 1}, r"old\.npz was trained on proprioception of the old layout.*train again"),
+     ({"format": 2}, r"old\.npz holds the earlier network.*train again"),
      ({"state_layout": ["x", "y"]}, r"trained on proprioception \['x', 'y'\]")],
 )  # fmt: skip
 def test_a_checkpoint_of_another_proprioception_is_refused_by_name(trained, tmp_path, changed, said):
@@ -182,3 +189,132 @@ def test_a_checkpoint_of_another_proprioception_is_refused_by_name(trained, tmp_
     np.savez(tmp_path / "old.npz", **arrays)
     with pytest.raises(ConfigError, match=said):
         BCPolicy(tmp_path / "old.npz")
+
+
+def held_episode(opened_to: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
+    """Return proprioception and actions: the gripper closes to 0.5, turns by 90 degrees, rises, and opens."""
+    rows, actions = [], []
+    for step in range(24):
+        yaw = np.deg2rad(-90) * np.clip((step - 10) / 6, 0, 1)
+        c, s = float(np.cos(yaw)), float(np.sin(yaw))
+        opening = 1.0 if step < 6 else 0.5 if step < 19 else opened_to
+        at = Proprioception(
+            tcp_position=(0.5, 0.0, 0.02 + 0.01 * max(0, step - 8)), tcp_rotation_6d=(c, s, 0.0, s, -c, 0.0),
+            gripper_opening=opening,
+        )  # fmt: skip
+        rows.append(at.vector())
+        rise = 0.01 if step >= 8 else 0.0
+        actions.append([0.0, 0.0, rise, 0.0, 0.0, 0.0, 1.0 if step < 5 else 0.0 if step < 18 else opened_to])
+    return np.stack(rows), np.array(actions, np.float32)
+
+
+def assembled(*episodes: tuple[np.ndarray, np.ndarray]) -> Demonstrations:
+    return assemble(
+        [
+            Demonstration(
+                images={"wrist": np.zeros((len(a), 16, 16, 3), np.uint8)}, proprio=p, actions=a, instruction="x"
+            )
+            for p, a in episodes
+        ],
+        camera_sizes={"wrist": (16, 16)},
+        semantics=ActionSemantics(),
+    )
+
+
+def test_memory_tells_how_far_a_held_object_was_turned_and_that_it_was_put_down():
+    proprio, _ = held_episode()
+    memory = GraspMemory(HeldRange(lowest=0.1, highest=0.9))
+    seen = np.stack([memory.observe(row) for row in proprio])
+    assert not seen[:6].any()  # nothing was grasped yet
+    assert seen[6:, 0].all()
+    turned = np.rad2deg(np.arctan2(seen[:, 6], seen[:, 7]))
+    assert turned[10] == pytest.approx(0, abs=1e-3)
+    assert turned[13] == pytest.approx(-45, abs=1e-3)
+    assert turned[18] == pytest.approx(-90, abs=1e-3)
+    assert seen[18, 3] == pytest.approx(0.1)  # risen since the grasp
+    assert seen[18, 8] == 0
+    assert seen[19:, 8] == pytest.approx(0.1)  # opened: it was put down
+
+
+def test_memory_forgets_a_gripper_that_closed_on_nothing():
+    proprio, _ = held_episode()
+    empty = proprio.copy()
+    empty[8:19, 9] = 0.01
+    memory = GraspMemory(HeldRange(lowest=0.1, highest=0.9))
+    seen = np.stack([memory.observe(row) for row in empty])
+    assert seen[7].any()
+    assert not seen[8:19].any()
+
+
+def test_training_and_policy_compute_the_same_memory():
+    episodes = [held_episode(), held_episode(1.0), held_episode(0.7)]
+    data = assembled(*episodes)
+    assert (data.held.lowest, data.held.highest) == pytest.approx((0.25, 0.75))
+    features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening)
+    lived = []
+    for proprio, _ in episodes:
+        memory = GraspMemory(data.held)
+        lived += [np.concatenate([proprio_features(row), memory.observe(row)]) for row in proprio]
+    assert features == pytest.approx(np.stack(lived), abs=1e-5)
+
+
+def test_gripper_opens_as_far_as_in_the_demonstrations(tmp_path):
+    demonstrations = [episode(np.random.default_rng(i), ("red", "blue")[i % 2]) for i in range(24)]
+    for shown in demonstrations:
+        shown.actions[:, 6] = 0.6
+    sizes = {"workspace": (32, 32), "wrist": (16, 16)}
+    learned = assemble(demonstrations, camera_sizes=sizes, semantics=ActionSemantics())
+    Trainer(learned, CONFIG, tmp_path).run(until=60)
+    action = first_action(BCPolicy(tmp_path), demonstrations[0], "Pick up the red cube")
+    assert action[6] == pytest.approx(0.6, abs=0.1)
+
+
+def drawn(data: Demonstrations, config: BCConfig, batch: np.ndarray):
+    samples = Samples.of(data, statistics(data), config)
+    return samples.draw(jnp.asarray(batch), augmentation(config, ("wrist",), 0, len(batch)), config)
+
+
+def test_empty_gripper_is_taught_to_open_and_rise_before_a_grasp_only():
+    data = assembled(held_episode(), held_episode())
+    config = replace(CONFIG, retry=1.0, position_noise_m=0.0, opening_noise=0.0)
+    _, wanted = drawn(data, config, np.array([0, 12]))
+    assert np.all(wanted.opening[0] == 1)
+    assert np.all(wanted.motion[0, :, 2] > 0)
+    assert np.all(wanted.opening[1] == 0)  # it holds something
+    proprio, actions = held_episode()
+    proprio[:2, 9] = 0.0  # a demonstration that begins with a closed, empty gripper
+    _, wanted = drawn(assembled((proprio, actions), held_episode()), config, np.array([2, 12]))
+    assert not np.all(wanted.motion[0, :, 2] > 0)
+
+
+def test_noise_never_makes_a_held_object_look_lost():
+    data = assembled(*[held_episode()] * 4)
+    config = replace(CONFIG, retry=0.0, opening_noise=5.0)
+    inputs, _ = drawn(data, config, np.flatnonzero(data.grasps >= 0))
+    stats = statistics(data)
+    openings = np.asarray(inputs.state)[:, 3] * stats.state_scale[3] + stats.state_mean[3]
+    assert openings.min() >= data.held.lowest - 1e-5
+    assert openings.std() > 0.1
+
+
+def test_a_displacement_in_the_tools_frame_turns_with_the_tool():
+    head = TargetHead(4, 8, rng=np.random.default_rng(0))
+    bias = jnp.zeros_like(head.output.bias).at[-2:].set(jnp.array([1.0, 0.0]))  # 1 ahead of the tool
+    head = eqx.tree_at(lambda h: (h.output.weight, h.output.bias), head, (jnp.zeros_like(head.output.weight), bias))
+    headings = jnp.array([[1.0, 0.0], [0.0, 1.0]])  # yaw of 0 and of 90 degrees
+    assert np.asarray(head(jnp.ones((2, 4)), headings))[:, :2] == pytest.approx(np.array([[1, 0], [0, 1]]), abs=1e-6)
+
+
+def test_errors_on_held_out_demonstrations_are_in_units_that_a_user_knows(trained):
+    rng = np.random.default_rng(7)
+    others = assemble(
+        [episode(rng, ("red", "blue")[i % 2]) for i in range(8)],
+        camera_sizes={"workspace": (32, 32), "wrist": (16, 16)},
+        semantics=ActionSemantics(),
+        like=data(),
+    )
+    found = validate(load_checkpoint(trained[0]), others)
+    assert found.motion_mm < 10  # of 20 mm in each tick
+    assert found.turn_mrad == 0
+    assert found.grasp_mm < 60  # of up to 120 mm
+    assert found.gripper < 0.1

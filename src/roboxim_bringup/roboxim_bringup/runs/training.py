@@ -84,7 +84,7 @@ def train_bc(
     checked_path(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
-    from roboxim_policies.bc.data import load_demonstrations  # importing JAX takes a second
+    from roboxim_policies.bc.data import read_demonstrations  # importing JAX takes a second
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
     started = time.monotonic()
@@ -99,7 +99,9 @@ def train_bc(
         _check(cancellation)
 
     on_event(StageStarted(title="reading demonstrations", total=1))
-    data = load_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+    read = read_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+    data = read.assemble()
+    del read  # its images are copies
     on_event(StageFinished())
     make_folder(folder)
     trainer = Trainer(data, settings, Path(out))

@@ -1,4 +1,4 @@
-"""Behaviour cloning: a small network, its training from an RLDS export, and the policy that runs it.
+"""Behaviour cloning: a small network, its training from a dataset, and the policy that runs it.
 
-Only `network`, `train`, `checkpoint` and `policy` import JAX; `config` and `data` do not.
+`config`, `data`, `features` and `checkpoint_file` do not import JAX.
 """

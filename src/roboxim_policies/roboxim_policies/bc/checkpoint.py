@@ -25,6 +25,7 @@ from roboxim_core.proprioception import STATE_NAMES
 from roboxim_policies.bc.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, read_description
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
+from roboxim_policies.bc.features import HeldRange
 
 Floats = npt.NDArray[np.float32]
 
@@ -33,9 +34,9 @@ Floats = npt.NDArray[np.float32]
 class Statistics:
     """Normalisation of inputs and outputs, measured on the training data."""
 
-    proprio_mean: Floats
-    """Mean of the proprioception."""
-    proprio_scale: Floats
+    state_mean: Floats
+    """Mean of the state features."""
+    state_scale: Floats
     """Its standard deviation."""
     motion_scale: Floats
     """Root mean square of each component of the motion; 0 for a component that is always 0."""
@@ -44,9 +45,13 @@ class Statistics:
     target_scale: Floats
     """Their standard deviation."""
 
-    def normalize_proprio(self, proprio: Floats) -> Floats:
-        """Normalise proprioception of shape (..., n)."""
-        return np.asarray((proprio - self.proprio_mean) / self.proprio_scale, np.float32)
+    def normalize_state(self, state: Floats) -> Floats:
+        """Normalise state features of shape (..., n)."""
+        return np.asarray((state - self.state_mean) / self.state_scale, np.float32)
+
+    def normalize_target(self, target: Floats) -> Floats:
+        """Normalise auxiliary targets of shape (..., n)."""
+        return np.asarray((target - self.target_mean) / self.target_scale, np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +64,8 @@ class Checkpoint:
     """Configuration."""
     stats: Statistics
     """Normalisation."""
+    held: HeldRange
+    """Openings of the gripper at which it holds something."""
     vocabulary: tuple[str, ...]
     """Words."""
     word_count: int
@@ -126,6 +133,7 @@ def save_checkpoint(
         "step": step,
         "config": to_plain(config),
         "stats": {name: value.tolist() for name, value in asdict(stats).items()},
+        "held": asdict(data.held),
         "vocabulary": list(data.vocabulary),
         "word_count": int(data.words.shape[1]),
         "camera_sizes": {name: list(size) for name, size in data.camera_sizes.items()},
@@ -167,6 +175,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         step=said["step"],
         config=from_plain(said["config"], BCConfig, source=str(file)),
         stats=Statistics(**{name: np.array(value, np.float32) for name, value in said["stats"].items()}),
+        held=HeldRange(**said["held"]),
         vocabulary=tuple(said["vocabulary"]),
         word_count=said["word_count"],
         camera_sizes={name: (int(w), int(h)) for name, (w, h) in said["camera_sizes"].items()},

@@ -12,8 +12,9 @@ from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
 
-FORMAT = 2
-"""1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`."""
+FORMAT = 3
+"""1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
+network with a memory of the grasp."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 
@@ -47,6 +48,11 @@ def read_description(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"{file} was trained on proprioception of the old layout (8 numbers with a quaternion); this "
             "version has tcp_rotation_6d instead: export the bags and train again"
+        )
+    if said.get("format") == 2:
+        raise ConfigError(
+            f"{file} holds the earlier network, which had no memory of the grasp; this version cannot run it: "
+            "train again on the same dataset"
         )
     if said.get("format") != FORMAT:
         raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")

@@ -34,6 +34,8 @@ class BCConfig:
     """Actions executed per observation, 1..``chunk``."""
     channels: int = 48
     """Channels of the convolutions; the first convolution has two thirds of this number."""
+    depth: int = 1
+    """Number of convolutions on the final grid; from the second on they are residual."""
     keypoints: int = 32
     """Number of points that the features of each camera are reduced to."""
     hidden: int = 256
@@ -51,6 +53,9 @@ class BCConfig:
     opening_noise: float = 0.3
     """Noise on the gripper opening as an input, relative to how far the gripper is closed. An object that is grasped
     askew is wider than any in the demonstrations, and the network must still recognise it as grasped."""
+    retry: float = 0.03
+    """Fraction of samples that are made into "closed, but empty": the opening is set to 0, and the action opens the
+    gripper and rises. Only if no demonstration closes the gripper on nothing."""
     brightness: float = 0.15
     """Largest relative change of an image's brightness in training."""
     shift_px: int = 0
@@ -64,7 +69,7 @@ class BCConfig:
         Raises:
             ConfigError: On a value out of range.
         """
-        counts = ("steps", "batch", "chunk", "execute", "channels", "keypoints", "hidden", "word_size")
+        counts = ("steps", "batch", "chunk", "execute", "channels", "depth", "keypoints", "hidden", "word_size")
         for name in (*counts, "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be >= 1, got {getattr(self, name)}")

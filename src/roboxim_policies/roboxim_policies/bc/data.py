@@ -1,6 +1,8 @@
 """Demonstrations in memory: images at the network's size, proprioception, actions, and training targets.
 
 Images stay uint8; everything else is small. All arrays contain the steps of all episodes, one episode after another.
+Targets that only training can know (the gripper's pose at its next event, the time until then) come from the later
+steps of the same demonstration.
 """
 
 from __future__ import annotations
@@ -13,22 +15,31 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ACTION_SIZE, ActionSemantics
+from roboxim_core.actions import ACTION_SIZE, ActionSemantics, GripperConvention
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.images import resized
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
+from roboxim_policies.bc.features import (
+    NONE,
+    Floats,
+    HeldRange,
+    Ints,
+    grasp_starts,
+    proprio_features,
+    split_words,
+    tool_yaw,
+    word_indices,
+)
 from roboxim_policies.recorded_actions import require_semantics
 
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 Images = npt.NDArray[np.uint8]
 
-PROPRIO_SIZE = 6
-"""Number of proprioception features that the network receives, see `proprio_features`."""
-TARGET_SIZE = 5
+TARGET_SIZE = 7
 """Number of values that the auxiliary task predicts, see `_targets`."""
+CLOSED_BELOW = 0.25
+"""Commanded opening below which an action closes the gripper. The expert closes to 0, and opens as far as needed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,11 +63,19 @@ class Demonstrations:
     images: dict[str, Images]
     """Camera name to uint8 images, shape (N, side, side, 3)."""
     proprio: Floats
-    """Network input, shape (N, `PROPRIO_SIZE`)."""
+    """Network input, shape (N, `features.PROPRIO_SIZE`)."""
+    yaw: Floats
+    """Tool's rotation about the base's z axis [rad], shape (N,)."""
     actions: Floats
     """Shape (N, 7)."""
     ends: Ints
     """For each step, the index of its episode's last step."""
+    grasps: Ints
+    """For each step, the index of the first step of its latest grasp; `features.NONE`: none yet."""
+    least_opening: Floats
+    """For each step, the smallest opening of the gripper since that grasp began, shape (N,)."""
+    held: HeldRange
+    """Openings at which the gripper holds something."""
     words: Ints
     """For each step, the indices of its instruction's words, padded with 0, shape (N, longest)."""
     targets: Floats
@@ -77,34 +96,6 @@ class Demonstrations:
         return len(self.actions)
 
 
-def split_words(instruction: str) -> list[str]:
-    """Split an instruction into lower-case words."""
-    return "".join(c if c.isalnum() else " " for c in instruction.lower()).split()
-
-
-def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> Ints:
-    """Return the indices of an instruction's known words, padded with 0 to a given length."""
-    index = {word: i + 1 for i, word in enumerate(vocabulary)}
-    known = [index[word] for word in split_words(instruction) if word in index][:length]
-    return np.array(known + [0] * (length - len(known)), np.int32)
-
-
-def proprio_features(proprio: Floats) -> Floats:
-    """Reduce proprioception to the network's features: position, gripper opening, sine and cosine of twice the yaw.
-
-    The angle is doubled because a parallel gripper is symmetric under half a turn.
-
-    Args:
-        proprio: Shape (..., 10): `roboxim_core.proprioception.STATE_NAMES`.
-
-    Returns:
-        Shape (..., `PROPRIO_SIZE`).
-    """
-    yaw = np.arctan2(proprio[..., 4], proprio[..., 3])  # of the tool's x axis
-    parts = [proprio[..., :3], proprio[..., 9:10], np.sin(2 * yaw)[..., None], np.cos(2 * yaw)[..., None]]
-    return np.concatenate(parts, axis=-1).astype(np.float32)
-
-
 def default_sizes(cameras: Iterable[str]) -> dict[str, int]:
     """Return the default side of the network's input [px] by camera."""
     return {name: 64 if "wrist" in name else 96 for name in cameras}
@@ -116,6 +107,7 @@ def assemble(
     camera_sizes: Mapping[str, tuple[int, int]],
     semantics: ActionSemantics,
     robot: str = "",
+    like: Demonstrations | None = None,
 ) -> Demonstrations:
     """Combine demonstrations.
 
@@ -124,6 +116,8 @@ def assemble(
         camera_sizes: Camera name to (width, height) before resizing [px].
         semantics: Meaning of the actions.
         robot: Id of the robot model; empty: unknown.
+        like: Demonstrations that give the vocabulary and the range of held openings, to validate a network that was
+            trained on them. None: both are measured.
 
     Raises:
         ConfigError: When there are no episodes.
@@ -133,17 +127,27 @@ def assemble(
         raise ConfigError("no demonstrations to train on")
     lengths = [len(episode.actions) for episode in kept]
     vocabulary = tuple(sorted({word for episode in kept for word in split_words(episode.instruction)}))
-    longest = max(len(split_words(episode.instruction)) for episode in kept)
-    words = [word_indices(episode.instruction, vocabulary, max(longest, 1)) for episode in kept]
-    features = [proprio_features(episode.proprio) for episode in kept]
-    targets = [_targets(f, e.actions) for f, e in zip(features, kept, strict=True)]
+    longest = max(1, *(len(split_words(episode.instruction)) for episode in kept))
+    if like is not None:
+        vocabulary, longest = like.vocabulary, like.words.shape[1]
+    words = [word_indices(episode.instruction, vocabulary, longest) for episode in kept]
+    proprio = np.concatenate([episode.proprio for episode in kept])
+    actions = np.concatenate([episode.actions for episode in kept])
+    firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    starts = np.isin(np.arange(len(actions)), firsts)
+    held = like.held if like is not None else HeldRange.of(proprio[:, 9], actions[:, 6] < CLOSED_BELOW, starts)
+    grasps = [grasp_starts(episode.proprio[:, 9], held) for episode in kept]
     return Demonstrations(
         images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
-        proprio=np.concatenate(features),
-        actions=np.concatenate([episode.actions for episode in kept]),
+        proprio=proprio_features(proprio),
+        yaw=tool_yaw(proprio),
+        actions=actions,
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
+        grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
+        least_opening=np.concatenate([_least(e.proprio[:, 9], g) for e, g in zip(kept, grasps, strict=True)]),
+        held=held,
         words=np.repeat(np.stack(words), lengths, axis=0),
-        targets=np.concatenate(targets),
+        targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),
         vocabulary=vocabulary,
         camera_sizes=dict(camera_sizes),
         semantics=semantics,
@@ -152,30 +156,62 @@ def assemble(
     )
 
 
-def _targets(features: Floats, actions: Floats) -> Floats:
-    """Return, for each step, the gripper's pose at its next event, relative to its present pose.
+def _least(openings: Floats, grasps: Ints) -> Floats:
+    """Return the smallest opening since the latest grasp began; the opening itself where there is none."""
+    least = openings.copy()
+    for step in np.flatnonzero(grasps != NONE):
+        if step > grasps[step]:
+            least[step] = min(least[step], least[step - 1])
+    return least
 
-    Events are the openings and closings of the gripper and the end of the episode. The gripper's pose at an event shows
+
+def _targets(proprio: Floats, actions: Floats) -> Floats:
+    """Return, for each step, the gripper's pose at its next event, relative to its present pose, and the time until it.
+
+    Events are the closings and openings of the gripper and the end of the episode. The gripper's pose at an event shows
     where the object is or where it goes. Predicting it from every earlier image teaches the network to look there.
 
     Returns:
-        Position difference [m] and sine and cosine of twice the yaw at the event, shape (T, 5).
+        Position difference in the base [m], change of the yaw [rad], sine and cosine of twice that change, logarithm of
+        1 + ticks; shape (T, `TARGET_SIZE`).
     """
-    closed = actions[:, 6] < 0.5
-    events = [*(np.flatnonzero(closed[1:] != closed[:-1]) + 1), len(actions) - 1]
-    following = np.array([events[i] for i in np.searchsorted(events, np.arange(len(actions)))])
-    position = features[following, :3] - features[:, :3]
-    return np.concatenate([position, features[following, 4:6]], axis=1).astype(np.float32)
+    closed = actions[:, 6] < CLOSED_BELOW
+    steps = np.arange(len(actions))
+    events = np.array([*(np.flatnonzero(closed[1:] != closed[:-1]) + 1), len(actions) - 1])
+    following = events[np.searchsorted(events, steps)]
+    position = proprio[following, :3] - proprio[:, :3]
+    yaw = np.unwrap(tool_yaw(proprio))
+    turn = yaw[following] - yaw
+    columns = [turn, np.sin(2 * turn), np.cos(2 * turn), np.log1p(following - steps)]
+    return np.concatenate([position, np.stack(columns, axis=1)], axis=1).astype(np.float32)
 
 
-def load_demonstrations(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """Demonstrations as they were read from a dataset."""
+
+    episodes: list[Demonstration]
+    """The episodes."""
+    camera_sizes: dict[str, tuple[int, int]]
+    """Camera name to (width, height) of the dataset's images [px]."""
+    semantics: ActionSemantics
+    """Meaning of the actions."""
+    robot: str
+    """Id of the robot model; empty: unknown."""
+
+    def assemble(self) -> Demonstrations:
+        """Combine all episodes."""
+        return assemble(self.episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot)
+
+
+def read_demonstrations(
     path: Path,
     *,
     image_sizes: Mapping[str, int] | None = None,
     split: str = "train",
     limit: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Demonstrations:
+) -> Reading:
     """Read a dataset of any registered format.
 
     Args:
@@ -213,10 +249,12 @@ def load_demonstrations(
         raise ConfigError(f"{path}: split '{split}' has no episodes")
     if semantics.control.is_joint_space or semantics.dimension() != ACTION_SIZE:
         raise ConfigError(f"{path}: bc learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
+    if semantics.gripper is not GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0:
+        raise ConfigError(f"{path}: bc learns grippers with 1 = open and 0 = closed; export such actions")
     if len(robots) > 1:
         raise ConfigError(f"{path}: episodes of several robots ({', '.join(sorted(robots))}); export each robot apart")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}
-    return assemble(episodes, camera_sizes=camera_sizes, semantics=semantics, robot=robots.pop())
+    return Reading(episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=robots.pop())
 
 
 def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:

@@ -16,8 +16,9 @@ from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWi
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
-from roboxim_policies.bc.data import Floats, Images, proprio_features, word_indices
-from roboxim_policies.bc.network import Prediction, make_network
+from roboxim_policies.bc.data import CLOSED_BELOW, Images
+from roboxim_policies.bc.features import Floats, GraspMemory, proprio_features, tool_yaw, word_indices
+from roboxim_policies.bc.network import Inputs, Prediction, make_network
 
 
 class BCPolicy(BasePolicy):
@@ -25,7 +26,8 @@ class BCPolicy(BasePolicy):
 
     Note: it requires images at the size of its training data and resizes them as the training did, because an image
     rendered at a smaller size has different pixels. The network is compiled when it is loaded, so that the first action
-    is not late. Words that do not occur in the training data are ignored.
+    is not late. It remembers the episode's grasp, see `features.GraspMemory`. Words that do not occur in the training
+    data are ignored.
     """
 
     name = "bc"
@@ -57,13 +59,14 @@ class BCPolicy(BasePolicy):
                 f"{checkpoint}: its weights do not fit its configuration; another version of RoboXim wrote it"
             )
         network = network_of(jnp.asarray(averaged))
-        self._predict = jax.jit(lambda *inputs: network(*inputs))
-        self._words = self._encode("")
-        self._infer({n: np.zeros((s, s, 3), np.uint8) for n, s in said.input_sizes.items()}, Proprioception().vector())
+        self._predict = jax.jit(lambda inputs: network(inputs))
+        self._begin("")
+        blank = {name: np.zeros((side, side, 3), np.uint8) for name, side in said.input_sizes.items()}
+        self._infer(blank, Proprioception().vector())
 
     def reset(self, start: EpisodeStart) -> None:
-        """Read the instruction."""
-        self._words = self._encode(start.instruction)
+        """Read the instruction and forget the previous episode."""
+        self._begin(start.instruction)
 
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""
@@ -71,17 +74,24 @@ class BCPolicy(BasePolicy):
         said = self._infer(newest.images, newest.proprio.vector())
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
-        actions[:, 6] = np.asarray(said.gripper[0, : self.horizon]) > 0
+        opening = np.clip(np.asarray(said.opening[0, : self.horizon]), CLOSED_BELOW, 1.0)
+        actions[:, 6] = np.where(np.asarray(said.closed[0, : self.horizon]) > 0, 0.0, opening)
         return actions
 
-    def _encode(self, instruction: str) -> jax.Array:
-        return jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
+    def _begin(self, instruction: str) -> None:
+        self._words = jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
+        self._memory = GraspMemory(self._said.held)
 
     def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
         pixels = {
             name: jnp.asarray(resized(images[name], side, side), jnp.float32)[None] / 255.0 - 0.5
             for name, side in self._said.input_sizes.items()
         }
-        inputs = self._said.stats.normalize_proprio(proprio_features(proprio[None]))
-        prediction: Prediction = self._predict(pixels, jnp.asarray(inputs), self._words)
+        state = np.concatenate([proprio_features(proprio), self._memory.observe(proprio)])
+        yaw = tool_yaw(proprio)
+        inputs = Inputs(
+            images=pixels, state=jnp.asarray(self._said.stats.normalize_state(state))[None],
+            heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=self._words,
+        )  # fmt: skip
+        prediction: Prediction = self._predict(inputs)
         return prediction

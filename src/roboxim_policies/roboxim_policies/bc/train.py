@@ -14,7 +14,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,8 +25,10 @@ from roboxim_core.differences import differences
 from roboxim_core.errors import ConfigError
 from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import PROPRIO_SIZE, Demonstrations
-from roboxim_policies.bc.network import Network, Prediction, make_network
+from roboxim_policies.bc.data import Demonstrations
+from roboxim_policies.bc.features import state_features
+from roboxim_policies.bc.network import make_network
+from roboxim_policies.bc.samples import Samples, augmentation, loss_of
 
 DEAD_DELTA = 1e-5
 CHECKPOINT = "checkpoint.npz"
@@ -58,12 +59,16 @@ def statistics(data: Demonstrations) -> Statistics:
     """
     motion = data.actions[:, :6].astype(np.float64)
     scale = np.sqrt(np.mean(motion**2, axis=0))
+    scale[:2] = np.sqrt(np.mean(scale[:2] ** 2))  # one scale, because the network turns these vectors
+    state = state_features(data.proprio, data.yaw, data.grasps, data.least_opening)
+    target_scale = np.maximum(data.targets.std(axis=0), 1e-2)
+    target_scale[:2] = np.sqrt(np.mean(target_scale[:2] ** 2))
     return Statistics(
-        proprio_mean=data.proprio.mean(axis=0).astype(np.float32),
-        proprio_scale=np.maximum(data.proprio.std(axis=0), 1e-2).astype(np.float32),
+        state_mean=state.mean(axis=0).astype(np.float32),
+        state_scale=np.maximum(state.std(axis=0), 1e-2).astype(np.float32),
         motion_scale=np.where(np.abs(motion).max(axis=0) < DEAD_DELTA, 0.0, scale).astype(np.float32),
         target_mean=data.targets.mean(axis=0).astype(np.float32),
-        target_scale=np.maximum(data.targets.std(axis=0), 1e-2).astype(np.float32),
+        target_scale=target_scale.astype(np.float32),
     )
 
 
@@ -92,7 +97,7 @@ class Trainer:
         self._at: tuple[Any, int] = ((weights, _optimizer(config).init(weights), weights), 0)
         if self.path.exists():
             self._resume(resume)
-        self._samples = _Samples.of(data, self.stats, config)
+        self._samples = Samples.of(data, self.stats, config)
         self._update = _compiled_update(to_json(config), self.cameras, len(data.vocabulary))
 
     def _resume(self, resume: bool) -> None:
@@ -152,7 +157,7 @@ class Trainer:
         parts: dict[str, Array]
         state, step = self._at
         batch = self._batch_indices(step)
-        draws = _augmentation(self.config, self.cameras, step, len(batch))
+        draws = augmentation(self.config, self.cameras, step, len(batch))
         state, parts = self._update(state, self._samples, jnp.asarray(batch), draws, jnp.asarray(step))
         self._at = state, step + 1
         return parts
@@ -187,12 +192,12 @@ def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int
     optimizer = _optimizer(config)
     _, network_of = make_network(config, cameras, vocabulary, config.seed)
 
-    def update(state: Any, samples: _Samples, batch: Array, draws: dict[str, Array], step: Array) -> Any:
+    def update(state: Any, samples: Samples, batch: Array, draws: dict[str, Array], step: Array) -> Any:
         weights, optimizer_state, average = state
         inputs, wanted = samples.draw(batch, draws, config)
 
         def loss(weights: Array) -> tuple[Array, dict[str, Array]]:
-            return _loss(network_of(weights), inputs, wanted, config)
+            return loss_of(network_of(weights), inputs, wanted, config)
 
         gradient, parts = jax.grad(loss, has_aux=True)(weights)
         changes, optimizer_state = optimizer.update(gradient, optimizer_state, weights)
@@ -209,79 +214,3 @@ def _optimizer(config: BCConfig) -> optax.GradientTransformation:
     peak = config.learning_rate
     schedule = optax.warmup_cosine_decay_schedule(0.0, peak, warmup, max(config.steps, 2), 0.02 * peak)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
-
-
-class _Samples(eqx.Module):
-    """The training data, normalised, as arguments of the compiled step."""
-
-    images: dict[str, Array]
-    proprio: Array
-    proprio_noise: Array
-    motion: Array
-    gripper: Array
-    targets: Array
-    ends: Array
-    words: Array
-
-    @staticmethod
-    def of(data: Demonstrations, stats: Statistics, config: BCConfig) -> _Samples:
-        """Normalise."""
-        noise = np.zeros_like(data.proprio)
-        noise[:, :3] = config.position_noise_m / stats.proprio_scale[:3]
-        noise[:, 3] = config.opening_noise * (1 - data.proprio[:, 3]) / stats.proprio_scale[3]
-        safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
-        return _Samples(
-            images={name: jnp.asarray(images) for name, images in data.images.items()},
-            proprio=jnp.asarray(stats.normalize_proprio(data.proprio)),
-            proprio_noise=jnp.asarray(noise),
-            motion=jnp.asarray((data.actions[:, :6] / safe).astype(np.float32)),
-            gripper=jnp.asarray((data.actions[:, 6] > 0.5).astype(np.float32)),
-            targets=jnp.asarray((data.targets - stats.target_mean) / stats.target_scale),
-            ends=jnp.asarray(data.ends),
-            words=jnp.asarray(data.words),
-        )
-
-    def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> Any:
-        """Return a batch's augmented inputs and their targets."""
-        seen = {}
-        for camera, images in self.images.items():
-            pixels = images[batch].astype(jnp.float32) / 255.0
-            pixels = jnp.clip(pixels * draws[f"{camera}/gain"], 0, 1) - 0.5
-            seen[camera] = _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
-        last = self.ends[batch][:, None]
-        steps = batch[:, None] + jnp.arange(config.chunk)
-        inside = (steps <= last).astype(jnp.float32)  # after the end of a demonstration, the action is to hold still
-        steps = jnp.minimum(steps, last)
-        where = self.proprio[batch] + self.proprio_noise[batch] * draws["proprio"]
-        wanted = (self.motion[steps] * inside[..., None], self.gripper[steps], self.targets[batch])
-        return (seen, where, self.words[batch]), wanted
-
-
-def _augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
-    """Draw a step's augmentation, which is a function of seed and step."""
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
-    draws: dict[str, np.ndarray[Any, Any]] = {"proprio": rng.normal(size=(batch, PROPRIO_SIZE))}
-    for camera in cameras:
-        light = 1 + config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 1))
-        draws[f"{camera}/gain"] = light * (1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3)))
-        draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2))
-    return {name: jnp.asarray(value, jnp.int32 if "shift" in name else jnp.float32) for name, value in draws.items()}
-
-
-def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
-    side = pixels.shape[1]
-    padded = jnp.pad(pixels, ((0, 0), (most, most), (most, most), (0, 0)), mode="edge")
-    cut: Callable[..., Array] = jax.vmap(
-        lambda image, offset: jax.lax.dynamic_slice(image, (offset[0], offset[1], 0), (side, side, 3))
-    )
-    return cut(padded, offsets)
-
-
-def _loss(network: Network, inputs: Any, wanted: Any, config: BCConfig) -> tuple[Array, dict[str, Array]]:
-    said: Prediction = network(*inputs)
-    motion, gripper, target = wanted
-    move = jnp.mean(optax.huber_loss(said.motion, motion))
-    grip = jnp.mean(optax.sigmoid_binary_cross_entropy(said.gripper, gripper))
-    aim = jnp.mean(optax.huber_loss(said.target, target))
-    loss = move + config.gripper_weight * grip + config.target_weight * aim
-    return loss, {"loss": loss, "move": move, "grip": grip, "aim": aim}

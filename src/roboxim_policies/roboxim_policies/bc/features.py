@@ -1,0 +1,185 @@
+"""Inputs of the network that are no images: words, proprioception, and the memory of the grasp.
+
+A single observation does not say how far a held object was turned, how high it was lifted, or that it was put down
+already. `GraspMemory` therefore keeps the robot's own measurements at the last closing of the gripper. Training
+computes the same features for every step of a demonstration (`grasp_starts`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+PROPRIO_SIZE = 8
+"""Number of proprioception features, see `proprio_features`."""
+MEMORY_SIZE = 9
+"""Number of features of the memory, see `memory_features`."""
+STATE_SIZE = PROPRIO_SIZE + MEMORY_SIZE
+"""Number of state features that the network receives."""
+NONE = -1
+"""Index of a step that does not exist."""
+
+
+def split_words(instruction: str) -> list[str]:
+    """Split an instruction into lower-case words."""
+    return "".join(c if c.isalnum() else " " for c in instruction.lower()).split()
+
+
+def word_indices(instruction: str, vocabulary: tuple[str, ...], length: int) -> Ints:
+    """Return the indices of an instruction's known words, padded with 0 to a given length."""
+    index = {word: i + 1 for i, word in enumerate(vocabulary)}
+    known = [index[word] for word in split_words(instruction) if word in index][:length]
+    return np.array(known + [0] * (length - len(known)), np.int32)
+
+
+def tool_yaw(proprio: Floats) -> Floats:
+    """Return the tool's rotation about the base's z axis [rad], from proprioception of shape (..., 10)."""
+    return np.arctan2(proprio[..., 4], proprio[..., 3])  # of the tool's x axis
+
+
+def proprio_features(proprio: Floats) -> Floats:
+    """Reduce proprioception to features: position, gripper opening, sine and cosine of twice the yaw, and tilt.
+
+    The angle is doubled because a parallel gripper is symmetric under half a turn. The tilt is the horizontal part of
+    the tool's z axis.
+
+    Args:
+        proprio: Shape (..., 10): `roboxim_core.proprioception.STATE_NAMES`.
+
+    Returns:
+        Shape (..., `PROPRIO_SIZE`).
+    """
+    yaw = tool_yaw(proprio)
+    tilt = np.cross(proprio[..., 3:6], proprio[..., 6:9])[..., :2]
+    parts = [proprio[..., :3], proprio[..., 9:10], np.sin(2 * yaw)[..., None], np.cos(2 * yaw)[..., None], tilt]
+    return np.concatenate(parts, axis=-1).astype(np.float32)
+
+
+def memory_features(moved: Any, heading: Any, turned: Any, opened: Any, grasped: Any, xp: Any = np) -> Any:
+    """Return the features of the memory: what changed since the gripper closed.
+
+    Args:
+        moved: Displacement of the tool in the base [m], shape (..., 3).
+        heading: Cosine and sine of the tool's yaw, shape (..., 2).
+        turned: Change of the yaw [rad], shape (...).
+        opened: Opening of the gripper beyond its smallest one since then, shape (...).
+        grasped: Whether it has closed on something, shape (...); where it is False, all features are 0.
+        xp: Module with NumPy's functions: NumPy, or JAX's.
+
+    Returns:
+        Shape (..., `MEMORY_SIZE`).
+    """
+    cos, sin = heading[..., 0], heading[..., 1]
+    ahead, aside = cos * moved[..., 0] + sin * moved[..., 1], cos * moved[..., 1] - sin * moved[..., 0]
+    columns = [*(moved[..., i] for i in range(3)), ahead, aside, xp.sin(turned), xp.cos(turned), opened]
+    held = xp.asarray(grasped, xp.float32)
+    return xp.stack([held, *(held * column for column in columns)], axis=-1)
+
+
+def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Floats) -> Floats:
+    """Return the state features of all steps of a dataset, with a memory that notices each grasp at once.
+
+    Args:
+        proprio: Features, shape (N, `PROPRIO_SIZE`).
+        yaw: Tool's yaw [rad], shape (N,).
+        grasps: First step of the latest grasp, or `NONE`, shape (N,).
+        least_opening: Smallest opening since then, shape (N,).
+
+    Returns:
+        Shape (N, `STATE_SIZE`).
+    """
+    begin = np.maximum(grasps, 0)
+    heading = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    moved, opened = proprio[:, :3] - proprio[begin, :3], proprio[:, 3] - least_opening
+    memory = memory_features(moved, heading, yaw - yaw[begin], opened, grasps != NONE)
+    return np.concatenate([proprio, memory], axis=-1).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldRange:
+    """Openings of the gripper at which it holds something."""
+
+    lowest: float
+    """Below it the gripper is closed and empty."""
+    highest: float
+    """Above it the gripper is open."""
+
+    @staticmethod
+    def of(openings: Floats, closed: npt.NDArray[np.bool_], starts: npt.NDArray[np.bool_]) -> HeldRange:
+        """Measure the range on demonstrations.
+
+        Args:
+            openings: Measured openings of all steps, shape (N,).
+            closed: Whether the action of a step closes the gripper or keeps it closed, shape (N,).
+            starts: Whether a step is the first one of its episode, shape (N,).
+        """
+        before = np.concatenate([[False], closed[:-1]]) & ~starts
+        twice = before & np.concatenate([[False], before[:-1]]) & closed  # the fingers have arrived
+        held, opened = openings[twice], openings[~before & ~closed]
+        if not len(held) or not len(opened):
+            return HeldRange(lowest=0.0, highest=0.0)
+        widest, open_usually = float(held.max()), float(np.quantile(opened, 0.9))
+        return HeldRange(lowest=0.5 * float(held.min()), highest=0.5 * (widest + max(open_usually, widest)))
+
+
+def grasp_starts(openings: Floats, held: HeldRange) -> Ints:
+    """Return, for each step of an episode, the first step of its latest grasp; `NONE` before, or once it is empty.
+
+    Args:
+        openings: Measured openings, shape (T,).
+        held: Openings at which the gripper holds something.
+    """
+    starts = np.full(len(openings), NONE, np.int32)
+    current, was_open = NONE, True
+    for step, opening in enumerate(openings.tolist()):
+        if opening < held.lowest:
+            current = NONE
+        elif opening < held.highest and was_open:
+            current = step
+        was_open = not held.lowest <= opening < held.highest
+        starts[step] = current
+    return starts
+
+
+class GraspMemory:
+    """The memory of one episode at test time, updated with each observation.
+
+    Non-obvious: the policy does not see every tick, so a grasp is noticed up to ``execute`` - 1 ticks after it began.
+    Training draws such delays.
+    """
+
+    def __init__(self, held: HeldRange) -> None:
+        """Begin an episode."""
+        self._held = held
+        self._pose: tuple[Floats, float, float] | None = None
+        self._was_open = True
+
+    def observe(self, proprio: Floats) -> Floats:
+        """Update with an observation and return the features.
+
+        Args:
+            proprio: Shape (10,): `roboxim_core.proprioception.STATE_NAMES`.
+
+        Returns:
+            Shape (`MEMORY_SIZE`,).
+        """
+        position, yaw, opening = proprio[:3], float(tool_yaw(proprio)), float(proprio[9])
+        if opening < self._held.lowest:
+            self._pose = None
+        elif opening < self._held.highest and self._was_open:
+            self._pose = position, yaw, opening
+        self._was_open = not self._held.lowest <= opening < self._held.highest
+        heading = np.array([np.cos(yaw), np.sin(yaw)], np.float32)
+        if self._pose is None:
+            return np.zeros(MEMORY_SIZE, np.float32)
+        begin, begin_yaw, least = self._pose
+        self._pose = begin, begin_yaw, min(least, opening)
+        opened = np.float32(opening - self._pose[2])
+        features = memory_features(position - begin, heading, np.float32(yaw - begin_yaw), opened, np.True_)
+        return np.asarray(features, np.float32)

@@ -1,0 +1,169 @@
+"""The training data as arguments of the compiled step, its augmentation, and the loss.
+
+Augmentation is a function of seed and step, drawn on the host; see `augmentation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from roboxim_policies.bc.checkpoint import Statistics
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.bc.data import CLOSED_BELOW, Demonstrations
+from roboxim_policies.bc.features import PROPRIO_SIZE, memory_features
+from roboxim_policies.bc.network import Inputs, Network, Prediction
+
+OPENING = 3
+"""Index of the gripper's opening in the proprioception features."""
+RISE_M = 0.01
+"""Upward motion per tick with which a retry begins [m]."""
+RISE_TICKS = 4
+"""Number of ticks that it lasts."""
+
+
+class Wanted(eqx.Module):
+    """What the network should output, for B samples."""
+
+    motion: Array
+    """Normalised translations and rotations, shape (B, chunk, 6)."""
+    opening: Array
+    """Commanded opening, shape (B, chunk)."""
+    target: Array
+    """Normalised target of the auxiliary task, shape (B, `TARGET_SIZE`)."""
+
+
+class Samples(eqx.Module):
+    """The training data, normalised."""
+
+    images: dict[str, Array]
+    proprio: Array
+    noise: Array
+    position: Array
+    yaw: Array
+    opening: Array
+    motion: Array
+    gripper: Array
+    targets: Array
+    ends: Array
+    grasps: Array
+    least: Array
+    words: Array
+    mean: Array
+    scale: Array
+    rise: Array
+    lowest: Array
+    retries: bool = eqx.field(static=True)
+
+    @staticmethod
+    def of(data: Demonstrations, stats: Statistics, config: BCConfig) -> Samples:
+        """Normalise."""
+        noise = np.zeros_like(data.proprio)
+        noise[:, :3] = config.position_noise_m
+        noise[:, OPENING] = config.opening_noise * (1 - data.proprio[:, OPENING])
+        safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
+        rise = RISE_M / safe[2] if stats.motion_scale[2] > 0 else 0.0
+        empty = data.proprio[:, OPENING] < data.held.lowest
+        return Samples(
+            images={name: jnp.asarray(images) for name, images in data.images.items()},
+            proprio=jnp.asarray(data.proprio), noise=jnp.asarray(noise), position=jnp.asarray(data.proprio[:, :3]),
+            yaw=jnp.asarray(data.yaw, jnp.float32), opening=jnp.asarray(data.proprio[:, OPENING]),
+            motion=jnp.asarray((data.actions[:, :6] / safe).astype(np.float32)),
+            gripper=jnp.asarray(data.actions[:, 6].astype(np.float32)),
+            targets=jnp.asarray(stats.normalize_target(data.targets)), ends=jnp.asarray(data.ends),
+            grasps=jnp.asarray(data.grasps, jnp.int32), least=jnp.asarray(data.least_opening),
+            words=jnp.asarray(data.words), mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
+            rise=jnp.asarray(rise, jnp.float32), lowest=jnp.asarray(data.held.lowest, jnp.float32),
+            retries=bool(config.retry > 0 and data.held.lowest > 0 and not empty.any()),
+        )  # fmt: skip
+
+    def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> tuple[Inputs, Wanted]:
+        """Return a batch's augmented inputs and the outputs that are wanted."""
+        last = self.ends[batch][:, None]
+        steps = batch[:, None] + jnp.arange(config.chunk)
+        inside = (steps <= last).astype(jnp.float32)  # after the end of a demonstration, the action is to hold still
+        steps = jnp.minimum(steps, last)
+        motion, gripper = self.motion[steps] * inside[..., None], self.gripper[steps]
+        proprio = self._noisy(batch, draws["proprio"])
+        if self.retries:
+            before = (self.grasps[batch] < 0) & (self.opening[batch] > self.lowest)
+            retry = before & (draws["retry"] < config.retry)
+            proprio = proprio.at[:, OPENING].set(jnp.where(retry, 0.0, proprio[:, OPENING]))
+            up = jnp.where(jnp.arange(config.chunk) < RISE_TICKS, self.rise, 0.0)
+            rising = jnp.zeros_like(motion).at[..., 2].set(up)
+            motion = jnp.where(retry[:, None, None], rising, motion)
+            gripper = jnp.where(retry[:, None], 1.0, gripper)
+        yaw = self.yaw[batch]
+        heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+        state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading)], axis=-1)
+        inputs = Inputs(
+            images={name: self._seen(name, batch, draws, config) for name in self.images},
+            state=(state - self.mean) / self.scale, heading=heading, words=self.words[batch],
+        )  # fmt: skip
+        return inputs, Wanted(motion=motion, opening=gripper, target=self.targets[batch])
+
+    def _noisy(self, batch: Array, normal: Array) -> Array:
+        """Return proprioception with noise; a gripper that holds something never looks empty."""
+        clean = self.proprio[batch]
+        noisy = clean + self.noise[batch] * normal
+        opening = jnp.maximum(noisy[:, OPENING], jnp.minimum(clean[:, OPENING], self.lowest))
+        return noisy.at[:, OPENING].set(opening)
+
+    def _memory(self, batch: Array, late: Array, heading: Array) -> Array:
+        """Return the memory of a policy that noticed the grasp some ticks late."""
+        grasps = self.grasps[batch]
+        begin = jnp.minimum(batch, grasps + late)
+        moved, turned = self.position[batch] - self.position[begin], self.yaw[batch] - self.yaw[begin]
+        opened = self.opening[batch] - self.least[batch]
+        features: Array = memory_features(moved, heading, turned, opened, grasps >= 0, jnp)
+        return features
+
+    def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: BCConfig) -> Array:
+        pixels = self.images[camera][batch].astype(jnp.float32) / 255.0
+        pixels = jnp.clip(pixels * draws[f"{camera}/gain"], 0, 1) - 0.5
+        return _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
+
+
+def augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
+    """Draw a step's augmentation, which is a function of seed and step."""
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
+    draws: dict[str, np.ndarray[Any, Any]] = {
+        "proprio": rng.normal(size=(batch, PROPRIO_SIZE)).astype(np.float32),
+        "late": rng.integers(0, config.execute, batch, dtype=np.int32),
+        "retry": rng.uniform(size=batch).astype(np.float32),
+    }
+    for camera in cameras:
+        light = 1 + config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 1))
+        color = 1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3))
+        draws[f"{camera}/gain"] = (light * color).astype(np.float32)
+        draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2), dtype=np.int32)
+    return {name: jnp.asarray(value) for name, value in draws.items()}
+
+
+def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
+    side = pixels.shape[1]
+    padded = jnp.pad(pixels, ((0, 0), (most, most), (most, most), (0, 0)), mode="edge")
+    cut: Callable[..., Array] = jax.vmap(
+        lambda image, offset: jax.lax.dynamic_slice(image, (offset[0], offset[1], 0), (side, side, 3))
+    )
+    return cut(padded, offsets)
+
+
+def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: BCConfig) -> tuple[Array, dict[str, Array]]:
+    """Return the loss and its parts."""
+    said: Prediction = network(inputs)
+    move = jnp.mean(optax.huber_loss(said.motion, wanted.motion))
+    closed = (wanted.opening < CLOSED_BELOW).astype(jnp.float32)
+    grip = jnp.mean(optax.sigmoid_binary_cross_entropy(said.closed, closed))
+    wide = jnp.mean((1 - closed) * (said.opening - wanted.opening) ** 2)
+    aims = [jnp.mean(optax.huber_loss(target, wanted.target)) for target in (said.target, *said.camera_targets)]
+    aim = aims[0] + sum(aims[1:]) * (0.5 / max(1, len(aims) - 1))
+    loss = move + config.gripper_weight * (grip + wide) + config.target_weight * aim
+    return loss, {"loss": loss, "move": move, "grip": grip, "aim": aims[0]}

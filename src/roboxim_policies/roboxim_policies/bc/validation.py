@@ -1,0 +1,89 @@
+"""Errors of a network on demonstrations that it was not trained on, in units that a user knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from roboxim_policies.bc.checkpoint import Checkpoint
+from roboxim_policies.bc.data import CLOSED_BELOW, Demonstrations
+from roboxim_policies.bc.features import NONE, PROPRIO_SIZE, Floats
+from roboxim_policies.bc.network import make_network
+from roboxim_policies.bc.samples import Samples
+
+NEAR_TICKS = (2, 16)
+"""Ticks before a grasp within which its predicted pose is judged."""
+BATCH = 128
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationErrors:
+    """Errors on held-out demonstrations."""
+
+    grasp_mm: float
+    """Median distance of the predicted grasp position, shortly before the grasp [mm]."""
+    grasp_p90_mm: float
+    """Its 90th percentile [mm]."""
+    grasp_yaw_deg: float
+    """90th percentile of the error of the predicted grasp's yaw, half turns apart are equal [degrees]."""
+    release_mm: float
+    """Median distance of the predicted next opening's position, while something is held [mm]."""
+    motion_mm: float
+    """Mean error of the translation per executed tick [mm]."""
+    turn_mrad: float
+    """Mean error of the rotation about the vertical per executed tick [mrad]."""
+    gripper: float
+    """Fraction of executed ticks in which the gripper wrongly opens or closes."""
+
+
+def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
+    """Measure the errors of a checkpoint's averaged weights.
+
+    Args:
+        checkpoint: The checkpoint.
+        data: Demonstrations with the vocabulary of the training data (``assemble(like=...)``).
+    """
+    cameras = tuple(sorted(data.images))
+    config = replace(checkpoint.config, retry=0.0, shift_px=0)
+    _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
+    network, stats = network_of(jnp.asarray(checkpoint.arrays[-1])), checkpoint.stats
+    samples = Samples.of(data, stats, config)
+    predict = jax.jit(lambda batch: (network((drawn := samples.draw(batch, still(len(batch)), config))[0]), drawn[1]))
+
+    def still(count: int) -> dict[str, jax.Array]:
+        gains = {f"{camera}/gain": jnp.ones((count, 1, 1, 1)) for camera in cameras}
+        none = jnp.zeros(count, jnp.int32)
+        return {"proprio": jnp.zeros((count, PROPRIO_SIZE)), "late": none, **gains}
+
+    chunks = [predict(jnp.asarray(part)) for part in np.split(np.arange(len(data)), range(BATCH, len(data), BATCH))]
+    said = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[0] for chunk in chunks))
+    wanted = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[1] for chunk in chunks))
+    target = np.asarray(said.target) * stats.target_scale + stats.target_mean
+    executed = slice(0, config.execute)
+    move = np.abs((said.motion - wanted.motion)[:, executed] * stats.motion_scale)
+    distance = 1e3 * np.linalg.norm(target[:, :3] - data.targets[:, :3], axis=1)
+    ticks = np.expm1(data.targets[:, 6])
+    free = data.grasps == NONE
+    near = free & (ticks >= NEAR_TICKS[0]) & (ticks <= NEAR_TICKS[1])
+    yaw = 0.5 * np.rad2deg(np.abs(_angle(target[:, 4:6], data.targets[:, 4:6])))
+    closes, closed = np.asarray(said.closed) > 0, np.asarray(wanted.opening) < CLOSED_BELOW
+    return ValidationErrors(
+        grasp_mm=_quantile(distance[near], 0.5), grasp_p90_mm=_quantile(distance[near], 0.9),
+        grasp_yaw_deg=_quantile(yaw[near], 0.9), release_mm=_quantile(distance[~free], 0.5),
+        motion_mm=1e3 * float(np.linalg.norm(move[..., :3], axis=-1).mean()),
+        turn_mrad=1e3 * float(move[..., 5].mean()),
+        gripper=float((closes != closed)[:, executed].mean()),
+    )  # fmt: skip
+
+
+def _quantile(values: Floats, fraction: float) -> float:
+    return float(np.quantile(values, fraction)) if len(values) else float("nan")
+
+
+def _angle(first: Floats, second: Floats) -> Floats:
+    """Return the angles between pairs of (sine, cosine) [rad]."""
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return np.asarray(np.arctan2(cross, (first * second).sum(axis=1)), np.float32)
