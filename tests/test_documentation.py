@@ -157,7 +157,6 @@ def test_readme_and_make_demo_use_the_same_folders(monkeypatch: pytest.MonkeyPat
     """The steps that README.md shows are those that `make demo` runs."""
     run: list[list[str]] = []
     monkeypatch.setattr(demo, "_step", lambda *words: run.append(list(words)))
-    monkeypatch.setattr(demo, "_card", lambda export: export / "README.md")  # nothing is exported
     group.main(["demo", "--renderer", "tiny"], standalone_mode=False)
     section = (ROOT / "README.md").read_text().partition("## The main job, step by step")[2]
     shown = [words[1:] for words in commands(re.search(r"```bash\n(.*?)```", section, re.DOTALL)[1]) if words]
