@@ -55,14 +55,18 @@ def test_killed_interrupted_and_resumed_runs_give_the_same_bags(tmp_path):
     plain = generate(tmp_path / "plain", workers=1)
     assert plain.wait(3 * PATIENCE_S) == 0, plain.stdout.read()
 
-    out = tmp_path / "rough"
-    rough = generate(out, workers=2)
-    wait_for_results(out, 1, rough)
-    os.kill(worker_pids(rough.pid)[0], signal.SIGKILL)
-    wait_for_results(out, 3, rough)
-    workers = worker_pids(rough.pid)
-    rough.send_signal(signal.SIGINT)
-    assert rough.wait(PATIENCE_S) == 130
+    for attempt in range(5):  # on a busy machine a run may end before it is interrupted
+        out = tmp_path / f"rough{attempt}"
+        rough = generate(out, workers=2)
+        wait_for_results(out, 1, rough)
+        for pid in worker_pids(rough.pid)[:1]:
+            os.kill(pid, signal.SIGKILL)
+        wait_for_results(out, 3, rough)
+        workers = worker_pids(rough.pid)
+        rough.send_signal(signal.SIGINT)
+        if rough.wait(PATIENCE_S) == 130:
+            break
+    assert rough.returncode == 130
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers), "no orphan is left"
     done = len(RunFolder(out).results())
     assert 3 <= done < EPISODES
@@ -85,6 +89,6 @@ def test_smoke_run_of_the_demo_creates_the_files_that_it_names(tmp_path):
     text, _ = process.communicate(timeout=10 * PATIENCE_S)
     assert process.returncode == 0, text
     named = re.findall(r"^  (/\S+): ", text, re.MULTILINE)
-    assert len(named) == 5
+    assert len(named) == 8
     assert all(Path(path).exists() for path in named)
     assert np.fromfile(named[0], np.uint8).size > 10_000
