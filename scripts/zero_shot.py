@@ -192,7 +192,12 @@ def main() -> int:
     parser.add_argument("--experiments", default=",".join(EXPERIMENTS), help="default: both")
     parser.add_argument("--scale", default="laptop", help="smoke, laptop or night (default: laptop)")
     parser.add_argument("--workers", type=int, default=1, help="processes that run episodes (default: 1)")
-    parser.add_argument("--timeout", type=float, default=110.0, help="deadline of an answer [s], below the evaluator's of 120 (default: 110)")
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=110.0,
+        help="deadline of an answer [s], below the evaluator's of 120 (default: 110)",
+    )
     parser.add_argument("--first-port", type=int, default=FIRST_PORT, help=f"default: {FIRST_PORT}")
     options = parser.parse_args()
     names = options.experiments.split(",")
