@@ -137,9 +137,16 @@ def results(outcomes):
 
 
 def gone(pid):
-    return (
-        not Path(f"/proc/{pid}").exists() or Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    )
+    """Wait until a process has ended; return False if it still runs after a minute."""
+    waiting = threading.Event()
+    for _ in range(600):
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        waiting.wait(0.1)
+    return False
 
 
 def test_without_the_extra_the_user_is_told_what_to_install(monkeypatch):
