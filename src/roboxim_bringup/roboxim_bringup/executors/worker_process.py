@@ -87,10 +87,11 @@ class WorkerProcess:
             kind, content = self._receive()
             if kind == "done":
                 return content
-            if kind == "note":
-                on_note(content)
-            else:
+            if kind != "note":
                 self._raise_for(kind, content)
+            on_note(content)
+            if self._closing.is_set():  # a worker that never falls silent must end as well
+                raise ClosingError
 
     def end(self) -> bool:
         """End the process, if there is one; see `Place.end`."""

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from roboxim_bringup.executors import CancelledError, Done, InlineExecutor, Job, LocalExecutor, Lost, Work
+from roboxim_bringup.executors.pool import ClosingError
+from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
 
 WORKER = """
@@ -40,6 +42,8 @@ class Worker:
             return 1 // 0
         if job == "hang":
             threading.Event().wait()
+        while job == "chatter":  # never silent
+            note({"started": job})
         if job == "broken" or (job == "broken once" and self.first()):
             raise WorkerBrokenError("out of order")
         if job == "kill" or (job == "kill once" and self.first()):
@@ -145,6 +149,23 @@ def test_a_cancelled_run_ends_its_workers(work):
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     with pytest.raises(CancelledError):
         list(InlineExecutor().run(work(), jobs(1), cancellation=stop))
+
+
+def test_a_worker_that_is_never_silent_ends_with_its_run(work, tmp_path):
+    closing, notes = threading.Event(), []
+
+    def note(data):
+        notes.append(data)
+        closing.set()
+
+    process = WorkerProcess(work(), 0, tmp_path, closing=closing)
+    try:
+        process.start()
+        with pytest.raises(ClosingError):
+            process.run("chatter", note)
+    finally:
+        process.end()
+    assert len(notes) == 1
 
 
 def test_every_executor_refuses_data_that_is_not_plain(work):
