@@ -3,7 +3,8 @@
 Listing skills with the objects that suit them, and checking every task, means importing numerics for seconds. The
 catalog is therefore cached in the user's cache folder with a fingerprint of its sources: RoboXim's modules, the YAML
 files and the installed distributions. `roboxim tasks list`, tab completion and the first check of an option read the
-cache, and renew it when it is stale.
+cache, and renew it when it is stale. The catalog of experiments is one of its own: it also depends on the measured
+rates of this machine.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,16 @@ from roboxim_core.config_folders import config_dirs, config_names
 
 Catalog = dict[str, Any]
 """Plain values: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task
-to the error in its file), ``policies`` (name to its first sentence and options)."""
+to the error in its file), ``policies`` (name to its first sentence and options), ``conventions`` (name to its line in a
+list and its whole description), ``broken_conventions``.
 
-_PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_bringup")
+That of experiments: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
+empty text), ``benchmarks`` (name to chapter, description and experiments), ``broken`` (name to the error), ``measured``
+(whether this machine's rates are known)."""
+
+_PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_eval", "roboxim_bringup")
+RATES_FILES = "rates-*.json"
+"""This machine's measured rates in the user's cache folder; see `roboxim_bringup.runs.calibration`."""
 
 
 def catalog() -> Catalog:
@@ -35,20 +43,34 @@ def catalog() -> Catalog:
     Raises:
         ConfigError: When a configuration folder is missing.
     """
-    kept = fresh_catalog()
-    if kept is not None:
-        return kept
-    from roboxim_bringup.catalog_maker import make_catalog
 
-    made = make_catalog()
-    _write(_file(), {"fingerprint": _fingerprint(), "catalog": made})
-    return made
+    def make() -> Catalog:
+        from roboxim_bringup.catalog_maker import make_catalog
+
+        return make_catalog()
+
+    return _cached("catalog", _fingerprint(), make)
+
+
+def experiment_catalog() -> Catalog:
+    """Return the catalog of experiments and benchmarks; renew it when it is stale.
+
+    Raises:
+        ConfigError: When a configuration folder is missing.
+    """
+    rates = [f"{path.name} {path.stat().st_mtime_ns}" for path in sorted(_cache_folder().glob(RATES_FILES))]
+
+    def make() -> Catalog:
+        from roboxim_bringup.catalog_maker import make_experiments
+
+        return make_experiments()
+
+    return _cached("experiments", "\n".join([_fingerprint(), *rates]), make)
 
 
 def fresh_catalog() -> Catalog | None:
     """Return the cached catalog if its sources are unchanged, else None."""
-    kept = _read(_file())
-    return kept["catalog"] if kept.get("fingerprint") == _fingerprint() else None
+    return _fresh("catalog", _fingerprint())
 
 
 def names_of(kind: str) -> list[str]:
@@ -64,7 +86,7 @@ def names_of(kind: str) -> list[str]:
         return []
     if kind not in ("skill", "policy"):
         return config_names(f"{kind}s")
-    kept = _read(_file())
+    kept = _read(_file("catalog"))
     if kept.get("fingerprint") != _fingerprint():
         subprocess.Popen(
             [sys.executable, "-m", "roboxim_bringup.catalog_maker"],
@@ -73,11 +95,28 @@ def names_of(kind: str) -> list[str]:
     return sorted(kept.get("catalog", {}).get("skills" if kind == "skill" else "policies", {}))
 
 
-def _file() -> Path:
+def _cached(which: str, fingerprint: str, make: Callable[[], Catalog]) -> Catalog:
+    kept = _fresh(which, fingerprint)
+    if kept is not None:
+        return kept
+    made = make()
+    _write(_file(which), {"fingerprint": fingerprint, "catalog": made})
+    return made
+
+
+def _fresh(which: str, fingerprint: str) -> Catalog | None:
+    kept = _read(_file(which))
+    return kept["catalog"] if kept.get("fingerprint") == fingerprint else None
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roboxim"
+
+
+def _file(which: str) -> Path:
     """Return the cache file for this installation and these configuration folders."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    which = "\n".join([sys.prefix, *map(str, _folders())])
-    return base / "roboxim" / f"catalog-{hashlib.blake2b(which.encode(), digest_size=6).hexdigest()}.json"
+    place = "\n".join([sys.prefix, *map(str, _folders())])
+    return _cache_folder() / f"{which}-{hashlib.blake2b(place.encode(), digest_size=6).hexdigest()}.json"
 
 
 def _folders() -> Iterable[Path]:
@@ -120,4 +159,4 @@ def _write(path: Path, data: dict[str, Any]) -> None:
         os.replace(name, path)
 
 
-__all__ = ["Catalog", "catalog", "fresh_catalog", "names_of"]
+__all__ = ["Catalog", "catalog", "experiment_catalog", "fresh_catalog", "names_of"]

@@ -16,13 +16,50 @@ from roboxim_core.models.library import ModelLibrary
 
 
 def make_catalog() -> Catalog:
-    """Return skills, tasks and policies as plain values; see `roboxim_bringup.catalog.Catalog`.
+    """Return skills, tasks, policies and conventions as plain values; see `roboxim_bringup.catalog.Catalog`.
 
     Raises:
         ConfigError: When an object's file is wrong.
     """
     tasks, broken = _tasks()
-    return {"skills": _skills(), "tasks": tasks, "broken": broken, "policies": _policies()}
+    conventions, broken_conventions = _conventions()
+    return {
+        "skills": _skills(), "tasks": tasks, "broken": broken, "policies": _policies(),
+        "conventions": conventions, "broken_conventions": broken_conventions,
+    }  # fmt: skip
+
+
+def make_experiments() -> Catalog:
+    """Return experiments and benchmarks as plain values; see `roboxim_bringup.catalog.Catalog`."""
+    from roboxim_bringup.experiment_files import load_benchmark, load_experiment
+    from roboxim_bringup.experiment_plan import hours
+    from roboxim_bringup.runs.calibration import stored_rates
+    from roboxim_eval.experiments import cost_of, design_of, scale_names
+
+    made: Catalog = {"experiments": {}, "benchmarks": {}, "broken": {}, "measured": False}
+    for name in config_names("experiments"):
+        try:
+            config = load_experiment(name)
+            times = {}
+            for scale in scale_names(config):
+                scaled = load_experiment(name, scale)
+                design, rates = design_of(scaled), stored_rates(scaled.image_size)
+                made["measured"] |= rates is not None
+                times[scale] = "" if rates is None else hours(cost_of(design, rates).total_s)
+        except ConfigError as error:
+            made["broken"][name] = str(error)
+            continue
+        made["experiments"][name] = {"thesis": config.thesis, "about": config.about, "scales": times}
+    for name in config_names("benchmark"):
+        try:
+            benchmark = load_benchmark(name)
+        except ConfigError as error:
+            made["broken"][name] = str(error)
+            continue
+        made["benchmarks"][name] = {
+            "thesis": benchmark.thesis, "about": benchmark.about, "experiments": list(benchmark.experiments),
+        }  # fmt: skip
+    return made
 
 
 def _skills() -> dict[str, Any]:
@@ -67,6 +104,27 @@ def _policies() -> dict[str, Any]:
         }
         for name in POLICIES
     }
+
+
+def _conventions() -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the conventions in words, and the errors of invalid files."""
+    from roboxim_core.conventions import load_convention
+    from roboxim_core.conventions.words import described
+
+    conventions: dict[str, Any] = {}
+    broken: dict[str, str] = {}
+    for name in config_names("conventions"):
+        try:
+            convention = load_convention(name)
+        except ConfigError as error:
+            broken[name] = str(error)
+            continue
+        conventions[name] = {
+            "rate": f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate",
+            "control": str(convention.action.control), "about": convention.description,
+            "described": described(convention),
+        }  # fmt: skip
+    return conventions, broken
 
 
 def _first_sentence(text: str) -> str:

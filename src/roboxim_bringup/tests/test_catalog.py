@@ -89,10 +89,44 @@ def test_tasks_are_listed_from_the_kept_catalog_until_something_changes(cache, t
     assert listed["tasks"]["mine"]["about"] == "Lift an apple."
 
 
+def test_lists_are_read_from_the_kept_catalog_without_a_heavy_import(cache, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    catalog.experiment_catalog()
+    code = f"""
+import sys
+from roboxim_bringup.cli import group
+group.main(sys.argv[1:], prog_name="roboxim", standalone_mode=False)
+heavy = [name for name in {HEAVY!r} if name in sys.modules]
+assert not heavy, heavy
+"""
+    for words, line in {
+        ("policy", "conventions"): "libero ",
+        ("policy", "describe", "libero"): "0.05 m",
+        ("experiment", "list"): "skill_object",
+        ("tasks", "list"): "pick_cube",
+    }.items():
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+        )
+        assert line in done.stdout
+
+
+def test_experiments_are_listed_anew_when_rates_were_measured(cache, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    made = catalog.experiment_catalog()
+    assert made["experiments"]["skill_object"]["scales"]["smoke"] == ""
+    monkeypatch.setattr("roboxim_bringup.catalog_maker.make_experiments", lambda: {"measured": True})
+    assert catalog.experiment_catalog() == made, "nothing has changed"
+    rates = cache / "roboxim" / "rates-128x128.json"
+    rates.write_text("{}")
+    assert catalog.experiment_catalog() == {"measured": True}
+    rates.unlink()
+
+
 def test_a_damaged_cache_is_made_again(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "roboxim").mkdir()
-    catalog._file().write_text("{")
+    catalog._file("catalog").write_text("{")
     assert "pick_up" in catalog.catalog()["skills"]
     assert catalog.fresh_catalog() is not None
 

@@ -21,7 +21,6 @@ import cattrs
 import numpy as np
 from cattrs.errors import AttributeValidationNote
 from cattrs.gen import make_dict_structure_fn
-from scipy.spatial.transform import Rotation
 
 from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
@@ -136,6 +135,8 @@ def _with_quaternion(pose: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError("a pose has rpy_deg or quat_xyzw, not both")
     if not isinstance(angles, list | tuple) or len(angles) != 3 or not all(isinstance(a, int | float) for a in angles):
         raise ValueError(f"rpy_deg must be roll, pitch and yaw in degrees, got {angles!r}")
+    from scipy.spatial.transform import Rotation  # heavy, and most documents have no angles
+
     quat = Rotation.from_euler("xyz", np.asarray(angles, dtype=float), degrees=True).as_quat(canonical=True)
     rest = {name: pose[name] for name in pose if name != "rpy_deg"}
     return {**rest, "quat_xyzw": [round(float(q), 12) for q in quat]}

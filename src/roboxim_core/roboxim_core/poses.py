@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.quaternions import Quat
 
 if TYPE_CHECKING:
     import pinocchio as pin
+    from scipy.spatial.transform import Rotation  # heavy: commands that only read a configuration do not need it
 
 Vec3 = tuple[float, float, float]
 Array = npt.NDArray[np.float64]
@@ -67,11 +67,15 @@ class Pose:
     def from_matrix(matrix: npt.ArrayLike) -> Pose:
         """Make a pose from a homogeneous matrix of shape (4, 4)."""
         mat = np.asarray(matrix, dtype=float)
+        from scipy.spatial.transform import Rotation
+
         return Pose.from_arrays(mat[:3, 3], Rotation.from_matrix(mat[:3, :3]))
 
     @cached_property
     def rotation(self) -> Rotation:
         """The rotation as a scipy ``Rotation``."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.quat_xyzw)
 
     @property
@@ -137,4 +141,6 @@ def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0,
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
+    from scipy.spatial.transform import Rotation
+
     return Pose.from_arrays(origin, Rotation.from_matrix(np.stack([right, down, forward], axis=1)))

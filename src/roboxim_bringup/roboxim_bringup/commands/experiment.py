@@ -24,39 +24,23 @@ def list_experiments() -> None:
 
     A file that is invalid is reported as an error at the end, after the others.
     """
-    from roboxim_bringup.experiment_files import load_benchmark, load_experiment
-    from roboxim_bringup.experiment_plan import hours
-    from roboxim_bringup.runs.calibration import stored_rates
-    from roboxim_core.config_folders import config_names
+    from roboxim_bringup.catalog import experiment_catalog
     from roboxim_core.errors import ConfigError
-    from roboxim_eval.experiments import cost_of, design_of, scale_names
 
-    measured = False
-    broken = []
+    known = experiment_catalog()
     click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
-    for name in config_names("experiments"):
-        try:
-            config = load_experiment(name)
-            scales = []
-            for scale in scale_names(config):
-                scaled = load_experiment(name, scale)
-                design, rates = design_of(scaled), stored_rates(scaled.image_size)
-                measured = measured or rates is not None
-                scales.append(scale if rates is None else f"{scale} {hours(cost_of(design, rates).total_s)}")
-        except ConfigError as error:
-            broken.append(str(error))
-            continue
-        click.echo(f"  {name:<30} {config.thesis or '-':<7} {config.about}")
-        click.echo(f"  {'':<30} {'':<7} {', '.join(scales)}")
+    for name, entry in known["experiments"].items():
+        scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
+        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        click.echo(f"  {'':<30} {'':<7} {scales}")
     click.secho("benchmarks (roboxim experiment plan --benchmark NAME --scale SCALE)", bold=True)
-    for name in config_names("benchmark"):
-        benchmark = load_benchmark(name)
-        click.echo(f"  {name:<30} {benchmark.thesis or '-':<7} {benchmark.about}")
-        click.echo(f"  {'':<30} {'':<7} {', '.join(benchmark.experiments)}")
-    if not measured:
+    for name, entry in known["benchmarks"].items():
+        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        click.echo(f"  {'':<30} {'':<7} {', '.join(entry['experiments'])}")
+    if not known["measured"]:
         click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
-    if broken:
-        raise ConfigError("\n".join(broken))
+    if known["broken"]:
+        raise ConfigError("\n".join(known["broken"].values()))
 
 
 @command.command("plan")

@@ -178,16 +178,19 @@ def list_policies() -> None:
 
 @command.command("conventions")
 def list_conventions() -> None:
-    """List the conventions: how policies that were trained elsewhere are asked, and what their answers mean."""
-    from roboxim_core.config_folders import config_names
-    from roboxim_core.conventions import load_convention
+    """List the conventions: how policies that were trained elsewhere are asked, and what their answers mean.
 
-    names = config_names("conventions")
-    width = max(map(len, names))
-    for name in names:
-        convention = load_convention(name)
-        rate = f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate"
-        click.echo(f"{name:<{width}}  {rate:>8}  {convention.action.control:<20}  {convention.description}")
+    A convention with an invalid file is reported as an error at the end, after the others.
+    """
+    from roboxim_bringup.catalog import catalog
+    from roboxim_core.errors import ConfigError
+
+    known = catalog()
+    width = max(map(len, known["conventions"]), default=0)
+    for name, entry in known["conventions"].items():
+        click.echo(f"{name:<{width}}  {entry['rate']:>8}  {entry['control']:<20}  {entry['about']}")
+    if known["broken_conventions"]:
+        raise ConfigError("\n".join(known["broken_conventions"].values()))
 
 
 @command.command("describe")
@@ -201,6 +204,12 @@ def describe(convention: str) -> None:
     roboxim policy describe libero
     roboxim policy describe exports/pick/convention.yaml
     """
+    from roboxim_bringup.catalog import catalog
+
+    known = catalog()["conventions"]
+    if convention in known:
+        click.echo(known[convention]["described"])
+        return
     from roboxim_core.conventions import load_convention
     from roboxim_core.conventions.words import described
 

@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from roboxim_bringup.executors.protocol import CancelledError
-from roboxim_core.episode import EpisodeResult
+
+if TYPE_CHECKING:
+    from roboxim_core.episode import EpisodeResult
 
 
 @dataclass(frozen=True, kw_only=True)

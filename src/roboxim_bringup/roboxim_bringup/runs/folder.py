@@ -13,16 +13,18 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from roboxim_bringup.runs.results_log import REMEDY, LoggedResult, ResultsLog, write_atomically
 from roboxim_bringup.runs.store import stored_bags
 from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_json_object
-from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
+
+if TYPE_CHECKING:
+    from roboxim_core.episode import EpisodeResult
 
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
@@ -164,6 +166,8 @@ class RunFolder:
 
     def _parsed(self, entry: LoggedResult) -> EpisodeResult:
         try:
+            from roboxim_core.episode import EpisodeResult
+
             return from_plain(entry.data, EpisodeResult, source=f"{self.log.path} line {entry.line}")
         except ConfigError as error:
             raise ConfigError(f"{error}; {REMEDY}") from None
