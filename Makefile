@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -38,6 +38,9 @@ bench-%: setup ## run benchmarks/*/NAME.py; ARGS="--quick --json FILE" adds opti
 	@test -f "$(wildcard benchmarks/*/$*.py)" || { echo "No benchmark '$*'; expected one of:" \
 	  $(sort $(notdir $(basename $(filter-out benchmarks/peers/%,$(wildcard benchmarks/*/[a-z]*.py))))); exit 2; }
 	$(BIN)/python -m $(subst /,.,$(basename $(wildcard benchmarks/*/$*.py))) $(ARGS)
+
+soak: setup ## generate 10,000 episodes without cameras and 2,000 with; draw memory, handles, threads and disk; ARGS="--out DIR"
+	$(BIN)/python -m benchmarks.graph.soak $(ARGS)
 
 docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)

@@ -108,8 +108,8 @@ def command(
     first = next(iter(sorted((out / "episodes").iterdir())), None)
     if first is not None:
         picture = out / "first_episode.png"
-        write_contact_sheet([first], picture)
-        click.echo(f"a picture: {picture}")
+        if write_contact_sheet([first], picture):
+            click.echo(f"a picture: {picture}")
 
 
 def _lighting(words: tuple[str, ...]) -> Lighting | None:

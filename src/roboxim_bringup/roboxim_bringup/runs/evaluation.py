@@ -441,7 +441,7 @@ def _policy_run(result: PolicyResult) -> PolicyRun:
     shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
     with readable_run(result.folder, [episode.bag for episode in recorded.values()]) as run:
         facts = episode_facts(result.folder, recorded.values(), bags=run)
-        films = {name: film(run / recorded[name].bag) for name in shown}
+        films = {name: frames for name in shown if (frames := film(run / recorded[name].bag))}
     return PolicyRun(
         policy=result.name, results=result.results, folder=result.folder.name, films=films,
         drawn={name: one.drawn for name, one in facts.items()},

@@ -131,7 +131,8 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
             if episode.arm == condition and episode.bag
         ]  # fmt: skip
         for number in chosen_films(there, films):
-            shown[int(number)] = film(folder.path / episodes[int(number)].bag)
+            if frames := film(folder.path / episodes[int(number)].bag):
+                shown[int(number)] = frames
     page = experiment_page(
         ExperimentPage(card=card, episodes=episodes, films=shown, command=reproduction(folder))
     )  # fmt: skip

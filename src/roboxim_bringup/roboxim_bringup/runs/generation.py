@@ -150,8 +150,9 @@ def generate(
             return
         if event.result.outcome == "success" and event.result.bag:
             with readable_run(folder.path, [event.result.bag]) as run:
-                write_contact_sheet([run / event.result.bag], picture)
-            on_event(PictureWritten(path=out / PICTURE))
+                written = write_contact_sheet([run / event.result.bag], picture)
+            if written:
+                on_event(PictureWritten(path=out / PICTURE))
 
     with run_environment("generate", out) as environment:
         results = run_episodes(
@@ -170,10 +171,8 @@ def write_first_demonstrations(folder: Path, results: Sequence[EpisodeResult]) -
         results: Its results, in the order of their indices.
 
     Returns:
-        Whether there is any demonstration.
+        Whether it was written: there is a demonstration, and it has cameras.
     """
     bags = [result.bag for result in results if result.outcome == "success" and result.bag][:PICTURED]
-    if bags:
-        with readable_run(folder, bags) as run:
-            write_contact_sheet([run / bag for bag in bags], folder / PICTURE)
-    return bool(bags)
+    with readable_run(folder, bags) as run:
+        return write_contact_sheet([run / bag for bag in bags], folder / PICTURE)

@@ -21,9 +21,11 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
         every: Read every n-th tick, and the last.
 
     Returns:
-        Frames of shape (height, sum of widths, 3).
+        Frames of shape (height, sum of widths, 3); none when the episode has no cameras.
     """
     reader = BagReader(bag)
+    if not reader.info.scene.cameras:
+        return []
     last = len(reader) - 1
     frames = []
     for tick in reader.ticks():
@@ -53,12 +55,20 @@ def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int
     return np.concatenate(rows, axis=0)
 
 
-def write_contact_sheet(bags: Sequence[Path], picture: Path) -> None:
-    """Write a picture with a strip of frames of each bag, under its instruction and a compass."""
+def write_contact_sheet(bags: Sequence[Path], picture: Path) -> bool:
+    """Write a picture with a strip of frames of each bag, under its instruction and a compass.
+
+    Returns:
+        Whether it was written: bags of episodes without cameras show nothing.
+    """
     strips = []
     for bag in bags:
         info = BagReader(bag).info
+        if not info.scene.cameras:
+            continue
         cameras = {camera.name: camera for camera in info.scene.cameras}
         first = cameras.get("workspace") or next(iter(cameras.values()), None)
         strips.append(captioned(contact_sheet([film(bag)]), info.task.instruction, first))
-    Image.fromarray(np.concatenate(strips, axis=0)).save(picture)
+    if strips:
+        Image.fromarray(np.concatenate(strips, axis=0)).save(picture)
+    return bool(strips)

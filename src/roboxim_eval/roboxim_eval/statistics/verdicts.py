@@ -105,7 +105,7 @@ def checkpoint_verdict(
         high=found.value + scale * (found.high - found.value),
     )
     within = -margin < narrow.low and narrow.high < margin
-    where = f"on {pairs.scenes} scenes that both met"
+    where = "on the one scene that both met" if pairs.scenes == 1 else f"on {pairs.scenes} scenes that both met"
     kind: Kind
     if own <= 0.05:
         kind = "lower" if found.value < 0 else "higher"
