@@ -209,6 +209,11 @@ class Dataset(ABC):
         return {}
 
     @property
+    def options(self) -> Mapping[str, Any]:
+        """Options of the format with which a dataset like this one is written, as far as its files show them."""
+        return {}
+
+    @property
     def usage(self) -> str:
         """How the dataset is loaded, in Markdown, for its card; empty: nothing to say."""
         return ""

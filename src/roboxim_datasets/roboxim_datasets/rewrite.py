@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -92,10 +93,10 @@ def split_plan(dataset: Dataset, counts: Mapping[str, int]) -> dict[str, list[Pl
 
 
 def options_like(dataset: Dataset) -> Any:
-    """Return options that write a dataset like another one of the format, as far as it states them."""
+    """Return options that write a dataset like another one of the format: as its files show them, or as it says."""
     kind = FORMATS[dataset.format]().options
     facts = dataset.facts
-    said = {**facts.get("config", {}), **facts.get("options", {})}
+    said = {**facts.get("config", {}), **facts.get("options", {}), **dataset.options}
     names = {item.name for item in fields(kind)}
     return from_plain({key: said[key] for key in names & said.keys()}, kind, source=f"{dataset.path}/{EXPORT_FILE}")
 
@@ -107,6 +108,7 @@ def write_dataset(
     options: Any = None,
     *,
     how: str,
+    keep_keys: bool = False,
     overwrite: bool = False,
     progress: Progress = lambda done, total: None,
 ) -> Written:
@@ -118,6 +120,7 @@ def write_dataset(
         format: Registered name of the format.
         options: Options of the format; None: the defaults.
         how: How it is made, e.g. ``convert``, for ``export.json``.
+        keep_keys: Whether the images keep the keys that they have in the first dataset, which is of the same format.
         overwrite: Whether an existing dataset is replaced when the new one is whole.
         progress: Called with the episodes done and their total.
 
@@ -134,22 +137,12 @@ def write_dataset(
         raise RecorderError("there are no episodes to write", ErrorCode.EXPORT_REFUSED)
     path = made.path(target, settings)
     _require_outside(path, sources)
-    description = common_description(sources)
-    convention = _common_convention(sources)
+    description = common_description(sources, keep_keys=keep_keys)
     identity = _identity(plan, sources, format, settings)
     splits = {split: len(places) for split, places in plan.items() if places}
     if not overwrite and _identity_of(path) == identity:
         return Written(path=path, splits=splits, resumed=sum(splits.values()))
-    facts = {
-        "format": format,
-        "identity": identity,
-        "how": how,
-        "options": to_plain(settings),
-        "sources": [{"format": source.format, "name": _name(source), **source.facts} for source in sources],
-    }
-    files: dict[str, str | bytes] = {EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n"}
-    if convention:
-        files[CONVENTION_FILE] = convention
+    files = files_beside(sources, format=format, how=how, options=settings, identity=identity)
     with made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer:
         order = sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
         skip = {split: writer.resumed(split) for split in order}
@@ -168,8 +161,43 @@ def write_dataset(
     return Written(path=path, splits=splits, resumed=resumed)
 
 
-def common_description(sources: Sequence[Dataset]) -> Description:
+def files_beside(
+    sources: Sequence[Dataset], *, format: str, how: str, options: Any, identity: str = "", **facts: Any
+) -> dict[str, str | bytes]:
+    """Return the files beside a dataset that was made from others: how it was made, and its convention if it has one.
+
+    Args:
+        sources: The others.
+        format: Registered name of the new dataset's format.
+        how: How it is made, e.g. ``convert``.
+        options: Options of the format.
+        identity: Distinguishes this content from others.
+        facts: Further facts.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED`` when the sources have different conventions.
+    """
+    said = {
+        "format": format,
+        "identity": identity,
+        "how": how,
+        "options": to_plain(options),
+        "sources": [{"format": source.format, "name": _name(source), **source.facts} for source in sources],
+        **facts,
+    }
+    files: dict[str, str | bytes] = {EXPORT_FILE: json.dumps(said, indent=2, sort_keys=True) + "\n"}
+    if convention := _common_convention(sources):
+        files[CONVENTION_FILE] = convention
+    return files
+
+
+def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -> Description:
     """Return the description of datasets that fit together.
+
+    Args:
+        sources: The datasets.
+        keep_keys: Whether the images keep the keys that they have in the first dataset; otherwise they get keys that
+            every format can hold.
 
     Raises:
         RecorderError: ``EXPORT_REFUSED``, naming what differs.
@@ -193,15 +221,20 @@ def common_description(sources: Sequence[Dataset]) -> Description:
                     "the bags again with the same options",
                     ErrorCode.EXPORT_REFUSED,
                 )
-    keys = {camera: _neutral(camera, key) for camera, key in first.features.keys.items()}
+    keys = dict(first.features.keys)
+    if not keep_keys:
+        keys = {camera: _neutral(camera, key) for camera, key in keys.items()}
+        if len(set(keys.values())) < len(keys):
+            keys = {camera: re.sub(r"[./]", "_", camera) for camera in keys}
     text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {first.fps:g} Hz."
     metadata = _metadata_kinds(sources)
     return replace(first, features=replace(first.features, keys=keys), text=text, metadata=metadata)
 
 
 def _neutral(camera: str, key: str) -> str:
-    """Return an image key that every format can hold."""
-    return USUAL_KEYS.get(camera, camera) if "." in key or "/" in key else key
+    """Return an image key that every format can hold, without what a format puts around it."""
+    last = re.split(r"[./]", key)[-1]
+    return USUAL_KEYS.get(camera, last) if last in (camera, f"{camera}_image", f"{camera}_rgb") else last
 
 
 def _metadata_kinds(sources: Sequence[Dataset]) -> dict[str, type[MetaValue]]:

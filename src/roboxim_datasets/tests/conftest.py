@@ -65,6 +65,12 @@ def episode_of() -> Callable[..., Episode]:
 
 
 @pytest.fixture
+def description() -> Description:
+    """What the made-up datasets consist of."""
+    return DESCRIPTION
+
+
+@pytest.fixture
 def write() -> Callable[..., Dataset]:
     """Writes and opens a dataset: ``write(folder, train=[0, 1], val=[2], format="rlds", **options)``."""
 

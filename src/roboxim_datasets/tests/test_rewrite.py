@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -71,6 +72,42 @@ def test_a_dataset_is_divided_anew(tmp_path, write):
     for counts in ({"train": 5}, {"train": 7, "val": 0}, {"train": 6, "val": 0}, {"a": 0, "b": 0}):
         with pytest.raises(InvalidRequestError, match="has 6 episodes; expected counts that add up"):
             split_plan(a, counts)
+
+
+@pytest.mark.parametrize(
+    ("format", "options", "shown"),
+    [
+        ("lerobot", {"version": "2.1", "columns": "openpi"}, {"front", "state", "actions"}),
+        ("lerobot", {"images": True}, {"observation.images.front", "observation.state", "action"}),
+        ("hdf5", {"compression": "gzip"}, None),
+        ("rlds", {"encoding": "png", "name": "theirs"}, None),
+    ],
+)
+def test_a_divided_dataset_is_written_as_its_source_is(tmp_path, write, description, format, options, shown):
+    """Also without ``export.json``, which the datasets of other tools do not have."""
+    parts = {"action": {"motion": (0, 6), "grip": (6, 7)}}
+    about = replace(description, features=replace(description.features, keys={"workspace": "front"}), parts=parts)
+    a = write(tmp_path / "a", [0, 1, 2], format=format, description=about, **options)
+    (a.folder / "export.json").unlink()
+    plan = split_plan(a, {"train": 2, "val": 0})
+    written = write_dataset(plan, tmp_path / "s", format, options_like(a), how="split", keep_keys=True)
+    found = open_dataset(written.path)
+    assert options.items() <= found.options.items()
+    assert found.features.keys == a.features.keys
+    if shown:
+        assert shown <= json.loads((written.path / "meta/info.json").read_text())["features"].keys()
+        assert found.description.parts == parts
+        assert "motion" in json.loads((written.path / "meta/modality.json").read_text())["action"]
+
+
+def test_a_key_survives_a_conversion(tmp_path, write, description):
+    about = replace(description, features=replace(description.features, keys={"workspace": "front"}))
+    for key, source in (("front", about), ("image", description)):
+        kinds = ("rlds", "lerobot", "hdf5", "rlds")
+        now = write(tmp_path / key / "0", [0], description=source)
+        for number, kind in enumerate(kinds[1:], 1):
+            now = open_dataset(write_dataset(plan_of(now), tmp_path / key / str(number), kind, how="convert").path)
+        assert now.features.keys == {"workspace": key}
 
 
 def test_the_card_says_what_a_dataset_consists_of(tmp_path, write):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,11 @@ from roboxim_bringup.runs.reenactment import Recorded, Reenactor
 from roboxim_bringup.runs.simulated_faults import SIMULATED_FAULTS
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_datasets.audit.faults import DATASET_FAULTS, DatasetFault, EditableEpisode, choose
+from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import FORMATS, open_dataset
+from roboxim_datasets.rewrite import files_beside, options_like
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES, bag_path
@@ -250,7 +252,8 @@ class _Planting:
             planted, refused = self._repeated(dataset, names, more)
         else:
             planted, refused = self._choose(names, _edit_of(dataset, DATASET_FAULTS[self.fault](), edited))
-        _write(dataset, out, edited, more)
+        facts = {"fault": self.fault, "rate": self.rate, "seed": self.seed, "planted": len(planted)}
+        _write(dataset, out, edited, more, facts)
         return planted, refused
 
     def _repeated(
@@ -297,23 +300,20 @@ def _edit_of(
     return plant
 
 
-def _write(dataset: Dataset, out: Path, edited: dict[str, Episode], more: dict[str, list[Episode]]) -> None:
-    """Write a dataset of the same format as another one, with some of its episodes edited and more of them."""
-    made = FORMATS[dataset.format]()
-    options = made.options(**_same_options(dataset, made.options))
+def _write(
+    dataset: Dataset, out: Path, edited: dict[str, Episode], more: dict[str, list[Episode]], facts: Mapping[str, Any]
+) -> None:
+    """Write a dataset like another one, with some of its episodes edited and more of them."""
+    made, options = FORMATS[dataset.format](), options_like(dataset)
+    files = files_beside([dataset], format=dataset.format, how="corrupt", options=options, **facts)
     with made.create(out, dataset.description, options, identity="", overwrite=False) as writer:
         for split, count in dataset.splits.items():
             for index in range(count):
                 writer.add(split, edited.get(f"{split}/{index}") or dataset.read(split, index))
             for episode in more[split]:
                 writer.add(split, episode)
-        writer.complete({})
-
-
-def _same_options(dataset: Dataset, options: type[Any]) -> dict[str, Any]:
-    """Return the options of a dataset's format that the dataset itself has as attributes."""
-    known = {name: getattr(dataset, name) for name in options.__dataclass_fields__ if hasattr(dataset, name)}
-    return {name: value for name, value in known.items() if not callable(value) and value not in ("", None)}
+        writer.complete(files)
+    write_card(made.open(made.path(out, options)))
 
 
 def _linked(source: str, target: str) -> None:

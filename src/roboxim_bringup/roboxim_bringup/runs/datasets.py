@@ -166,8 +166,9 @@ def _write(
     with telling_interruption(on_event, lambda: "the same call or command continues it"):
         on_event(StageStarted(title=f"writing {format}", total=sum(map(len, plan.values())), unit="episodes"))
         written = write_dataset(
-            plan, target, format, options, how=how, overwrite=overwrite, progress=_progress(on_event, cancellation)
-        )
+            plan, target, format, options, how=how, keep_keys=how != "convert", overwrite=overwrite,
+            progress=_progress(on_event, cancellation),
+        )  # fmt: skip
         on_event(StageFinished())
     return written
 

@@ -58,6 +58,7 @@ class Hdf5Dataset(Dataset):
             self._demos = _demos(file)
             first = data[next(demo for demos in self._demos.values() for demo in demos)]
             self.content = self._content(first)
+            self._compression = next((first[key].compression for key in self.content.cameras), None)
             self._shapes = {key: tuple(first[key].shape[1:]) for key in self._keys(first)}
 
     def _open(self) -> Any:
@@ -111,6 +112,11 @@ class Hdf5Dataset(Dataset):
         columns = {"actions": "action", **self.content.vectors}
         stored = {name: self.statistics[key] for key, name in columns.items() if key in self.statistics}
         return {name: value for name, value in stored.items() if isinstance(value, dict)}
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Options with which a dataset like this one is written."""
+        return {"compression": self._compression} if self._compression in ("lzf", "gzip") else {}
 
     @property
     def usage(self) -> str:

@@ -29,6 +29,7 @@ from roboxim_datasets.lerobot.content import LeRobotContent
 from roboxim_datasets.lerobot.layout import (
     DEPTH_UNIT_M,
     INFO_FILE,
+    NAMES,
     ROBOXIM_EPISODES_FILE,
     ROBOXIM_FILE,
     STATS_FILE,
@@ -37,6 +38,7 @@ from roboxim_datasets.lerobot.layout import (
 )
 from roboxim_datasets.lerobot.pieces import column_array
 from roboxim_datasets.video.client import VideoDecoder
+from roboxim_datasets.video.codecs import CODECS
 
 _TIMESTAMP = "timestamp"
 _STATES = ("observation.state", "state")
@@ -164,6 +166,19 @@ class LeRobotDataset(Dataset):
         return {name: value for name, value in stored.items() if isinstance(value, dict)}
 
     @property
+    def options(self) -> Mapping[str, Any]:
+        """Options with which a dataset like this one is written."""
+        found: dict[str, Any] = {"version": "3.0" if self.version == "3.0" else "2.1"}
+        if self.content.names.action == NAMES["openpi"].action:
+            found["columns"] = "openpi"
+        kinds = [self._features[key] for key in self.content.cameras]
+        found["images"] = bool(kinds) and all(feature["dtype"] == "image" for feature in kinds)
+        about = next((feature["info"] for feature in kinds if isinstance(feature.get("info"), dict)), {})
+        said = about.get("video.codec"), about.get("video.pix_fmt")
+        codec = next((name for name, codec in CODECS.items() if (codec.codec, codec.pixel_format) == said), None)
+        return {**found, "codec": codec} if codec else found
+
+    @property
     def usage(self) -> str:
         """How the dataset is loaded."""
         return _LOADING[self.version]
@@ -187,6 +202,7 @@ class LeRobotDataset(Dataset):
             robot=str(self.info.get("robot_type") or ""),
             joint_names=content.joint_names,
             semantics=content.semantics,
+            parts=content.parts,
         )
 
     def _names(self, key: str) -> tuple[str, ...]:

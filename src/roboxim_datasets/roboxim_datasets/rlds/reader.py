@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
@@ -150,6 +151,12 @@ class RldsDataset(Dataset):
             return {}
         names = {"action": "action", "proprio": "state"}
         return {names[key]: value for key, value in stored.items() if key in names and isinstance(value, dict)}
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Options with which a dataset like this one is written."""
+        named = {} if self.reader.name.startswith("bridge") else {"name": self.reader.name}  # no name for a new dataset
+        return {**named, "version": self.reader.version, "encoding": self.reader.features.encoding}
 
     @property
     def usage(self) -> str:
