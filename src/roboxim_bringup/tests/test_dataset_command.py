@@ -44,6 +44,8 @@ def test_a_dataset_is_described_and_viewed(dataset, tmp_path):
     page = (tmp_path / "v.html").read_text()
     assert "<h1>task 2</h1>" in page
     assert page.count("<polyline") == 7 + 3
+    assert page.count("data:image/jpeg") == 2
+    assert "http" not in page  # it needs no network
     run("view", dataset, "--out", tmp_path / "v.png")
     assert (tmp_path / "v.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ConfigError, match="--out must end in .html"):

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from roboxim_core.config import to_plain
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
@@ -115,6 +116,11 @@ def _maker(dataset: Dataset) -> str:
     return f"roboxim export {facts.get('format', '')}, from {', '.join(facts.get('runs', [])) or 'bags'}"
 
 
+def _simulated(facts: Mapping[str, Any]) -> bool:
+    """Return whether a dataset was made from RoboXim's bags, as far as it says."""
+    return "runs" in facts or any(_simulated(source) for source in facts.get("sources", []))
+
+
 def _listed(counts: Mapping[str, int], most: int = LISTED) -> str:
     shown = [f"{name} x{number}" for name, number in list(counts.items())[:most]]
     return ", ".join(shown) + (", ..." if len(counts) > most else "")
@@ -139,7 +145,7 @@ def card(dataset: Dataset, counts: Counts) -> str:
         _statistics(dataset),
         _counts_section(dataset, counts),
         _how(dataset),
-        _LICENCE,
+        _LICENCE + (_RENDERED if _simulated(dataset.facts) else ""),
     ]
     return "\n".join(part.rstrip() + "\n" for part in parts if part)
 
@@ -150,7 +156,8 @@ _SHOWN = ("format", "episodes", "steps", "robot", "cameras", "skills", "made by"
 
 def _head(dataset: Dataset, counts: Counts) -> str:
     size = next(name for limit, name in _SIZES if len(dataset) < limit)
-    tags = ["robotics", "simulation", "roboxim", dataset.format, *filter(None, [dataset.description.robot])]
+    origin = ["simulation", "roboxim"] if _simulated(dataset.facts) else []
+    tags = ["robotics", *origin, dataset.format, *filter(None, [dataset.description.robot])]
     lines = [
         "---",
         "license: other",
@@ -160,7 +167,7 @@ def _head(dataset: Dataset, counts: Counts) -> str:
         "tags:",
     ]
     if dataset.format == "lerobot":
-        tags[2:2] = ["LeRobot"]  # as its hub finds it
+        tags[1:1] = ["LeRobot"]  # as its hub finds it
     lines += [f"- {tag}" for tag in tags] + ["language:", "- en", "size_categories:", f"- {size}", "---", ""]
     return "\n".join(lines)
 
@@ -203,10 +210,15 @@ def _actions(dataset: Dataset) -> str:
 
 def _vectors(dataset: Dataset) -> str:
     rows = [(f"`{name}`", str(len(parts)), _names(parts)) for name, parts in dataset.features.vectors.items()]
-    units = (
+    own = (
         "Positions are in metres, joint positions in radians, openings from 0 (closed) to 1 (open). `tcp` is the tool "
         "centre point in the robot's base; `x_axis` and `y_axis` are the first two columns of its rotation matrix.\n"
     )
+    stated = {
+        "meaning not stated": "The dataset does not state their units.\n",
+        "in the units of convention.yaml": "`convention.yaml` says their units and ranges.\n",
+    }
+    units = own if dataset.description.semantics else stated[_unsaid(dataset)]
     return "## Observations\n\n" + _table(("vector", "size", "components"), rows) + ("\n" + units if rows else "")
 
 
@@ -228,7 +240,8 @@ def _statistics(dataset: Dataset) -> str:
             for i, part in enumerate(names[vector])
         ]
         text += f"\n{vector}:\n\n" + _table(("component", *columns), rows)
-    return f"## Statistics\n\nOf the split that is trained on, as they are stored beside it.\n{text}" if text else ""
+    of = f"the split `{next(iter(dataset.splits))}`" if dataset.format == "rlds" else "all episodes"
+    return f"## Statistics\n\nOf {of}, as they are stored beside the data.\n{text}" if text else ""
 
 
 def _counts_section(dataset: Dataset, counts: Counts) -> str:
@@ -259,8 +272,10 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 _LICENCE = """## Licence
 
-Who publishes the dataset chooses its licence: edit the head of this file. The images are renderings of the robot and
-object models of RoboXim; the robots' meshes come with licences of their own.
+Who publishes the dataset chooses its licence: edit the head of this file.
+"""
+_RENDERED = """The images are renderings of the robot and object models of RoboXim; the robots' meshes come with
+licences of their own.
 """
 
 

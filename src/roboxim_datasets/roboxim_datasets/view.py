@@ -1,14 +1,15 @@
-"""Pictures of a dataset's episode: a contact sheet, and a page with the sheet and the course of its numbers."""
+"""Pictures of a dataset's episode: a contact sheet, and a page with its frames and the course of its numbers."""
 
 from __future__ import annotations
 
 import base64
-import html
 import io
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image, ImageDraw
 
 from roboxim_datasets.episode import Episode, Floats, RGBImage
@@ -16,19 +17,9 @@ from roboxim_datasets.episode import Episode, Floats, RGBImage
 FRAMES = 8
 """Frames of a contact sheet."""
 CAPTION_PX = 14
-_PLOT_WIDTH, _PLOT_HEIGHT = 900, 110
-_COLOURS = (
-    "#4269d0",
-    "#efb118",
-    "#ff725c",
-    "#6cc5b0",
-    "#3ca951",
-    "#ff8ab7",
-    "#a463f2",
-    "#97bbf5",
-    "#9c6b4e",
-    "#9498a0",
-)
+_CHART = (250, 72)  # width and height of a chart, in its own units
+STILL = 1e-6
+"""Range of values that is drawn as no change."""
 
 
 def contact_sheet(episode: Episode, frames: int = FRAMES, width: int = 0) -> RGBImage:
@@ -42,7 +33,7 @@ def contact_sheet(episode: Episode, frames: int = FRAMES, width: int = 0) -> RGB
     Returns:
         uint8, shape (height, width, 3).
     """
-    picks = np.unique(np.linspace(0, episode.length - 1, min(frames, episode.length)).round().astype(int))
+    picks = sorted(_picks(episode, frames))
     columns: list[list[RGBImage]] = []
     for step in episode.steps():
         if step.index in picks:
@@ -86,50 +77,78 @@ def encoded(picture: RGBImage, kind: str) -> bytes:
 def page(episode: Episode, action_names: Sequence[str], frames: int = 12) -> str:
     """Return a page with an episode's pictures, actions and observed vectors; it needs no other file."""
     steps = list(episode.steps(()))
-    series: dict[str, tuple[Floats, Sequence[str]]] = {"action": (np.stack([s.action for s in steps]), action_names)}
+    actions = np.stack([step.action for step in steps])
+    curves = {"action": actions}
     if steps[0].action_executed is not None:
-        executed = [step.action if step.action_executed is None else step.action_executed for step in steps]
-        series["executed - action"] = (np.stack(executed) - series["action"][0], action_names)
+        done = [step.action if step.action_executed is None else step.action_executed for step in steps]
+        curves["executed"] = np.stack(done)
+    vectors = [_vector("action", curves, action_names)]
     for name, parts in episode.vectors.items():
-        series[name] = (np.stack([step.proprio[name] for step in steps]), parts)
+        vectors.append(_vector(name, {name: np.stack([step.proprio[name] for step in steps])}, parts))
     facts = {
         "episode": episode.episode_id,
-        "steps": f"{episode.length} at {episode.fps:g} Hz",
         "robot": episode.robot,
-        "success": "yes" if episode.success else "no",
         **{name: str(value) for name, value in episode.metadata.items() if name != "task"},
     }
-    rows = "".join(f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
-    sheet = ""
-    if episode.cameras:
-        data = base64.b64encode(encoded(contact_sheet(episode, frames), "JPEG")).decode()
-        sheet = f'<img alt="frames of the episode" src="data:image/jpeg;base64,{data}">'
-    plots = "".join(_plot(name, values, parts) for name, (values, parts) in series.items())
-    title = html.escape(episode.instruction)
-    return _PAGE.format(title=title, sheet=sheet, plots=plots, rows=rows)
-
-
-def _plot(name: str, values: npt.NDArray[np.float32], parts: Sequence[str]) -> str:
-    low, high = float(values.min()), float(values.max())
-    span = (high - low) or 1.0
-    across = np.linspace(0, _PLOT_WIDTH, max(len(values), 2))
-    lines, legend = [], []
-    for column, part in enumerate(parts):
-        colour = _COLOURS[column % len(_COLOURS)]
-        up = _PLOT_HEIGHT - (values[:, column] - low) / span * _PLOT_HEIGHT
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across, up, strict=False))
-        lines.append(f'<polyline fill="none" stroke="{colour}" points="{points}"/>')
-        legend.append(f'<span style="color:{colour}">{html.escape(part)}</span>')
-    return (
-        f"<h2>{html.escape(name)}</h2><p>{low:.4g} to {high:.4g}: {', '.join(legend)}</p>"
-        f'<svg viewBox="0 -2 {_PLOT_WIDTH} {_PLOT_HEIGHT + 4}" role="img" aria-label="{html.escape(name)} by step">'
-        f"{''.join(lines)}</svg>"
+    rate = f" at {episode.fps:g} Hz" if episode.fps else ""
+    environment = Environment(
+        loader=PackageLoader("roboxim_datasets"), autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True
+    )
+    return environment.get_template("episode.html").render(
+        title=episode.instruction or episode.episode_id or "Episode",
+        lead=f"{episode.length} steps{rate}, {'solved' if episode.success else 'not solved'}",
+        cameras=_frames(episode, frames) if episode.cameras else {},
+        vectors=vectors,
+        facts={name: value for name, value in facts.items() if value},
+        width=_CHART[0],
+        height=_CHART[1],
     )
 
 
-_PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>{title}</title>
-<style>body{{font:14px sans-serif;max-width:960px;margin:2em auto;padding:0 1em}}img,svg{{max-width:100%}}
-svg{{background:#f6f6f6}}td{{padding-right:1em;vertical-align:top}}h2{{margin-bottom:0}}</style>
-<h1>{title}</h1>{sheet}{plots}<h2>episode</h2><table>{rows}</table></html>
-"""
+def _frames(episode: Episode, frames: int) -> dict[str, list[tuple[int, str]]]:
+    """Return camera to the numbers of some steps, from the first to the last, and their images as data URIs."""
+    picks = _picks(episode, frames)
+    found: dict[str, list[tuple[int, str]]] = {camera: [] for camera in episode.cameras}
+    for step in episode.steps():
+        if step.index in picks:
+            for camera, shown in found.items():
+                data = base64.b64encode(encoded(_scaled(step.images[camera], 0), "JPEG")).decode()
+                shown.append((step.index, f"data:image/jpeg;base64,{data}"))
+    return found
+
+
+def _picks(episode: Episode, frames: int) -> set[int]:
+    """Return the numbers of at most ``frames`` steps, from the first to the last."""
+    return set(np.linspace(0, episode.length - 1, min(frames, episode.length)).round().astype(int).tolist())
+
+
+def _vector(name: str, curves: Mapping[str, Floats], parts: Sequence[str]) -> dict[str, Any]:
+    """Return what the page shows of a vector: a chart for each of its components.
+
+    Args:
+        name: Name of the vector.
+        curves: What a chart shows, by name: values of shape (T, D).
+        parts: Names of the D components.
+    """
+    charts = []
+    for column, part in enumerate(parts):
+        shown = [values[:, column] for values in curves.values()]
+        low, high = float(min(map(np.min, shown))), float(max(map(np.max, shown)))
+        lines = [_points(values, low, high) for values in shown]
+        charts.append({"name": part, "low": _shown(low, high - low), "high": _shown(high, high - low), "lines": lines})
+    return {"name": name, "curves": list(curves), "charts": charts, "steps": len(next(iter(curves.values())))}
+
+
+def _shown(value: float, span: float) -> str:
+    """Return a number with as many digits as a range of values needs."""
+    places = 4 if span <= STILL else max(0, 2 - math.floor(math.log10(span)))
+    return f"{round(value, places) + 0.0:g}"
+
+
+def _points(values: Floats, low: float, high: float) -> str:
+    """Return the points of an SVG polyline; a component that (nearly) never changes is a line in the middle."""
+    width, height = _CHART
+    span = high - low
+    up = (values - low) / span if span > STILL else np.full(len(values), 0.5)
+    across = np.linspace(0, width, max(len(values), 2))
+    return " ".join(f"{x:.1f},{height * (1 - y):.1f}" for x, y in zip(across, up, strict=False))

@@ -121,4 +121,7 @@ def test_the_card_says_what_a_dataset_consists_of(tmp_path, write):
         "roboxim dataset convert, from roboxim (rlds)", "tensorflow_datasets", "(preview.jpg)",
     ):  # fmt: skip
         assert words in body, words
+    assert "simulation" not in head  # nothing says that RoboXim recorded it
+    assert "renderings" not in body
+    assert "Of the split `train`" in body
     assert (written.path / "preview.jpg").read_bytes()[:2] == b"\xff\xd8"

@@ -94,6 +94,8 @@ def test_joint_actions_of_recorded_labels_are_the_recorded_commands(tmp_path, fa
         ("speed=2", "unknown field 'speed'"),
         ("rotation_6d,rotation_vector", "gives rotation twice"),
         ("end_effector_absolute,tool", "absolute pose in the tool's own frame"),
+        ("joint_velocity,rotation_6d", "'rotation_6d' has no meaning with control 'joint_velocity'"),
+        ("end_effector_absolute,measured", "'measured' has no meaning with control 'end_effector_absolute'"),
     ],
 )
 def test_actions_without_meaning_are_refused(run, words, message):

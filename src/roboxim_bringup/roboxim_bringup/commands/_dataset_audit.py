@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from roboxim_bringup.options import Place
 
+if TYPE_CHECKING:
+    from roboxim_datasets.audit import AuditResult
+
+SHOWN = 3
+"""Findings of a check that are printed; the report has more."""
 PATH = click.Path(path_type=Path)
 
 
@@ -54,21 +59,35 @@ def command(
     from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
     from roboxim_bringup.runs.store import is_url, local_sources
     from roboxim_core.errors import ConfigError
-    from roboxim_datasets.audit.report import STATUS, summary_line
+    from roboxim_datasets.audit.report import summary_line
 
     if is_url(path) and out is None:
         raise ConfigError(f"the audit of {path} needs a folder of this machine for its report: give --out")
     with EventPrinter() as printer, local_sources([path, *bags]) as (local, *local_bags):
         config = AuditConfig(render=not no_render, bags=tuple(local_bags), **options)
         audited = audit_dataset(local, out, config, on_event=printer)
-    for check in audited.result.checks:
-        if check.findings or not check.checked:
-            faulty = f", {len(check.faulty_episodes)} of {check.checked} episodes" if check.faults else ""
-            click.echo(f"{check.title}: {STATUS[check.status]}{faulty}")
-        for finding in check.findings[:3]:
-            click.echo(f"  {', '.join(finding.episodes) or 'the dataset'}: {finding.text}")
-        for why, count in check.unchecked.items() if not check.checked else ():
-            click.echo(f"  {count} episodes: {why}")
+    _print_checks(audited.result)
     click.echo(f"{summary_line(audited.result)}: {audited.page}")
     if not audited.result.clean:
         raise SystemExit(1)
+
+
+def _print_checks(result: AuditResult) -> None:
+    """Print the findings, then the checks that could not be made, by reason."""
+    from roboxim_datasets.audit.report import STATUS
+
+    unchecked: dict[str, list[str]] = {}
+    for check in result.checks:
+        if check.findings:
+            faulty = f" ({len(check.faulty_episodes)} of {check.checked} episodes)" if check.faults else ""
+            click.echo(f"{STATUS[check.status]}: {check.title}{faulty}")
+        for finding in check.findings[:SHOWN]:
+            click.echo(f"  {', '.join(finding.episodes) or 'the dataset'}: {finding.text}")
+        if len(check.findings) > SHOWN:
+            click.echo(f"  and {len(check.findings) - SHOWN} more")
+        for why in check.unchecked if not check.checked else ():
+            unchecked.setdefault(why, []).append(check.name)
+    for why, names in unchecked.items():
+        click.echo(f"{STATUS['unchecked']}: {', '.join(names)}\n  {why}")
+    for name, why in result.unreadable.items():
+        click.echo(f"cannot be read: {name}\n  {why}")

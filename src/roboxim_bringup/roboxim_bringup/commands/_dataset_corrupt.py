@@ -48,5 +48,6 @@ def command(source: Path, out: Path, fault: str, rate: float, seed: int) -> None
     if len(made.planted) > 5:
         click.echo(f"and {len(made.planted) - 5} more")
     if made.refused:
-        click.echo(f"{len(made.refused)} episodes do not allow this fault")
+        one = len(made.refused) == 1
+        click.echo(f"{len(made.refused)} {'episode does' if one else 'episodes do'} not allow this fault")
     click.echo(f"{made.path}: {len(made.planted)} planted; {made.listing} lists them")

@@ -161,8 +161,9 @@ def _print_report(report: Any) -> None:
         f"{count} {'episode' if count == 1 else 'episodes'} in {s}" for s, count in report.splits.items()
     )
     click.echo(f"{report.path}: {splits}, {report.steps} steps")
+    several = len({cell for cells in report.cells.values() for cell in cells}) > 1
     for split, cells in report.cells.items():
-        if len(cells) > 1:
+        if several:
             click.echo(f"  {split}: " + ", ".join(f"{count} of {cell}" for cell, count in cells.items()))
     for reason, count in report.left_out.items():
         click.echo(f"  left out: {count} ({reason})")

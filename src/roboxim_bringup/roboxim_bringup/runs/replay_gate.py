@@ -225,8 +225,8 @@ class ReplayReport:
             yield f"    distance of the tool centre point from the recording [mm]: {shown or 'no ticks'}"
             if stream == "labels":
                 noise_free = self.retained("labels", noise_free=True)
-                binding = str(noise_free) if noise_free.of else "there is none"
-                yield f"    binding for the episodes without noise alone: {binding}"
+                required = f"{noise_free} retained" if noise_free.of else "none here, so nothing is required"
+                yield f"    required only of episodes without injected noise: {required}"
             if self.failed(stream):
                 yield f"    first failure: {self._first(stream)}"
         for episode in self.episodes:

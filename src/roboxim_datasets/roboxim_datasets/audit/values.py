@@ -23,7 +23,7 @@ Ticks = tuple[int, ...]
 Values = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from"
+NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from (--bags)"
 """Why a check that needs ground truth cannot be made of a dataset alone."""
 
 

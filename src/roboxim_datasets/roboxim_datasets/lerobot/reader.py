@@ -173,7 +173,9 @@ class LeRobotDataset(Dataset):
             found["columns"] = "openpi"
         kinds = [self._features[key] for key in self.content.cameras]
         found["images"] = bool(kinds) and all(feature["dtype"] == "image" for feature in kinds)
-        about = next((feature["info"] for feature in kinds if isinstance(feature.get("info"), dict)), {})
+        about: dict[str, Any] = next(
+            (feature["info"] for feature in kinds if isinstance(feature.get("info"), dict)), {}
+        )
         said = about.get("video.codec"), about.get("video.pix_fmt")
         codec = next((name for name, codec in CODECS.items() if (codec.codec, codec.pixel_format) == said), None)
         return {**found, "codec": codec} if codec else found

@@ -248,7 +248,8 @@ def _ticks_per_step(recorded_hz: float, wanted_hz: float) -> int:
     if every < 1 or abs(every - round(every)) > 1e-9:
         raise RecorderError(
             f"the bags were recorded at {recorded_hz:g} Hz, which is no whole multiple of {wanted_hz:g} Hz; record at "
-            "such a rate (rate_hz of the task), or export at a rate that divides the recorded one",
+            "such a rate ('roboxim generate --rate', or rate_hz of the task), or export at a rate that divides the "
+            "recorded one",
             ErrorCode.EXPORT_REFUSED,
         )
     return round(every)
@@ -270,21 +271,27 @@ def _semantics_of(text: str, base: ActionSemantics) -> ActionSemantics:
         if equals and key not in kinds:
             raise InvalidRequestError(f"actions: unknown field '{key}'; {one_of(kinds, key)}")
         if not equals and word not in words:
-            raise InvalidRequestError(
-                f"actions: unknown word '{word}'; {one_of(words, word)}; words: {', '.join(words)}"
-            )
+            raise InvalidRequestError(f"actions: unknown word '{word}'; {one_of(words, word)}")
         name = key if equals else words[word]
         if changes.setdefault(name, value if equals else word) != (value if equals else word):
             raise InvalidRequestError(f"actions: '{text}' gives {name} twice")
+    given = tuple(changes)
     if changes.get("control", base.control) != base.control:
         fresh = ActionSemantics()
         restart = {name: getattr(fresh, name) for name in ("frame", "rotation", "delta_base")}
         base_fields = {n: v for n, v in restart.items() if n not in changes and getattr(base, n) == "none"}
         changes = {**base_fields, **changes}
     try:
-        return replace(base, **changes)  # type: ignore[arg-type]  # text becomes the enumeration
+        found = replace(base, **changes)  # type: ignore[arg-type]  # text becomes the enumeration
     except InvalidRequestError as error:
         raise InvalidRequestError(f"actions: {error}") from None
+    for name in given:
+        if getattr(found, name) != changes[name]:  # the control mode does not use it
+            raise InvalidRequestError(
+                f"actions: '{changes[name]}' has no meaning with control '{found.control}'; leave it out, or name "
+                "another control"
+            )
+    return found
 
 
 def _fields(text: str) -> tuple[ProprioField, ...]:

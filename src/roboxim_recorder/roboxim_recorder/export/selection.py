@@ -218,10 +218,13 @@ def _filtered(sources: Sequence[Source], selection: Selection, left_out: Counter
         else:
             kept.append(source)
     if not kept:
-        raise _refused(
-            f"none of the {len(sources)} bags can be exported ({dict(left_out)}); record successful episodes, or ask "
-            "for all"
+        reasons = ", ".join(f"{reason}: {count}" for reason, count in left_out.most_common())
+        advice = (
+            "change the conditions"
+            if any(reason.startswith("not ") for reason in left_out)
+            else "record successful episodes, or export failures too (--all or only_successful=False)"
         )
+        raise _refused(f"none of the {len(sources)} bags can be exported ({reasons}); {advice}")
     return kept
 
 
@@ -279,7 +282,11 @@ def _counted(total: int, wanted: Mapping[str, int]) -> list[str]:
     """Return a split for each of ``total`` episodes so that each has its number; empty: left out."""
     fixed = sum(wanted.values())
     if fixed > total or (fixed == total and 0 in wanted.values()):
-        raise _refused(f"split wants {dict(wanted)}, but {total} episodes pass the filters")
+        splits = ", ".join(f"{name}={count}" for name, count in wanted.items())
+        raise _refused(
+            f"{total} episodes pass the filters, not enough for the splits {splits}; ask for fewer, or record more "
+            "(0: the rest)"
+        )
     counts = {name: count for name, count in wanted.items() if count}
     counts[next((name for name, count in wanted.items() if not count), "")] = total - fixed
     # The n-th episode of a split stands at the middle of the n-th of equal parts of the whole order.
