@@ -14,7 +14,7 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.dataset import SPLITS, Dataset, Description
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode
 from roboxim_datasets.registry import FORMATS
-from roboxim_datasets.rlds.episodes import to_rlds
+from roboxim_datasets.rlds.episodes import EncodedSteps, read_steps, to_rlds
 from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures
 from roboxim_datasets.rlds.loader_files import loader_files, statistics_of
 from roboxim_datasets.rlds.reader import RldsDataset, find_rlds
@@ -50,11 +50,15 @@ class RldsOptions:
 
 
 class RldsDatasetWriter:
-    """Writes episodes to an RLDS dataset."""
+    """Writes episodes to an RLDS dataset.
+
+    Non-obvious: an episode is written when the next one has been read, so that threads encode its images meanwhile.
+    """
 
     def __init__(self, writer: RldsWriter, options: RldsOptions, description: Description, pool: Executor) -> None:
         """Write with threads that encode images."""
         self._writer, self._options, self._description, self._pool = writer, options, description, pool
+        self._pending: tuple[str, EncodedSteps] | None = None
 
     def resumed(self, split: str) -> int:
         """Count the episodes of a split that finished shards already hold."""
@@ -62,10 +66,19 @@ class RldsDatasetWriter:
 
     def add(self, split: str, episode: Episode) -> None:
         """Append an episode."""
-        self._writer.add(split, to_rlds(episode, self._description.features, self._writer.features, self._pool))
+        read = read_steps(episode, self._description.features, self._writer.features, self._pool)
+        self._write_pending()
+        self._pending = split, read
+
+    def _write_pending(self) -> None:
+        if self._pending is not None:
+            split, read = self._pending
+            self._pending = None
+            self._writer.add(split, to_rlds(read, self._description.features, self._writer.features))
 
     def complete(self, files: Mapping[str, str | bytes]) -> None:
         """Add the statistics and loader files, and move the dataset to its final place."""
+        self._write_pending()
         self._writer.finish_shards()
         features = self._writer.features
         shards = next((found for split in SPLITS if (found := self._writer.shard_files(split))), [])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,21 @@ USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
 """Default camera to image key; other cameras keep their names."""
 
 
-def to_rlds(episode: Episode, described: Features, features: RldsFeatures, pool: Executor) -> RldsEpisode:
-    """Turn an episode into one of an RLDS dataset.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncodedSteps:
+    """An episode that has been read, and whose images threads are encoding."""
+
+    episode: Episode
+    keys: Mapping[str, str]
+    """Camera to image key."""
+    images: Mapping[str, list[Future[bytes]]]
+    """Image key to T images that are being encoded."""
+    steps: list[Step]
+    """The T steps, without images."""
+
+
+def read_steps(episode: Episode, described: Features, features: RldsFeatures, pool: Executor) -> EncodedSteps:
+    """Read an episode, and start to encode its images.
 
     Args:
         episode: The episode.
@@ -37,21 +50,33 @@ def to_rlds(episode: Episode, described: Features, features: RldsFeatures, pool:
     images: dict[str, list[Future[bytes]]] = {key: [] for key in keys.values()}
     steps = []
     for step in episode.steps(list(keys)):
-        steps.append(step)
         for camera, key in keys.items():
             images[key].append(pool.submit(_encoded, step, camera, features.encoding))
+        steps.append(replace(step, images={}, encoded={}))  # an image is free again once it is encoded
+    return EncodedSteps(episode=episode, keys=keys, images=images, steps=steps)
+
+
+def to_rlds(read: EncodedSteps, described: Features, features: RldsFeatures) -> RldsEpisode:
+    """Turn an episode into one of an RLDS dataset; wait for its images.
+
+    Args:
+        read: The episode.
+        described: What the dataset's steps consist of.
+        features: The same, as RLDS stores it.
+    """
+    episode, steps = read.episode, read.steps
     own: dict[str, MetaValue] = {
         "episode_id": episode.episode_id,
         "success": episode.success,
         "robot": episode.robot,
         "action_semantics": to_json(episode.semantics) if episode.semantics else "",
-        "cameras": json.dumps({key: camera for camera, key in keys.items()}, sort_keys=True),
+        "cameras": json.dumps({key: camera for camera, key in read.keys.items()}, sort_keys=True),
         "state_layout": json.dumps(episode.vectors.get("state", ())),
         "joint_names": json.dumps(episode.joint_names),
         "vectors": json.dumps({**episode.vectors, **episode.signals, "action": described.action}),
     }
     return RldsEpisode(
-        images={key: [future.result() for future in futures] for key, futures in images.items()},
+        images={key: [future.result() for future in futures] for key, futures in read.images.items()},
         vectors={name: np.stack([step.proprio[name] for step in steps]) for name in features.vectors},
         signals={name: np.stack([step.signal(SIGNAL_PREFIX + name) for step in steps]) for name in features.signals},
         action=np.stack([step.action for step in steps]),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -24,6 +26,9 @@ from roboxim_recorder.export.selection import Chosen, Selection, choose
 from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
+SWITCH_INTERVAL_S = 0.5e-3
+"""Time after which a thread that decompresses or encodes gets the interpreter from the one that converts [s]. Python's
+default, 5 ms, is longer than most of their steps; exports are an eighth faster with a shorter one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +102,7 @@ def export_bags(
         with (
             disk_errors(path),
             exporter.open(Path(target), config, description, identity=identity, overwrite=overwrite) as writer,
+            _frequent_switches(),
         ):
             resumed = _write_episodes(writer, chosen, content, progress)
             facts = {
@@ -116,6 +122,16 @@ def export_bags(
         with disk_errors(path):
             write_card(FORMATS[name]().open(path))
     return _report(exporter, path, chosen, content, resumed)
+
+
+@contextmanager
+def _frequent_switches() -> Iterator[None]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, SWITCH_INTERVAL_S))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 def _write_episodes(writer: DatasetWriter, chosen: Chosen, content: Content, progress: Progress) -> int:
