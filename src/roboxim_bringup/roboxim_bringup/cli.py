@@ -14,6 +14,8 @@ from types import FrameType
 import click
 from click.shell_completion import CompletionItem
 
+from roboxim_bringup.options import keep_lines
+
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
 COMMANDS = Path(__file__).parent / "commands"
 SECTIONS = {
@@ -43,7 +45,7 @@ class LazyGroup(click.Group):
             return None
         module = importlib.import_module(f"roboxim_bringup.commands.{cmd_name}")
         command: click.Command = module.command
-        _keep_lines(command)
+        keep_lines(command)
         return command
 
     def resolve_command(
@@ -73,14 +75,6 @@ class LazyGroup(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
-
-
-def _keep_lines(command: click.Command) -> None:
-    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph that is not rewrapped."""
-    if command.help:
-        command.help = command.help.replace("\\b\n", "\b\n")
-    for sub in getattr(command, "commands", {}).values():
-        _keep_lines(sub)
 
 
 def short_help(name: str) -> str:

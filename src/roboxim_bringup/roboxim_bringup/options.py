@@ -170,3 +170,11 @@ def parse_counts(option: str, text: str) -> dict[str, int]:
             raise ConfigError(f"{option} is NAME=COUNT,..., e.g. train=90,val=10; got '{text}'")
         found[name.strip()] = int(count)
     return found
+
+
+def keep_lines(command: click.Command) -> None:
+    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph that is not rewrapped."""
+    if command.help:
+        command.help = command.help.replace("\\b\n", "\b\n")
+    for sub in getattr(command, "commands", {}).values():
+        keep_lines(sub)

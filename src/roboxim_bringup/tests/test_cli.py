@@ -126,8 +126,10 @@ def test_every_command_has_help(name):
     text = roboxim(name, "--help")
     assert command.help.splitlines()[0].split(".")[0].split(",")[0] in " ".join(text.split())
     assert "\\b" not in text
-    for sub in getattr(command, "commands", {}).values():
-        assert sub.help, f"{name} {sub.name} has no help"
+    for sub_name in command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ():
+        sub = command.get_command(click.Context(command), sub_name)
+        assert sub.help, f"{name} {sub_name} has no help"
+        assert "\\b" not in sub.help
 
 
 def test_completion_script_of_each_shell():

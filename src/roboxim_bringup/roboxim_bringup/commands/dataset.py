@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.options import keep_lines
+
 _PREFIX = "_dataset_"
 _path = click.Path(path_type=Path)
 
@@ -26,6 +28,7 @@ class _Subcommands(click.Group):
         if registered is not None or cmd_name not in self.list_commands(ctx):
             return registered
         command: click.Command = importlib.import_module(f"{__package__}.{_PREFIX}{cmd_name}").command
+        keep_lines(command)
         return command
 
 
