@@ -25,7 +25,7 @@ from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_datasets.audit import Approach, ColorPair, Meaning, Sighting, Touch, Truth
-from roboxim_datasets.audit.color import color_difference, median_lab
+from roboxim_datasets.audit.color import palette_difference
 from roboxim_datasets.episode import Episode
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_tasks.judging import Judge
@@ -253,7 +253,7 @@ class BagTruth:
             for camera, image in first.images.items():
                 areas = [image[masks[camera] == ids[thing.entity]] for thing in (named, other)]
                 if min(map(len, areas)) >= LEAST_PIXELS:
-                    difference = color_difference(*(median_lab(area) for area in areas))
+                    difference = palette_difference(*areas)
                     found.append(
                         ColorPair(
                             camera=camera, named=description(named), other=description(other), difference=difference

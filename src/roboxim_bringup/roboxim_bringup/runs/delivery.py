@@ -408,7 +408,7 @@ def _colors(
             mask = np.zeros(0) if segmentation is None else segmentation == number
             if np.count_nonzero(mask) >= LEAST_PIXELS:
                 first, second = median_lab(pictures[camera.name][mask]), median_lab(drawn[camera.name].rgb[mask])
-                found[name] = min(found.get(name, math.inf), color_difference(first, second))
+                found[name] = min(found.get(name, math.inf), float(color_difference(first, second)))
     return found
 
 

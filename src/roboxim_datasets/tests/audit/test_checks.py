@@ -20,7 +20,7 @@ from roboxim_datasets.audit import (
     Sighting,
     Touch,
 )
-from roboxim_datasets.audit.color import color_difference
+from roboxim_datasets.audit.color import color_difference, palette_difference
 
 
 def found(check: str, *episodes: Any) -> tuple[str, ...]:
@@ -165,7 +165,7 @@ def test_objects_of_one_colour() -> None:
 
     check = "indistinguishable"
     assert found(check, with_truth(pairs=(pair(9.0),))) == ("e0",)
-    warned = audited.audit(with_truth(pairs=(pair(15.0),)), checks=(check,)).check(check)
+    warned = audited.audit(with_truth(pairs=(pair(14.0),)), checks=(check,)).check(check)
     assert (warned.status, len(warned.findings)) == ("warnings", 1)
     assert not audited.audit(with_truth(pairs=(pair(30.0),)), checks=(check,)).check(check).findings
 
@@ -184,6 +184,14 @@ def test_objects_of_one_colour() -> None:
 def test_colour_difference_equals_the_published_values(first: Any, second: Any, expected: float) -> None:
     assert color_difference(first, second) == pytest.approx(expected, abs=1e-4)
     assert color_difference(second, first) == pytest.approx(expected, abs=1e-4)
+
+
+def test_objects_differ_by_the_colours_of_their_parts() -> None:
+    housing, red, blue = [(220, 215, 205)] * 70, [(200, 20, 20)] * 30, [(30, 60, 200)] * 30
+    glare = [(255, 255, 255)] * 5
+    assert palette_difference(housing + red, housing + blue) > 40  # as two buttons whose caps alone differ
+    assert palette_difference(housing + red, housing + glare + red + red) < 1
+    assert palette_difference(red, [(190, 22, 21)] * 900) < 5
 
 
 def absolute(angles: np.ndarray, rotation: str) -> Any:

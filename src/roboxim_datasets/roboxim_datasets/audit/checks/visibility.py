@@ -11,7 +11,7 @@ SHARE = 0.3
 PIXELS = 50.0
 HIDDEN_SHARE = 0.3
 SAME_COLOR = 10.0
-SIMILAR_COLOR = 20.0
+SIMILAR_COLOR = 15.0
 NO_RENDERER = "the audit was made without a renderer"
 
 
@@ -65,8 +65,8 @@ class Indistinguishable(AuditCheck):
     title = "Objects cannot be told apart"
     reason = "The image does not say which object the instruction means; the policy learns to pick either."
     threshold = (
-        f"a colour difference (CIEDE2000) below {SAME_COLOR:g} between the pixels of a named object and of another one "
-        f"of the same noun and size; below {SIMILAR_COLOR:g} a warning"
+        "nine tenths of the pixels of a named object, and of another one of the same noun and size, have a counterpart "
+        f"in the other within a colour difference (CIEDE2000) of {SAME_COLOR:g}; within {SIMILAR_COLOR:g} a warning"
     )
     needs = "ground truth: the recorded image, masked by a renderer"
     order = 5
