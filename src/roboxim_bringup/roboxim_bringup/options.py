@@ -105,7 +105,10 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
             "--workers", type=click.IntRange(1), default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
             help="Processes, each with a whole graph.",
         ),
-        click.option("--size", default="as-configured", show_default=True, help="Image size: SIZE or WIDTHxHEIGHT."),
+        click.option(
+            "--size", default="as-configured", show_default=True,
+            help="Image size, SIZE or WIDTHxHEIGHT, of cameras for which the policy states none.",
+        ),
         click.option(
             "--rate", type=click.FloatRange(0), default=0.0, metavar="HZ",
             help="Control rate; 0: the policy's, or the task's if the policy acts at any rate.",

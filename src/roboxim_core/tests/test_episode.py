@@ -404,6 +404,14 @@ def test_leaving_the_workspace_with_the_last_action_counts():
     assert run(world, Actor()).run_index(0).reason == "left_workspace"
 
 
+def test_size_that_a_policy_states_precedes_the_runs():
+    world = World()
+    stated = CameraRequirement(name="workspace", width=320, height=240)
+    run(world, Actor(cameras=(stated, CameraRequirement(name="wrist"))), image_width=64, image_height=48).run_index(0)
+    sizes = {camera.name: (camera.width, camera.height) for camera in world.info.scene.cameras}
+    assert sizes == {"workspace": (320, 240), "wrist": (64, 48)}
+
+
 def test_what_the_run_cannot_give_is_refused_before_the_first_step():
     with pytest.raises(InvalidRequestError, match="no camera 'ceiling'.*workspace"):
         run(World(), Actor(cameras=(CameraRequirement(name="ceiling"),))).run_index(0)

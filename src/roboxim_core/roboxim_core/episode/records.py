@@ -47,9 +47,9 @@ class RunConfig:
     cameras: tuple[str, ...] = ()
     """Names of the scene's cameras to keep; empty: all."""
     image_width: int = 0
-    """Overrides the cameras' width [px]; 0: as configured."""
+    """Overrides the width [px] of cameras for which the policy states none; 0: as configured."""
     image_height: int = 0
-    """Overrides the cameras' height [px]; 0: as configured."""
+    """Overrides the height [px] of cameras for which the policy states none; 0: as configured."""
     depth: bool = False
     """Whether the cameras also publish depth."""
     segmentation: bool = False

@@ -48,7 +48,9 @@ def episode_id(seed: SeedPath) -> str:
 
 
 def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDescription) -> SceneSpec:
-    """Apply a run's cameras and sizes, and its rate or the policy's, to a scene.
+    """Apply a run's cameras, sizes and rate to a scene.
+
+    A size that the policy states for a camera precedes the run's, since a model accepts no other.
 
     Raises:
         InvalidRequestError: When a requested camera is not in the scene.
@@ -63,8 +65,8 @@ def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDesc
 
     def sized(camera: CameraSpec) -> CameraSpec:
         want = wanted.get(camera.name)
-        width = config.image_width or (want.width if want else 0) or camera.width
-        height = config.image_height or (want.height if want else 0) or camera.height
+        width = (want.width if want else 0) or config.image_width or camera.width
+        height = (want.height if want else 0) or config.image_height or camera.height
         return replace(
             camera.resized(width, height),
             depth=config.depth or camera.depth,
