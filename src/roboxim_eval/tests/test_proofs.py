@@ -108,6 +108,15 @@ def test_arms_must_share_states_and_pictures():
     assert pairing({"a": [CLEAN], "b": [replace(other, number=1)]}, {}).checks == {}, "no scene is shared"
 
 
+def test_arms_whose_pictures_have_other_sizes_must_share_cameras_and_looks():
+    large = replace(CLEAN, bag="episodes/large", pictures={"workspace": 8}, sizes={"workspace": (256, 320, 3)})
+    small = replace(CLEAN, sizes={"workspace": (64, 64, 3)})
+    assert pairing({"a": [small], "b": [large]}, {}).checks == {"pairing": (1, 1)}
+    for defect in ({"cameras": {"workspace": moved(0.01)}}, {"look": {**CLEAN.look, "light.intensity": 3.0}}):
+        (fault,) = pairing({"a": [small], "b": [replace(large, **defect)]}, {}).faults
+        assert (fault.check, fault.bag) == ("pairing", "episodes/large")
+
+
 def test_a_changed_light_must_change_the_picture_and_nothing_else():
     lit = replace(CLEAN, bag="episodes/lit", pictures={"workspace": 8}, thumbnails={"workspace": (104, 100)})
     changed = {"light": ["reset.lights"]}

@@ -215,6 +215,7 @@ class DeliveryReader:
             look=_look(info.scene),
             state_hash=tick.state.state_hash,
             pictures={name: zlib.crc32(image.tobytes()) for name, image in tick.images.items()},
+            sizes={name: tuple(image.shape) for name, image in tick.images.items()},
             thumbnails={name: _thumbnail(image) for name, image in tick.images.items()},
             instruction=info.task.instruction,
             received=received[1] if received else info.task.instruction,

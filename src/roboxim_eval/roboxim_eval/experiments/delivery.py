@@ -157,6 +157,8 @@ class Shown:
     """Hash of the state of tick 0."""
     pictures: dict[str, int] = field(default_factory=dict)
     """Camera to the CRC-32 of its picture at tick 0."""
+    sizes: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    """Camera to the shape of its picture."""
     thumbnails: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Camera to its picture at tick 0, reduced to 8 x 8 grey values, for comparisons of looks."""
     instruction: str = ""

@@ -111,7 +111,8 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown]) -> Tally:
 def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collection[str]]) -> Tally:
     """Check that conditions met the same scenes.
 
-    Conditions without changes must share states and pictures of tick 0. A condition that changes light or surfaces
+    Conditions without changes must share states and pictures of tick 0; where their policies get pictures of different
+    sizes, they must share the pose of the camera. A condition that changes light or surfaces
     alone must share the states and have other pictures. Other changes move objects or cameras, which `tally` checks.
 
     Args:
@@ -152,10 +153,17 @@ def _is_look(part: str) -> bool:
 def _unequal(shown: Shown, other: Shown, condition: str, *, pictures: bool) -> str:
     if shown.state_hash != other.state_hash:
         return f"the state of tick 0 is {shown.state_hash[:8]}, that of '{condition}' is {other.state_hash[:8]}"
-    if pictures:
-        for camera in shown.pictures.keys() & other.pictures.keys():
-            if shown.pictures[camera] != other.pictures[camera]:
-                return f"the picture of camera '{camera}' at tick 0 is not that of '{condition}'"
+    if not pictures:
+        return ""
+    for camera in shown.pictures.keys() & other.pictures.keys():
+        if shown.sizes.get(camera) != other.sizes.get(camera):  # policies get pictures of different sizes
+            if shown.cameras.get(camera) != other.cameras.get(camera):
+                return f"camera '{camera}' stands elsewhere than that of '{condition}'"
+        elif shown.pictures[camera] != other.pictures[camera]:
+            return f"the picture of camera '{camera}' at tick 0 is not that of '{condition}'"
+    for name in shown.look.keys() & other.look.keys():
+        if shown.look[name] != other.look[name]:
+            return f"{name} is {shown.look[name]}, that of '{condition}' is {other.look[name]}"
     return ""
 
 
