@@ -276,12 +276,13 @@ def report_of(out: Path, record: EvaluationRecord) -> EvaluationResult:
 
 def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
     """Return what identifies a remote policy's server; empty for other policies."""
-    if not policy.is_remote:
+    acting = policy.acting
+    if not acting.is_remote:
         return {}
     from roboxim_bringup.runs.servers import server_record
 
     return server_record(
-        policy, RunFolder(Path(config.out) / policy.name), len(config.indices), config.policy_timeout_s
+        acting, RunFolder(Path(config.out) / policy.name), len(config.indices), config.policy_timeout_s
     ).plain
 
 

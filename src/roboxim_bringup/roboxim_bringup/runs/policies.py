@@ -24,6 +24,7 @@ from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
 from roboxim_policies.wires import REFUSED
 
 EXPERT = "expert"
+REWORDED = "reworded"
 CHECKPOINT = "checkpoint"
 NAME = r"\w[\w-]*"
 
@@ -58,6 +59,20 @@ class ChosenPolicy(PolicySpec):
         return None if self.make is None else PolicyLaunch(spec=self.spec, options=self.options)
 
     @property
+    def acting(self) -> ChosenPolicy:
+        """The policy that decides on the actions: itself, or the one to which ``reworded`` gives other words.
+
+        Raises:
+            ConfigError: When there is no such policy.
+            PolicyError: When its module raises.
+        """
+        inner = self.options.get("policy")
+        if self.spec != REWORDED or not isinstance(inner, str):
+            return self
+        options = {key: value for key, value in self.options.items() if key not in ("policy", "instruction")}
+        return replace(self, spec=inner, options=options, make=find_policy(inner)).acting
+
+    @property
     def takes_checkpoint(self) -> bool:
         """Whether its class has an argument ``checkpoint``."""
         return self.make is not None and CHECKPOINT in inspect.signature(self.make).parameters
@@ -75,6 +90,8 @@ class ChosenPolicy(PolicySpec):
     @property
     def cameras(self) -> tuple[str, ...]:
         """Cameras that the policy needs, as far as known without an instance of it."""
+        if self.acting is not self:
+            return self.acting.cameras
         if self.spec == "bc":
             return tuple(read_description(Path(self.options[CHECKPOINT])).get("camera_sizes", ()))
         convention = self.options.get("convention")
@@ -89,11 +106,13 @@ class ChosenPolicy(PolicySpec):
     @property
     def robot(self) -> str:
         """Robot that the policy was trained with; empty when unknown."""
-        return str(read_description(Path(self.options[CHECKPOINT])).get("robot", "")) if self.spec == "bc" else ""
+        acting = self.acting
+        return str(read_description(Path(acting.options[CHECKPOINT])).get("robot", "")) if acting.spec == "bc" else ""
 
     def files(self, out: Path) -> dict[str, str]:
         """Return the files that define the policy, see `policy_files`, without those in the results' folder."""
-        return {} if self.make is None else policy_files(self.spec, self.make, self.options, exclude=out)
+        acting = self.acting
+        return {} if acting.make is None else policy_files(acting.spec, acting.make, acting.options, exclude=out)
 
 
 def choose_policies(
@@ -269,7 +288,9 @@ def _require_valid(policy: ChosenPolicy) -> None:
             f"{policy.name}=PATH, or PolicySpec(spec='bc', options={{'checkpoint': PATH}})"
         )
     require_arguments(policy.spec, policy.make, policy.options)
-    if policy.spec == "bc":
+    if policy.acting is not policy:
+        _require_valid(policy.acting)
+    elif policy.spec == "bc":
         read_description(Path(policy.options[CHECKPOINT]))
     elif policy.make.__module__ == roboxim_policies.builtin.__name__:
         load_policy(policy.spec, **policy.options)  # quick, and names the wrong value

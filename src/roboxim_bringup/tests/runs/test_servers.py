@@ -5,7 +5,7 @@ import json
 import pytest
 
 from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.policies import choose_policies
+from roboxim_bringup.runs.policies import PolicySpec, choose_policies, find_policies
 from roboxim_bringup.runs.servers import server_record
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, PolicyError
@@ -44,6 +44,20 @@ def test_folder_goes_on_with_the_same_model_only(tmp_path):
 def test_deadline_longer_than_the_evaluators_is_refused(tmp_path):
     with served() as server, pytest.raises(ConfigError, match="waits 90 s for its server, the evaluator only 30 s"):
         server_record(chosen(server.url), RunFolder(tmp_path / "there"), 1, 30.0)
+
+
+def test_remote_policy_with_other_words_is_recognised_as_well(tmp_path):
+    from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+
+    options = {"policy": "openpi", "instruction": "", "url": "ws://localhost:1", "version": "1", "reconnect_s": 0.0}
+    spec = PolicySpec(spec="reworded", name="mute", options={**options, "convention": "libero"})
+    (policy,) = find_policies([spec])
+    assert policy.acting.is_remote
+    assert policy.cameras == ("workspace", "wrist")
+    with pytest.raises(PolicyError, match="cannot be reached"):  # asked before the first worker starts
+        evaluate(EvaluationConfig(policies=[spec], out=tmp_path / "out", episodes=1, workers=1))
+    with pytest.raises(ConfigError, match="did you mean 'libero'"):
+        find_policies([PolicySpec(spec="reworded", options={**options, "convention": "libreo"})])
 
 
 def test_mistake_in_the_options_is_found_without_a_server():
