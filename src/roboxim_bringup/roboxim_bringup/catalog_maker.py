@@ -100,6 +100,7 @@ def _policies() -> dict[str, Any]:
             "options": {
                 option.name: "required" if option.default is option.empty else f"default {option.default!r}"
                 for option in inspect.signature(POLICIES[name]).parameters.values()
+                if option.kind != option.VAR_KEYWORD
             },
         }
         for name in POLICIES

@@ -74,7 +74,7 @@ def named_config(kind: str, name: str) -> Path:
         for folder in config_dirs():
             if (path := folder / kind / f"{name}.yaml").is_file():
                 return path
-    raise ConfigError(f"no {kind} configuration '{name}'; {one_of(config_names(kind), name)}")
+    raise ConfigError(f"no '{name}' in config/{kind}; {one_of(config_names(kind), name)}")
 
 
 def is_path(name: str) -> bool:

@@ -12,14 +12,16 @@ A policy is one class with one ``act`` method::
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -193,18 +195,41 @@ def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping
     """Refuse missing arguments, arguments that a policy does not take, and values of a wrong type.
 
     Raises:
-        ConfigError: The message shows the policy's arguments.
+        ConfigError: The message names each wrong and missing argument, and lists the policy's arguments.
     """
-    try:
-        inspect.signature(make).bind(**arguments)
-    except TypeError as error:
-        raise ConfigError(
-            f"policy '{spec}' does not take these arguments: {error}; it takes {inspect.signature(make)}"
-        ) from None
     kinds = inspect.signature(make, eval_str=True).parameters
+    named = {name: kind for name, kind in kinds.items() if kind.kind not in (kind.VAR_POSITIONAL, kind.VAR_KEYWORD)}
+    takes_any = any(kind.kind == kind.VAR_KEYWORD for kind in kinds.values())
+    found = (
+        [] if takes_any else [f"'{name}' is unknown{_nearest(named, name)}" for name in arguments if name not in named]
+    )
+    about = _argument_texts(make)
+    for name, kind in named.items():
+        if kind.default is kind.empty and name not in arguments:
+            found.append(f"'{name}' is missing" + (f" ({about[name]})" if name in about else ""))
+    if found:
+        takes = [name if kind.default is kind.empty else f"{name}={kind.default!r}" for name, kind in named.items()]
+        raise ConfigError(
+            f"policy '{spec}' does not take these arguments: {'; '.join(found)}. "
+            f"It takes {', '.join(takes) or 'none'}; pass them with --option NAME=VALUE"
+        )
     for name, value in arguments.items():
         if name in kinds and kinds[name].annotation in (bool, int, float, str):
             from_plain(value, kinds[name].annotation, source=f"argument '{name}' of policy '{spec}'")
+
+
+def _nearest(names: Iterable[str], given: str) -> str:
+    """Return a hint at the name that was probably meant; empty: none is near."""
+    close = difflib.get_close_matches(given[:200], list(names), n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def _argument_texts(make: Callable[..., Any]) -> dict[str, str]:
+    """Return what the docstring of a class or factory says of its arguments, by name, without the final full stop."""
+    doc = inspect.getdoc(make.__init__ if isinstance(make, type) else make) or ""
+    listed = doc.partition("Args:\n")[2].partition("\n\n")[0]
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8,}.*)*)", listed, re.MULTILINE)
+    return {name: " ".join(text.split()).replace("``", "").rstrip(".") for name, text in entries}
 
 
 def _load_class(spec: str) -> Callable[..., Policy]:

@@ -335,8 +335,9 @@ def remote_policy(
     Args:
         wire: Registered name of the wire.
         url: Address of the server.
-        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``.
-        version: What the model is.
+        convention: What the model's numbers mean: a name that ``roboxim policy conventions`` lists, the path of a
+            YAML file, or ``server``: the server's own.
+        version: What the model is, e.g. ``pi05_libero``, since RoboXim cannot hash a model that a server holds.
         timeout_s: Deadline of an answer [s].
         reconnect_s: Time in which a refused connection is tried again [s].
         key_env: Environment variable with the server's key.
@@ -379,8 +380,9 @@ def behind(wire: type[Wire], servers: str) -> Callable[..., RemotePolicy]:
 
     Args:
         url: Address of the server, e.g. ``{wire.schemes[0]}://127.0.0.1:{wire.port}``.
-        convention: A name in ``config/conventions``, the path of a YAML file, or ``server``: the server's own.
-        version: What the model is.
+        convention: What the model's numbers mean: a name that ``roboxim policy conventions`` lists, the path of a
+            YAML file, or ``server``: the server's own.
+        version: What the model is, e.g. ``pi05_libero``, since RoboXim cannot hash a model that a server holds.
         **options: Arguments of `{wire.__name__}`.
 
     Raises:

@@ -65,6 +65,16 @@ def test_remote_policy_needs_a_version():
         load_policy("openpi", url="ws://localhost:1", convention="libero", version="")
 
 
+def test_misspelt_and_missing_options_are_named_with_their_meaning():
+    words = (
+        r"'convension' is unknown \(did you mean 'convention'\?\); "
+        r"'convention' is missing \(.*roboxim policy conventions .*'version' is missing "
+        r"\(.*cannot hash.*It takes url, convention, version, timeout_s=90.0, "
+    )
+    with pytest.raises(ConfigError, match=words):
+        load_policy("openpi", url="ws://localhost:1", convension="libero")
+
+
 def test_server_without_a_convention_of_its_own_is_named():
     with openpi_fake() as server, pytest.raises(PolicyError, match="declares no convention.*convention=libero"):
         remote(server.url, "server")
