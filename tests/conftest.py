@@ -25,3 +25,35 @@ def expert_bag(tmp_path_factory):
         return folder / result.bag, result, list(BagReader(folder / result.bag).ticks())
 
     return record
+
+
+@pytest.fixture(scope="session")
+def small_bc(tmp_path_factory):
+    """A `bc` checkpoint after four steps on random pictures of 32 x 32 px: it acts, but cannot do anything."""
+    import numpy as np
+
+    from roboxim_core.actions import ActionSemantics
+    from roboxim_core.proprioception import Proprioception
+    from roboxim_policies.bc.config import BCConfig
+    from roboxim_policies.bc.data import Demonstration, assemble
+    from roboxim_policies.bc.train import Trainer
+
+    rng = np.random.default_rng(0)
+    demonstrations = [
+        Demonstration(
+            images={name: rng.integers(0, 255, (8, 32, 32, 3), np.uint8) for name in ("workspace", "wrist")},
+            proprio=np.stack([Proprioception(tcp_position=(0.5, 0.01 * i, 0.3)).vector() for i in range(8)]),
+            actions=np.float32(rng.normal(size=(8, 7)) * 0.01 + np.array([0] * 6 + [0.5])),
+            instruction="Pick up the red cube",
+        )
+        for _ in range(4)
+    ]
+    sizes = {"workspace": (32, 32), "wrist": (32, 32)}
+    data = assemble(demonstrations, camera_sizes=sizes, semantics=ActionSemantics(), robot="panda")
+    settings = BCConfig(
+        steps=4, batch=4, warmup_steps=1, chunk=4, execute=2, channels=8, keypoints=8, hidden=32,
+        image_sizes={"workspace": 32, "wrist": 32}, checkpoint_every=4,
+    )  # fmt: skip
+    folder = tmp_path_factory.mktemp("bc")
+    Trainer(data, settings, folder).run()
+    return folder

@@ -125,30 +125,8 @@ def test_failing_server_costs_its_episode_and_the_run_goes_on(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_bc_over_the_wire_equals_bc_in_process(tmp_path):
-    from roboxim_core.proprioception import Proprioception
-    from roboxim_policies.bc.config import BCConfig
-    from roboxim_policies.bc.data import Demonstration, assemble
-    from roboxim_policies.bc.train import Trainer
-
-    rng = np.random.default_rng(0)
-    demonstrations = [
-        Demonstration(
-            images={name: rng.integers(0, 255, (8, 32, 32, 3), np.uint8) for name in ("workspace", "wrist")},
-            proprio=np.stack([Proprioception(tcp_position=(0.5, 0.01 * i, 0.3)).vector() for i in range(8)]),
-            actions=np.float32(rng.normal(size=(8, 7)) * 0.01 + np.array([0] * 6 + [0.5])),
-            instruction="Pick up the red cube",
-        )
-        for _ in range(4)
-    ]
-    sizes = {"workspace": (32, 32), "wrist": (32, 32)}
-    data = assemble(demonstrations, camera_sizes=sizes, semantics=ActionSemantics(), robot="panda")
-    small = BCConfig(
-        steps=4, batch=4, warmup_steps=1, chunk=4, execute=2, channels=8, keypoints=8, hidden=32,
-        image_sizes={"workspace": 32, "wrist": 32}, checkpoint_every=4,
-    )  # fmt: skip
-    Trainer(data, small, tmp_path / "bc").run()
-    checkpoint = {"checkpoint": str(tmp_path / "bc")}
+def test_bc_over_the_wire_equals_bc_in_process(small_bc, tmp_path):
+    checkpoint = {"checkpoint": str(small_bc)}
     with policy_server(lambda: load_policy("bc", **checkpoint), "openpi", port=0) as server:
         local = PolicySpec(spec="bc", name="here", options=checkpoint)
         found = evaluate(config(tmp_path / "out", [local, remote_spec(server)], size=0))

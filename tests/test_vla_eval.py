@@ -8,6 +8,7 @@ from vla_eval.model_servers.predict import PredictModelServer
 from roboxim.vla_eval import RoboXimBenchmark
 from roboxim_core.conventions import load_convention
 from roboxim_core.errors import InvalidRequestError
+from roboxim_policies import load_policy
 from roboxim_policies.builtin import ReplayPolicy
 from roboxim_policies.serving import policy_server
 
@@ -65,6 +66,19 @@ def test_a_served_policy_of_roboxim_solves_the_same_episode(expert, tmp_path):
         (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5)
     assert episode["metrics"]["success"], episode
     assert episode["steps"] == len(actions)
+
+
+@pytest.mark.slow
+def test_the_orchestrator_drives_bc_whose_pictures_have_the_size_of_its_training(small_bc, tmp_path):
+    logged = []
+    served = policy_server(
+        lambda: load_policy("bc", checkpoint=small_bc), "vla_eval", convention=load_convention("roboxim"), port=0,
+        log=logged.append,
+    )  # fmt: skip
+    with served:
+        (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5, max_steps=3)
+    assert not logged
+    assert (episode["steps"], episode["metrics"]["success"]) == (3, False)
 
 
 def test_liberos_models_get_liberos_pictures_state_and_rate(tmp_path):

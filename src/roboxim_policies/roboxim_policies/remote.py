@@ -261,8 +261,9 @@ def declared_convention(wire: Wire) -> Convention:
     declared = own.get("convention") if isinstance(own, dict) else None
     if not isinstance(declared, dict):
         raise PolicyError(
-            f"{wire.server} declares no convention, only RoboXim's own servers do; name the one that its model was "
-            "trained in, e.g. convention=libero"
+            f"{wire.server} declares no convention; only RoboXim's own servers do, over openpi's and vla-eval's wire. "
+            "Name the convention that its model was trained in, e.g. convention=libero, or the one that it was served "
+            "in (roboxim policy serve --convention)"
         )
     try:
         return from_plain(declared, Convention, source=f"the convention that {wire.server} declares")

@@ -92,7 +92,8 @@ class Sessions:
             size: See `own_convention`.
 
         Raises:
-            ConfigError: When the policy is privileged, or needs cameras that the convention does not have.
+            ConfigError: When the policy is privileged, needs cameras that the convention does not have, or has actions
+                that cannot be said in the convention.
         """
         self._make = make
         first = GuardedPolicy(make())
@@ -113,6 +114,7 @@ class Sessions:
                 f"policy '{self.description.name}' needs camera {', '.join(missing)}, the convention "
                 f"'{self.convention.name}' has {', '.join(cameras) or 'none'}"
             )
+        _require_convertible(self.description, self.convention)
         self._free = [first]
         self._open = 0
         self._lock = threading.Lock()
@@ -142,6 +144,26 @@ class Sessions:
         """Forget the instances."""
         with self._lock:
             self._free.clear()
+
+
+def _require_convertible(description: PolicyDescription, convention: Convention) -> None:
+    """Refuse a convention of another rate, or of joints where the policy moves the end effector.
+
+    Raises:
+        ConfigError: With the way round.
+    """
+    source, target = description.semantics, convention.semantics
+    if "rate_hz" in source.differing(target):
+        raise ConfigError(
+            f"policy '{description.name}' acts at {source.rate_hz:g} Hz, the convention '{convention.name}' at "
+            f"{target.rate_hz:g} Hz; serve it in a copy of the convention with rate_hz: {source.rate_hz:g} to a client "
+            "of this rate, or without --convention"
+        )
+    if source.control.is_joint_space != target.control.is_joint_space:
+        raise ConfigError(
+            f"policy '{description.name}' acts by '{source.control}', the convention '{convention.name}' by "
+            f"'{target.control}', which only the robot's kinematics convert; choose another convention"
+        )
 
 
 class Session:
@@ -235,7 +257,15 @@ class Session:
             raise InvalidRequestError(
                 f"'{image.key}' must have {size} RGB pictures, in the layout '{image.layout}', got {value.shape}"
             )
-        return [frame[::-1, ::-1] if image.turn_180 else frame for frame in frames]
+        frames = [frame[::-1, ::-1] if image.turn_180 else frame for frame in frames]
+        return [self._sized(image.camera, frame) for frame in frames]
+
+    def _sized(self, camera: str, picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Return a picture at the size that the policy states for the camera, if it states one."""
+        want = next((want for want in self._guard.description.cameras if want.name == camera), None)
+        if want is None or not want.width or not want.height:
+            return picture
+        return ImageInput(camera=camera, key=camera, width=want.width, height=want.height).prepare(picture)
 
     def _proprioception(self, request: Mapping[str, Any]) -> list[Proprioception]:
         """Return what the request's states say of the arm at each of its ticks."""

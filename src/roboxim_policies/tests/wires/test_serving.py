@@ -15,7 +15,7 @@ from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, 
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy, load_policy
-from roboxim_policies.serving import policy_server
+from roboxim_policies.serving import Sessions, policy_server
 from roboxim_policies.wires import openvla
 
 
@@ -192,6 +192,30 @@ def test_web_pages_cannot_use_a_server():
             pass
 
 
+def test_policy_gets_pictures_of_the_size_that_it_states():
+    """A checkpoint states the sizes of its training; a client of LIBERO sends 224 x 224 px."""
+
+    class Small(Approach):
+        cameras = (CameraRequirement(name="workspace", width=48, height=32), CameraRequirement(name="wrist"))
+
+        def act(self, window):
+            assert window.newest.images["wrist"].shape == (224, 224, 3)
+            action = super().act(window)
+            action[3] = window.newest.images["workspace"][:16].mean() / 1000  # of the upper half
+            return action
+
+    libero = load_convention("libero")
+    picture = np.zeros((224, 224, 3), np.uint8)
+    picture[:112] = 200
+    request = {
+        "observation/image": picture, "observation/wrist_image": picture, "prompt": "red",
+        "observation/state": np.array([-0.16, 0.1, 1.212, np.pi, 0, 0, 0.04, -0.04]),
+    }  # fmt: skip
+    sessions = Sessions(Small, convention=libero)
+    with sessions.session() as session:
+        assert session.answer(request)[0, 3] == pytest.approx(0.2 / 0.5, abs=0.01)
+
+
 def test_what_cannot_be_served_is_refused():
     class Privileged(Looking):
         privileged = True
@@ -204,3 +228,11 @@ def test_what_cannot_be_served_is_refused():
     blind = replace(roboxim, images=roboxim.images[:1])
     with pytest.raises(ConfigError, match="needs camera wrist, the convention"):
         policy_server(Looking, "openpi", convention=blind)
+
+    class Slow(Approach):
+        semantics = ActionSemantics(rate_hz=10)
+
+    with pytest.raises(ConfigError, match="acts at 10 Hz, the convention 'libero' at 20 Hz.*a copy of the convention"):
+        policy_server(Slow, "openpi", convention=load_convention("libero"))
+    with pytest.raises(ConfigError, match="acts by 'end_effector_delta', the convention 'droid_velocity' by"):
+        policy_server(Approach, "openpi", convention=load_convention("droid_velocity"))
