@@ -20,6 +20,7 @@ import argparse
 import contextlib
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -214,6 +215,7 @@ def main() -> int:
         if server.command and server.environment:
             made = [sys.executable, str(ROOT / "scripts" / "make_environment.py"), server.environment]
             subprocess.run(made, check=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the servers are stopped
     out = Path(options.out).resolve()
     roboxim = str(Path(sys.executable).parent / "roboxim")
     with contextlib.ExitStack() as stack:
