@@ -215,8 +215,13 @@ def one_of(choices: Iterable[str], given: str) -> str:
         ``"did you mean 'cube'? (33 names are known)"``, or all of them when none is near.
     """
     names = sorted(choices)
-    close = difflib.get_close_matches(given[:200], names, n=1)
-    if close and len(names) > LISTED:
-        return f"did you mean '{close[0]}'? ({len(names)} names are known)"
-    hint = f" (did you mean '{close[0]}'?)" if close else ""
-    return f"expected one of: {', '.join(names) or '(none registered)'}{hint}"
+    hint = nearest(names, given)
+    if hint and len(names) > LISTED:
+        return f"{hint} ({len(names)} names are known)"
+    return f"expected one of: {', '.join(names) or '(none registered)'}{f' ({hint})' if hint else ''}"
+
+
+def nearest(choices: Iterable[str], given: str) -> str:
+    """Return a hint at the name that was probably meant, e.g. ``"did you mean 'cube'?"``; empty: none is near."""
+    close = difflib.get_close_matches(given[:200], list(choices), n=1)
+    return f"did you mean '{close[0]}'?" if close else ""

@@ -12,7 +12,6 @@ A policy is one class with one ``act`` method::
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 import inspect
@@ -21,7 +20,7 @@ import re
 import sys
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -31,7 +30,7 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionSemantics, Chunking, GripperRule, check_chunk
 from roboxim_core.config import from_plain
-from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, one_of
+from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, nearest, one_of
 from roboxim_core.policies import (
     ActionChunk,
     CameraRequirement,
@@ -200,9 +199,10 @@ def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping
     kinds = inspect.signature(make, eval_str=True).parameters
     named = {name: kind for name, kind in kinds.items() if kind.kind not in (kind.VAR_POSITIONAL, kind.VAR_KEYWORD)}
     takes_any = any(kind.kind == kind.VAR_KEYWORD for kind in kinds.values())
-    found = (
-        [] if takes_any else [f"'{name}' is unknown{_nearest(named, name)}" for name in arguments if name not in named]
-    )
+    found = []
+    for name in () if takes_any else [name for name in arguments if name not in named]:
+        hint = nearest(named, name)
+        found.append(f"'{name}' is unknown" + (f" ({hint})" if hint else ""))
     about = _argument_texts(make)
     for name, kind in named.items():
         if kind.default is kind.empty and name not in arguments:
@@ -216,12 +216,6 @@ def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping
     for name, value in arguments.items():
         if name in kinds and kinds[name].annotation in (bool, int, float, str):
             from_plain(value, kinds[name].annotation, source=f"argument '{name}' of policy '{spec}'")
-
-
-def _nearest(names: Iterable[str], given: str) -> str:
-    """Return a hint at the name that was probably meant; empty: none is near."""
-    close = difflib.get_close_matches(given[:200], list(names), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def _argument_texts(make: Callable[..., Any]) -> dict[str, str]:
