@@ -34,9 +34,10 @@ def main() -> None:
     conventions = {name: load_convention(name) for name in (names[:2] if bench.quick else names)}
     log = ResultsLog(bench.options.log) if bench.options.log else None
     results = {entry.key: entry.data for entry in log.read()} if log else {}
-    for index in range(1 if bench.quick else bench.options.episodes):
+    episodes = range(1 if bench.quick else bench.options.episodes)
+    for index in episodes:
         measure(conventions, index, results, log)
-    rates = [row(bench, name, results) for name in conventions]
+    rates = [row(bench, convention, episodes, results) for convention in conventions.values()]
     bench.finish("lowest success rate of a convention", min(rates), "", at_least=0.99)
 
 
@@ -69,14 +70,14 @@ def measure(conventions: dict[str, Convention], index: int, results: dict[str, d
                 log.append(key_of(convention, index), found)
 
 
-def row(bench: Bench, name: str, results: dict[str, dict]) -> float:
-    """Add a convention's row; return its success rate."""
-    mine = [result for result in results.values() if result["convention"] == name]
+def row(bench: Bench, convention: Convention, episodes: range, results: dict[str, dict]) -> float:
+    """Add a convention's row; return its success rate. Results of an earlier form of the convention do not count."""
+    mine = [results[key_of(convention, index)] for index in episodes]
     played = [result for result in mine if result["outcome"] != "expert failed"]
     solved = sum(result["outcome"] == "success" for result in played)
     failures = Counter(result["reason"] for result in played if result["outcome"] != "success")
     bench.row(
-        convention=name, solved=solved, played=len(played), expert_failed=len(mine) - len(played),
+        convention=convention.name, solved=solved, played=len(played), expert_failed=len(mine) - len(played),
         clipped=sum(result["clipped"] for result in played),
         failures=", ".join(f"{count} {reason}" for reason, count in sorted(failures.items())),
     )  # fmt: skip
