@@ -49,7 +49,7 @@ class Fake:
 
 
 @contextlib.contextmanager
-def websocket_fake(fake: Fake, serve_connection) -> Iterator[Fake]:
+def websocket_fake(fake: Fake, serve_connection, port: int) -> Iterator[Fake]:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.server import serve
 
@@ -57,7 +57,7 @@ def websocket_fake(fake: Fake, serve_connection) -> Iterator[Fake]:
         with contextlib.suppress(ConnectionClosed, OSError):
             serve_connection(connection)
 
-    with serve(handler, "127.0.0.1", 0, compression=None, ping_interval=None, close_timeout=0.2) as server:
+    with serve(handler, "127.0.0.1", port, compression=None, ping_interval=None, close_timeout=0.2) as server:
         fake.url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -92,7 +92,7 @@ def break_websocket(connection, behaviour: str) -> bool:
 
 
 @contextlib.contextmanager
-def openpi_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fake]:
+def openpi_fake(*behaviours: str, metadata: dict | None = None, port: int = 0) -> Iterator[Fake]:
     fake = Fake(*behaviours)
     metadata = metadata or {}
 
@@ -123,12 +123,12 @@ def openpi_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fake
             if behaviour == "twice":
                 connection.send(openpi.encode({"actions": STALE}))
 
-    with websocket_fake(fake, serve_connection):
+    with websocket_fake(fake, serve_connection, port):
         yield fake
 
 
 @contextlib.contextmanager
-def vla_eval_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fake]:
+def vla_eval_fake(*behaviours: str, metadata: dict | None = None, port: int = 0) -> Iterator[Fake]:
     fake = Fake(*behaviours)
     hello = {"protocol_version": 1, "model_server": "Fake", **(metadata or {})}
 
@@ -161,12 +161,12 @@ def vla_eval_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fa
             else:
                 send("action", {"actions": rows_for(behaviour)}, request["seq"])
 
-    with websocket_fake(fake, serve_connection):
+    with websocket_fake(fake, serve_connection, port):
         yield fake
 
 
 @contextlib.contextmanager
-def openvla_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fake]:
+def openvla_fake(*behaviours: str, metadata: dict | None = None, port: int = 0) -> Iterator[Fake]:
     fake = Fake(*behaviours)
 
     class Handler(BaseHTTPRequestHandler):
@@ -195,7 +195,7 @@ def openvla_fake(*behaviours: str, metadata: dict | None = None) -> Iterator[Fak
         def log_message(self, *_: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
     server.daemon_threads = False
     fake.url = f"http://127.0.0.1:{server.server_address[1]}"
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
@@ -226,14 +226,13 @@ def modality_config(kind: groot.Serialiser) -> dict:
 
 @contextlib.contextmanager
 def groot_fake(
-    *behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16, token: str = ""
+    *behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16, token: str = "", port: int = 0
 ) -> Iterator[Fake]:
     import zmq
 
     fake = Fake(*behaviours)
     context = zmq.Context()
-    ended = threading.Event()
-    port = 0
+    ended, bound = threading.Event(), threading.Event()
 
     def new_socket():
         nonlocal port
@@ -271,6 +270,7 @@ def groot_fake(
 
     def serve() -> None:
         server = new_socket()
+        bound.set()
         while not ended.is_set():
             if not server.poll(20):
                 continue
@@ -294,11 +294,9 @@ def groot_fake(
                 server.send(kind.encode({}))
         server.close(0)
 
-    fake.url = ""
     first = threading.Thread(target=serve)
     first.start()
-    while not port:
-        threading.Event().wait(0.01)
+    bound.wait(60)
     fake.url = f"tcp://127.0.0.1:{port}"
     try:
         yield fake

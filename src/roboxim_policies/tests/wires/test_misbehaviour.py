@@ -1,5 +1,7 @@
 """Each misbehaviour of a server is one named error within its deadline, and the next episode succeeds."""
 
+import asyncio
+import contextlib
 import gc
 import os
 import socket
@@ -8,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import websockets.asyncio.server
 from fake_servers import FAKES, GOOD, groot_fake, openpi_fake, vla_eval_fake
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
@@ -143,6 +146,17 @@ def test_server_that_comes_back_is_found_by_the_next_try(name, made):
     with pytest.raises(PolicyError) as caught:
         answer(wire)
     assert caught.value.code == DIED
+    pauses = []
+    with contextlib.ExitStack() as stack:
+
+        def start_in_second_pause(seconds):
+            pauses.append(seconds)
+            if len(pauses) == 2:
+                stack.enter_context(FAKES[name](port=int(first.url.rpartition(":")[2])))
+
+        wire.pause, wire.reconnect_s = start_in_second_pause, GENEROUS_S
+        np.testing.assert_allclose(answer(wire), GOOD)
+    assert pauses == [0.25, 0.5]
 
 
 def test_host_that_accepts_but_never_speaks_is_late(made):
@@ -309,6 +323,35 @@ def test_first_call_of_a_minute_is_not_cut_off(made):
         assert wire._socket._connection.ping_interval is None
         threading.Timer(0.5, server.released.set).start()
         assert wire.ask(REQUEST)["actions"].shape == (3, 7)
+
+
+@pytest.mark.slow
+def test_first_call_of_65_seconds_succeeds_with_the_default_options():
+    """The server computes in its event loop, as openpi's does, and so answers no ping meanwhile."""
+    ready, urls = threading.Event(), []
+
+    async def talk(connection):
+        await connection.send(openpi.encode({}))
+        async for _ in connection:
+            time.sleep(65)  # noqa: ASYNC251 - blocks the event loop on purpose
+            await connection.send(openpi.encode({"actions": GOOD}))
+
+    async def main():
+        async with websockets.asyncio.server.serve(talk, "127.0.0.1", 0) as server:  # with its default keepalive
+            urls.append(f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}")
+            ready.set()
+            await asyncio.to_thread(done.wait)
+
+    done, thread = threading.Event(), threading.Thread(target=lambda: asyncio.run(main()))
+    thread.start()
+    try:
+        ready.wait(60)
+        wire = find_wire("openpi")(urls[0])
+        np.testing.assert_allclose(answer(wire), GOOD)
+        wire.close()
+    finally:
+        done.set()
+        thread.join()
 
 
 @pytest.mark.parametrize(
