@@ -1,8 +1,10 @@
 """The zero-shot experiments of thesis 5.1 in one command, with servers around stand-ins for the models."""
 
+import contextlib
 import importlib.util
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -87,24 +89,64 @@ def test_both_experiments_run_from_servers_to_cards(tmp_path):
             "OCTO_URL": first.url, "RT1_URL": second.url, "OPENVLA_CHECKPOINT": "openvla/openvla-7b",
             "OPENVLA_SOURCE": str(STAND_INS / "openvla_stand_in"), "OPENVLA_PYTHON": sys.executable,
         }  # fmt: skip
-        command = [
-            sys.executable, ROOT / "scripts/zero_shot.py", "--out", tmp_path, "--scale", "smoke", "--first-port", "0",
-        ]  # fmt: skip
-        command[-1] = str(free_port())
-        done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+        run_experiments(tmp_path, environment)
     for name in zero_shot.EXPERIMENTS:
-        card = json.loads((tmp_path / name / "card.json").read_text())
-        assert card["experiment"]["name"] == name
-        for condition in ("octo", "rt_1_x", "openvla"):
-            (results,) = (tmp_path / name / "evaluate" / f"{condition}.0").rglob("results.jsonl")
-            (line,) = results.read_text().splitlines()
-            assert '"outcome": "error"' not in line, line
+        require_results(tmp_path / name)
 
 
-def free_port():
-    import socket
+@pytest.mark.ros
+@pytest.mark.slow
+def test_one_command_starts_and_stops_the_servers_of_all_three_models(tmp_path):
+    """Octo's and RT-1-X's servers run in their environments: on a class of Octo's interface, on a SavedModel."""
+    environments = [ROOT / ".tools" / f"policy-{name}-env/bin/python" for name in ("octo", "rt1")]
+    if missing := [str(python) for python in environments if not python.exists()]:
+        pytest.skip(f"no {', '.join(missing)}: run scripts/make_environment.py policy-octo, and policy-rt1")
+    subprocess.run([environments[1], STAND_INS / "make_rt1_stand_in.py", tmp_path], check=True, capture_output=True)
+    octo = tmp_path / "octo"
+    octo.mkdir()
+    (octo / "config.json").write_text("{}")
+    part = {"mean": [0.0] * 7, "std": [0.01] * 7, "mask": [True] * 6 + [False]}
+    (octo / "dataset_statistics.json").write_text(json.dumps({"bridge_dataset": {"action": part}}))
+    environment = {
+        "OCTO_CHECKPOINT": str(octo), "OCTO_SOURCE": str(STAND_INS / "octo_stand_in"),
+        "RT1_CHECKPOINT": str(tmp_path / "model"), "RT1_ENCODER": str(tmp_path / "encoder"),
+        "OPENVLA_CHECKPOINT": "openvla/openvla-7b", "OPENVLA_SOURCE": str(STAND_INS / "openvla_stand_in"),
+        "OPENVLA_PYTHON": sys.executable,
+    }  # fmt: skip
+    port = run_experiments(tmp_path, environment, "--experiments", "zero_shot")
+    require_results(tmp_path / "zero_shot")
+    for number in range(port, port + 3):
+        with socket.socket() as probe:
+            assert probe.connect_ex(("127.0.0.1", number)) != 0, f"a server still runs at port {number}"
 
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return taken.getsockname()[1] - 2  # OpenVLA's is the third
+
+def run_experiments(out, environment, *options):
+    """Run the command; return the port of the first server."""
+    port = first_of_free_ports(3)
+    command = [sys.executable, ROOT / "scripts/zero_shot.py", "--out", out, "--scale", "smoke", *options]
+    command += ["--first-port", str(port)]
+    done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return port
+
+
+def require_results(folder):
+    card = json.loads((folder / "card.json").read_text())
+    assert card["experiment"]["name"] == folder.name
+    for condition in ("octo", "rt_1_x", "openvla"):
+        (results,) = (folder / "evaluate" / f"{condition}.0").rglob("results.jsonl")
+        (line,) = results.read_text().splitlines()
+        assert '"outcome": "error"' not in line, line
+
+
+def first_of_free_ports(count):
+    """Return the first of several free ports that follow each other."""
+    while True:
+        with contextlib.ExitStack() as stack:
+            sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+            sockets[0].bind(("127.0.0.1", 0))
+            first = sockets[0].getsockname()[1]
+            with contextlib.suppress(OSError, OverflowError):
+                for i, taken in enumerate(sockets[1:], 1):
+                    taken.bind(("127.0.0.1", first + i))
+                return first
