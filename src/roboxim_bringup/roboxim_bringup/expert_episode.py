@@ -46,6 +46,16 @@ class ExpertEpisode:
         """Mean speed of the tool centre point [m/s]."""
         return float(np.linalg.norm(self.actions[:, :3], axis=1).mean()) * self.rate_hz
 
+    @property
+    def joints(self) -> Floats:
+        """Measured arm joint positions before each action, shape (n, joints) [rad]."""
+        return np.array([state.robot.joint_positions for state in self.states], dtype=float)
+
+    @property
+    def joint_speed(self) -> float:
+        """Mean speed of the arm joints, as the norm over all joints [rad/s]."""
+        return float(np.linalg.norm(np.diff(self.joints, axis=0), axis=1).mean()) * self.rate_hz
+
     def window(self, seq: int, size: int) -> ObservationWindow:
         """Return the observation window of a tick."""
         first = max(seq - size + 1, 0)

@@ -77,6 +77,7 @@ def check_policy(
     pictures = {image.key: _upright(convention, image.key, requests[0][image.key]) for image in convention.images}
     answers = Answers(
         raw=raw, pictures=pictures, expert=episode.actions[ticks], expert_speed=episode.speed,
+        joints=episode.joints[ticks], expert_joint_speed=episode.joint_speed,
     )  # fmt: skip
     lines = [
         f"server      {policy.wire.server}",

@@ -22,6 +22,8 @@ SATURATED = 0.5
 """Share of numbers at a bound from which on answers count as saturated."""
 SPEED_RATIO = 8.0
 """Ratio to the expert's mean speed from which on a speed is suspicious."""
+JUMP_RAD = 0.5
+"""Distance of a commanded joint position from the joint [rad] from which on it is suspicious."""
 BLANK = 2.0
 """Standard deviation of a picture's numbers, 0..255, below which it shows nothing."""
 
@@ -98,6 +100,10 @@ class Answers:
     """The expert's actions at these ticks, of RoboXim's default meaning, shape (ticks, 7)."""
     expert_speed: float
     """Mean speed of the expert's tool centre point in its episode [m/s]."""
+    joints: Floats
+    """Measured arm joint positions at these ticks, shape (ticks, joints) [rad]."""
+    expert_joint_speed: float
+    """Mean speed of the expert's arm joints in its episode, as the norm over all joints [rad/s]."""
 
 
 def suspicions(convention: Convention, answers: Answers) -> list[str]:
@@ -152,35 +158,54 @@ def _of_pictures(convention: Convention, pictures: Mapping[str, Picture]) -> lis
 def _of_motion(convention: Convention, decoded: Floats, answers: Answers) -> list[str]:
     meaning = convention.semantics
     if meaning.control.is_joint_space:
-        steps = np.abs(decoded[:, :-1])
-        if meaning.control == "joint_position" and float(steps.max()) <= 1.0:
-            return ["joint positions are all within 1 rad: are they un-normalised?"]
-        return []
+        return _of_joints(convention, decoded[:, :-1], answers)
     if meaning.control == "end_effector_absolute":
         far = float(np.linalg.norm(decoded[:, :3], axis=1).max())
         return [f"a commanded position is {far:.2g} m away from the robot's base: wrong unit or frame?"] * (far > 2.0)
-    found = []
-    lengths = np.linalg.norm(decoded[:, :3], axis=1)
-    mean = float(lengths.mean())
+    mean = float(np.linalg.norm(decoded[:, :3], axis=1).mean())
     if mean > meaning.max_translation_m:
-        found.append(
+        found = [
             f"un-normalised? the mean motion is {mean:.2g} m per tick, the convention allows "
             f"{meaning.max_translation_m:g} m; the numbers may still be normalised (unnorm_key, normalisation), or in "
             "another unit"
-        )
-    elif meaning.rate_hz and answers.expert_speed > 0 and mean > 0:
-        ratio = mean * meaning.rate_hz / answers.expert_speed
-        if not 1 / SPEED_RATIO <= ratio <= SPEED_RATIO:
-            found.append(
-                f"wrong rate or scale? the mean speed is {mean * meaning.rate_hz:.2g} m/s, the expert's "
-                f"{answers.expert_speed:.2g} m/s; the convention says {meaning.rate_hz:g} Hz"
-            )
-    elif mean == 0.0:
-        found.append("the arm does not move in any answer")
+        ]
+    else:
+        found = _of_speed(mean, meaning.rate_hz, answers.expert_speed, "m/s")
     identity = encode(IDENTITY_ROTATION, meaning.rotation)
     if float(np.abs(decoded[:, 3:-1] - identity).max()) == 0.0:
         found.append("all rotations are exactly zero: are they left out, or at other places of the action?")
     return found
+
+
+def _of_joints(convention: Convention, motion: Floats, answers: Answers) -> list[str]:
+    """Check positions by their distance from the arm's, and motions by their speed."""
+    meaning, count = convention.semantics, answers.joints.shape[1]
+    if motion.shape[1] != count:
+        return [f"the convention commands {motion.shape[1]} joints, the robot has {count}"]
+    if meaning.control == "joint_position":
+        firsts = decode_actions(convention, np.stack([rows[0] for rows in answers.raw]))[:, :-1]
+        jump = float(np.abs(firsts - answers.joints).max())
+        if jump <= JUMP_RAD:
+            return []
+        return [
+            f"un-normalised? a joint is commanded to a position {jump:.2g} rad away from it; the numbers may still be "
+            "normalised, deltas, in another unit, or in another order of the joints"
+        ]
+    mean = float(np.linalg.norm(motion, axis=1).mean())
+    return _of_speed(
+        mean, 1.0 if meaning.control == "joint_velocity" else meaning.rate_hz, answers.expert_joint_speed, "rad/s"
+    )
+
+
+def _of_speed(mean: float, per_second: float, expert: float, unit: str) -> list[str]:
+    """Compare the mean of motions with the expert's speed; motions of any rate (0 per second) have no speed."""
+    if mean == 0.0:
+        return ["the arm does not move in any answer"]
+    speed = mean * per_second
+    if not per_second or expert <= 0 or 1 / SPEED_RATIO <= speed / expert <= SPEED_RATIO:
+        return []
+    rate = f"; the convention says {per_second:g} Hz" if per_second != 1.0 else ""
+    return [f"wrong rate or scale? the mean speed is {speed:.2g} {unit}, the expert's {expert:.2g} {unit}{rate}"]
 
 
 def _of_gripper(openings: Floats, expert: Floats) -> list[str]:

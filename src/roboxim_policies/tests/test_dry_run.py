@@ -1,5 +1,6 @@
 """The dry run names each classic fault, and nothing when an answer is the expert's."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +14,17 @@ from roboxim_policies.dry_run import Answers, round_trip, suspicions
 LIBERO, BRIDGE, ROBOXIM = (load_convention(name) for name in ("libero", "bridge", "roboxim"))
 EXPERT = np.array([[0.01, 0.005 * i, -0.01, 0.02, 0.01 * i, 0.0, i % 2] for i in range(6)])
 SPEED = 0.3
+JOINTS = np.array([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8]) + np.linspace(0, 0.3, 6)[:, None]
+JOINT_SPEED = 0.5
 
 
 def answers(raw, convention=LIBERO, picture=None):
     picture = np.arange(224 * 224 * 3, dtype=np.uint8).reshape(224, 224, 3) if picture is None else picture
     pictures = {image.key: picture for image in convention.images}
-    return Answers(raw=[np.atleast_2d(row) for row in raw], pictures=pictures, expert=EXPERT, expert_speed=SPEED)
+    return Answers(
+        raw=[np.atleast_2d(row) for row in raw], pictures=pictures, expert=EXPERT, expert_speed=SPEED, joints=JOINTS,
+        expert_joint_speed=JOINT_SPEED,
+    )  # fmt: skip
 
 
 def honest():
@@ -56,6 +62,34 @@ def test_classic_fault_is_named(raw, words):
 def test_numbers_that_are_still_normalised_are_named():
     raw = np.random.default_rng(0).uniform(-1, 1, (6, 7))
     assert any("un-normalised?" in found for found in suspicions(BRIDGE, answers(raw, BRIDGE)))
+
+
+DROID_VELOCITY, DROID_POSITION = (load_convention(name) for name in ("droid_velocity", "droid_position"))
+GRIPPER = 1 - EXPERT[:, 6:]  # DROID's 0 is open
+POSITIONS = np.hstack([JOINTS + 0.02, GRIPPER])
+VELOCITIES = np.hstack([np.linspace(0.02, 0.1, 42).reshape(6, 7), GRIPPER])
+
+
+@pytest.mark.parametrize(
+    ("convention", "raw", "words"),
+    [
+        (DROID_POSITION, POSITIONS, ""),
+        (DROID_POSITION, POSITIONS * ([0.3] * 7 + [1]), "un-normalised. a joint is commanded to a position 1.7 rad"),
+        (DROID_POSITION, POSITIONS[:, [6, 5, 4, 3, 2, 1, 0, 7]], "another order of the joints"),
+        (DROID_VELOCITY, VELOCITIES, ""),
+        (DROID_VELOCITY, VELOCITIES * ([0.05] * 7 + [1]), "wrong rate or scale.*rad/s.*says 15 Hz"),
+        (DROID_VELOCITY, VELOCITIES * ([0] * 7 + [1]), "does not move"),
+    ],
+)
+def test_faults_of_joint_actions_are_named(convention, raw, words):
+    found = suspicions(convention, answers(raw, convention))
+    assert len(found) == bool(words), found
+    assert re.search(words, " ".join(found))
+
+
+def test_arm_with_another_number_of_joints_is_named():
+    six = replace(answers(POSITIONS, DROID_POSITION), joints=JOINTS[:, :6])
+    assert suspicions(DROID_POSITION, six) == ["the convention commands 7 joints, the robot has 6"]
 
 
 def test_upside_down_and_empty_pictures_are_named():
