@@ -1,8 +1,14 @@
 """RoboXim as a benchmark of vla-eval, driven by its own orchestrator over its own connection."""
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from vla_eval import api
+from vla_eval.cli.smoke import _make_echo_server
 from vla_eval.model_servers.predict import PredictModelServer
 
 from roboxim.vla_eval import RoboXimBenchmark
@@ -79,6 +85,22 @@ def test_the_orchestrator_drives_bc_whose_pictures_have_the_size_of_its_training
         (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5, max_steps=3)
     assert not logged
     assert (episode["steps"], episode["metrics"]["success"]) == (3, False)
+
+
+@pytest.mark.slow
+def test_the_documented_command_runs_with_vla_evals_own_dummy_server(tmp_path):
+    """The server of zeros is the one of ``vla-eval test benchmark``."""
+    with api.serve_background(_make_echo_server(7)) as served:
+        entry = {"benchmark": "roboxim.vla_eval:RoboXimBenchmark", "episodes_per_task": 1}
+        entry["params"] = {"tasks": ["pick_cube", "stack"], "convention": "vla_eval_libero", "seed": 0, "max_steps": 3}
+        config = {"server": {"url": served.url}, "output_dir": str(tmp_path), "benchmarks": [entry]}
+        (tmp_path / "roboxim.yaml").write_text(json.dumps(config))  # which is YAML too
+        command = [Path(sys.executable).parent / "vla-eval", "run", "-c", tmp_path / "roboxim.yaml", "--no-docker"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = "".join(path.read_text() for path in sorted(tmp_path.rglob("*.json")))
+    for task in ("pick_cube", "stack"):
+        assert task in written, done.stdout + done.stderr
 
 
 def test_liberos_models_get_liberos_pictures_state_and_rate(tmp_path):
