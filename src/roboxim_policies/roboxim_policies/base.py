@@ -220,7 +220,8 @@ def require_arguments(spec: str, make: Callable[..., Policy], arguments: Mapping
 
 def _argument_texts(make: Callable[..., Any]) -> dict[str, str]:
     """Return what the docstring of a class or factory says of its arguments, by name, without the final full stop."""
-    doc = inspect.getdoc(make.__init__ if isinstance(make, type) else make) or ""
+    described: Any = make
+    doc = inspect.getdoc(described.__init__ if isinstance(make, type) else make) or ""
     listed = doc.partition("Args:\n")[2].partition("\n\n")[0]
     entries = re.findall(r"^    (\w+): (.*(?:\n {8,}.*)*)", listed, re.MULTILINE)
     return {name: " ".join(text.split()).replace("``", "").rstrip(".") for name, text in entries}
