@@ -165,6 +165,15 @@ def test_held_out_objects_beside_the_target_and_in_words_are_stated():
     )
 
 
+def test_words_of_the_own_cell_are_no_exposure_of_a_cell_with_other_surroundings():
+    elsewhere = replace(DEMAND, areas={"target": (Allowed(lower=(0.3, 0.2), upper=(0.5, 0.3)),)})
+    asked = Demand(skill="pick_up", models={"target": words("cube")})
+    episode = Trained(shown=replace(CLEAN, cell="picks right"), asked=(asked,))
+    assert (
+        training_tally({"picks left": elsewhere, "picks right": DEMAND}, ["picks left"], {}, [episode]).statements == ()
+    )
+
+
 def test_cells_are_told_apart_by_content():
     assert belongs_to(DEMAND, CLEAN)
     assert not belongs_to(ROTATE, CLEAN)

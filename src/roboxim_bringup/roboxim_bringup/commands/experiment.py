@@ -185,27 +185,38 @@ def run(
 )  # fmt: skip
 @click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
 @click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
-def report(folder: Path | None, card: Path | None, html: Path | None, films: int) -> None:
+@click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
+def report(folder: Path | None, card: Path | None, html: Path | None, films: int, evaluations: bool) -> None:
     r"""Check the results of a run's folder or of a card, print them, and write a page.
 
     \b
     roboxim experiment report runs/so                           # writes runs/so/report.html
+    roboxim experiment report runs/so --evaluations             # and runs/so/evaluate/*/report.html
     roboxim experiment report --from card.json --html page.html
 
     Scores and sentences are computed again from the counts. A card that states others is refused, and so is one whose
     results have changed. The page is one file that opens offline.
     """
-    from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, write_experiment_report
+    from roboxim_bringup.runs.experiment_report import (
+        ExperimentFolder,
+        folder_card,
+        write_evaluation_pages,
+        write_experiment_report,
+    )
     from roboxim_core.documents import parse_json, read_text
     from roboxim_core.errors import ConfigError
     from roboxim_eval.experiments.card_checks import check_card
 
     if (folder is None) == (card is None):
         raise ConfigError("name the folder of a run, or a card with --from CARD")
+    if evaluations and folder is None:
+        raise ConfigError("--evaluations needs the folder of a run: a card has no episodes")
+    pages: list[Path] = []
     if folder is not None:
         there = ExperimentFolder.of(folder)
         found = folder_card(there)
         page: Path | None = write_experiment_report(there, found, films=films)
+        pages = write_evaluation_pages(there) if evaluations else []
     else:
         assert card is not None
         found = check_card(parse_json(read_text(card), source=str(card)), source=str(card))
@@ -222,8 +233,9 @@ def report(folder: Path | None, card: Path | None, html: Path | None, films: int
     for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
     click.echo(f"  sha256            {found.sha256}")
-    if page is not None:
-        click.echo(f"report: {page}")
+    for one in (page, *pages):
+        if one is not None:
+            click.echo(f"report: {one}")
 
 
 def _score_text(value: object) -> str:

@@ -5,6 +5,7 @@ the calling process. A run of any kind (episodes, rendering, a benchmark) hands 
 """
 
 from roboxim_bringup.executors.inline import InlineExecutor
+from roboxim_bringup.executors.kept import KeptProcesses
 from roboxim_bringup.executors.local import LocalExecutor
 from roboxim_bringup.executors.protocol import (
     Cancellation,
@@ -26,6 +27,7 @@ __all__ = [
     "Executor",
     "InlineExecutor",
     "Job",
+    "KeptProcesses",
     "LocalExecutor",
     "Lost",
     "Note",

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from roboxim_bringup.executors.kept import KeptProcesses
 from roboxim_bringup.executors.pool import Pool
 from roboxim_bringup.executors.protocol import Cancellation, Done, Job, Lost, Note, Work
 from roboxim_bringup.executors.worker_process import STALL_S, WorkerProcess
@@ -14,17 +15,26 @@ from roboxim_bringup.executors.worker_process import STALL_S, WorkerProcess
 class LocalExecutor:
     """Runs jobs on processes of this machine."""
 
-    def __init__(self, workers: int = 1, *, log_dir: Path | str | None = None, stall_s: float = STALL_S) -> None:
+    def __init__(
+        self,
+        workers: int = 1,
+        *,
+        log_dir: Path | str | None = None,
+        stall_s: float = STALL_S,
+        kept: KeptProcesses | None = None,
+    ) -> None:
         """Make the executor. `run` starts the workers.
 
         Args:
             workers: Largest number of processes, >= 1; never more than jobs.
             log_dir: Folder of the workers' output, ``worker-<n>.log``; none: a temporary folder.
             stall_s: A worker that is silent for this time counts as dead [s].
+            kept: Processes that outlive a run; none: each run starts its own.
         """
         self.workers = workers
         self.stall_s = stall_s
         self._log_dir = Path(log_dir) if log_dir else None
+        self._kept = kept
         self._pool: Pool | None = None
 
     def run(
@@ -44,7 +54,9 @@ class LocalExecutor:
         log_dir = self._log_dir or Path(tempfile.mkdtemp(prefix="roboxim-workers-"))
         log_dir.mkdir(parents=True, exist_ok=True)
         self._pool = Pool(
-            lambda number, closing: WorkerProcess(work, number, log_dir, closing=closing, stall_s=self.stall_s),
+            lambda number, closing: WorkerProcess(
+                work, number, log_dir, closing=closing, stall_s=self.stall_s, kept=self._kept
+            ),
             jobs, self.workers, before_retry,
         )  # fmt: skip
         yield from self._pool.run(on_note, cancellation)

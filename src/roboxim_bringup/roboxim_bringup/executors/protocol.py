@@ -74,6 +74,9 @@ class Work:
     """Environment variables of the worker's process, in addition to this process's."""
     python_path: tuple[str, ...] = ()
     """Folders searched for the worker's module before the installed packages."""
+    leaves_nothing: bool = False
+    """Whether a closed worker leaves nothing in its process that another work's results could depend on. Then the
+    process may serve another such work; see `roboxim_bringup.executors.kept`."""
 
     def make_worker(self, number: int) -> Worker:
         """Make a worker in this process and thread.

@@ -1,18 +1,21 @@
-"""A worker process: ``python -m roboxim_bringup.executors.worker FD NUMBER``, started by `LocalExecutor`.
+"""A worker process: ``python -m roboxim_bringup.executors.worker FD``, started by `WorkerProcess`.
 
-It reads the work and then jobs from the connection, and answers with pairs of a kind (``ready``, ``note``, ``done``,
-``failed``, ``broken``) and its content, all as JSON. What it prints goes to its log. It ends on SIGTERM, when the
-connection is closed, and with its parent.
+It reads pairs of a kind and its content from the connection: ``work`` makes a worker, ``job`` is for it, ``rest``
+closes it, after which another ``work`` may follow. It answers with such pairs (``ready``, ``note``, ``done``,
+``failed``, ``broken``, ``resting``), all as JSON. What it prints goes to the log that the work names. It ends on
+SIGTERM, when the connection is closed, and with its parent.
 """
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
@@ -21,14 +24,17 @@ from roboxim_bringup.executors.protocol import Work, Worker, WorkerBrokenError
 from roboxim_bringup.process import die_with_parent
 from roboxim_core.errors import ErrorCode, RoboximError
 
+Send = Callable[..., None]
+
 
 def main() -> int:
-    """Run jobs until the connection closes; return the exit code."""
+    """Serve works until the connection closes; return the exit code."""
     die_with_parent(int(os.environ.pop("ROBOXIM_PARENT")))
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
-    descriptor, number = map(int, sys.argv[1:])
+    descriptor = int(sys.argv[1])
     os.set_inheritable(descriptor, False)  # a grandchild would keep the connection open
+    inherited = dict(os.environ)
     with Connection(descriptor) as connection:
         writing = threading.Lock()  # a worker may note from other threads
 
@@ -36,25 +42,58 @@ def main() -> int:
             with writing:
                 connection.send_bytes(json.dumps([kind, content]).encode())
 
-        try:
-            data = json.loads(connection.recv_bytes())
-            worker = Work(**{**data, "python_path": tuple(data["python_path"])}).make_worker(number)
-        except (Exception, SystemExit) as error:
-            send("failed", _code_and_message(error))
-            return 1
-        try:
-            send("ready")
-            return _serve(worker, connection, send)
-        finally:
-            worker.close()
+        code = None
+        while code is None:
+            os.environ.clear()
+            os.environ.update(inherited)
+            code = _serve(connection, send)
+        return code
 
 
-def _serve(worker: Worker, connection: Connection[Any, Any], send: Any) -> int:
+def _serve(connection: Connection[Any, Any], send: Send) -> int | None:
+    """Serve one work; return the exit code, or none when another work may follow."""
+    try:
+        _, content = json.loads(connection.recv_bytes())
+    except EOFError:
+        return 0
+    try:
+        worker = _made(**content)
+    except (Exception, SystemExit) as error:
+        send("failed", _code_and_message(error))
+        return 1
+    try:
+        send("ready")
+        code = _run_jobs(worker, connection, send)
+    finally:
+        worker.close()
+    if code is None:
+        del worker
+        gc.collect()  # of graphs and policies, whose parts refer to one another
+        send("resting")
+    return code
+
+
+def _made(work: dict[str, Any], number: int, log: str) -> Worker:
+    """Make a work's worker, with the work's log and environment."""
+    with open(log, "ab") as file:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
+    made = Work(**{**work, "python_path": tuple(work["python_path"])})
+    os.environ.update(made.environment)
+    return made.make_worker(number)
+
+
+def _run_jobs(worker: Worker, connection: Connection[Any, Any], send: Send) -> int | None:
+    """Run jobs; return the exit code, or none when the worker shall rest."""
     while True:
         try:
-            job = json.loads(connection.recv_bytes())
+            kind, job = json.loads(connection.recv_bytes())
         except EOFError:
             return 0
+        if kind == "rest":
+            return None
         try:
             send("done", worker.run(job, lambda note: send("note", note)))
         except WorkerBrokenError as broken:

@@ -2,6 +2,7 @@
 
 Non-obvious:
 - The kernel kills the process when the *thread* that started it ends, so that thread must live as long as the worker.
+- So a process that outlives its run is started by the thread of `KeptProcesses`.
 - A worker is a program of its own (``python -m roboxim_bringup.executors.worker``), not a `multiprocessing` process:
   that would import the caller's main module, so a script without ``if __name__ == "__main__"`` would start itself.
 """
@@ -19,6 +20,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
+from roboxim_bringup.executors.kept import KeptProcesses, Spawned
 from roboxim_bringup.executors.pool import ClosingError, WorkerDiedError
 from roboxim_bringup.executors.protocol import Work
 from roboxim_bringup.process import describe_exit, spawn, stop
@@ -30,6 +32,8 @@ STALL_S = 300.0
 """A worker that is silent for this time counts as dead [s]."""
 GRACE_S = 3.0
 """Longest time for a worker to end [s]."""
+REST_S = 30.0
+"""Longest time for a worker to close within its process [s]."""
 LOG_LINES = 15
 """Number of lines of a dead worker's log in an error message."""
 
@@ -47,6 +51,7 @@ class WorkerProcess:
         stall_s: float = STALL_S,
         inherited: Mapping[str, str] | None = None,
         folder: str | None = None,
+        kept: KeptProcesses | None = None,
     ) -> None:
         """Store what the worker is; `start` starts it.
 
@@ -58,6 +63,8 @@ class WorkerProcess:
             stall_s: A worker that is silent for this time counts as dead [s].
             inherited: Environment that the work's variables are added to; none: this process's.
             folder: Working directory; none: this process's.
+            kept: Processes of earlier works, which this worker may continue in, and whose number it joins when it ends;
+                none: the process is its own.
         """
         self.log = str(log_dir / f"worker-{number}.log")
         self.process: subprocess.Popen[bytes] | None = None
@@ -65,27 +72,45 @@ class WorkerProcess:
         self._inherited, self._folder = inherited, folder
         self._connection: Connection[Any, Any] | None = None
         self._heard = 0.0
+        self._kept = kept if work.leaves_nothing else None
+        self._idle = False
 
     def start(self) -> None:
-        """Start the process; see `Place.start`."""
-        self._connection, theirs = Pipe()
-        with theirs, open(self.log, "wb") as output:
-            self.process = spawn(
-                "roboxim_bringup.executors.worker", [str(theirs.fileno()), str(self._number)], output=output,
-                environment=self._work.environment, inherited=self._inherited, pass_fds=[theirs.fileno()],
-                folder=self._folder,
-            )  # fmt: skip
-        self._send(asdict(self._work))
+        """Start the process, or continue in one of an earlier work; see `Place.start`."""
+        Path(self.log).write_bytes(b"")
+        found = self._kept.take() if self._kept is not None else None
+        self.process, self._connection = found or self._spawned()
+        self._send("work", {"work": asdict(self._work), "number": self._number, "log": self.log})
         kind, content = self._receive(READY_S)
         if kind != "ready":
             self._raise_for(kind, content)
+        self._idle = True
+
+    def _spawned(self) -> Spawned:
+        def make() -> Spawned:
+            ours, theirs = Pipe()
+            with theirs, open(self.log, "ab") as output:
+                process = spawn(
+                    "roboxim_bringup.executors.worker", [str(theirs.fileno())], output=output,
+                    environment=environment, inherited=self._inherited, pass_fds=[theirs.fileno()],
+                    folder=self._folder,
+                )  # fmt: skip
+            return process, ours
+
+        if self._kept is None:
+            environment = self._work.environment
+            return make()
+        environment = {}  # each work sets its own
+        return self._kept.spawned(make)
 
     def run(self, job: Any, on_note: Callable[[Any], None]) -> Any:
         """Give the worker a job and return its result; see `Place.run`."""
-        self._send(job)
+        self._idle = False
+        self._send("job", job)
         while True:
             kind, content = self._receive()
             if kind == "done":
+                self._idle = True
                 return content
             if kind != "note":
                 self._raise_for(kind, content)
@@ -94,7 +119,13 @@ class WorkerProcess:
                 raise ClosingError
 
     def end(self) -> bool:
-        """End the process, if there is one; see `Place.end`."""
+        """End the process, if there is one, or let it rest; see `Place.end`."""
+        if self._kept is not None and self._idle and self._rests():
+            assert self.process is not None
+            assert self._connection is not None
+            self._kept.give(self.process, self._connection)
+            self.process = self._connection = None
+            return False
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -105,10 +136,20 @@ class WorkerProcess:
             self.process = None
         return killed
 
-    def _send(self, data: Any) -> None:
+    def _rests(self) -> bool:
+        """Close the worker in its process; return whether the process is ready for another work."""
+        assert self._connection is not None
+        self._idle = False
+        try:
+            self._send("rest")
+            return self._connection.poll(REST_S) and json.loads(self._connection.recv_bytes())[0] == "resting"
+        except (WorkerDiedError, EOFError, OSError):
+            return False
+
+    def _send(self, kind: str, content: Any = None) -> None:
         assert self._connection is not None
         try:
-            self._connection.send_bytes(json.dumps(data).encode())
+            self._connection.send_bytes(json.dumps([kind, content]).encode())
         except OSError:
             raise WorkerDiedError(self._describe_death()) from None
 

@@ -37,6 +37,8 @@ from roboxim_sim.rendering import RENDERERS
 
 WORKER_DIED = "worker_died"
 """Reason of an episode whose workers all died; resuming the run tries it again."""
+TIDY = {"zero", "random", "replay", "bc", "roboxim_bringup.planted_policy:PlantedPolicy"}
+"""Policies that keep everything in their instance, so that another one may follow in the same process."""
 SIZE_PX = (16, 4096)
 """Smallest and largest side of an image."""
 
@@ -257,7 +259,12 @@ def episodes_work(
             **({} if staging is None else {"staging": dict(staging)}),
         },
         environment=dict(environment),
+        leaves_nothing=all(map(_leaves_nothing, graph.policies)),
     )
+
+
+def _leaves_nothing(launch: PolicyLaunch) -> bool:
+    return (launch.options["policy"] if launch.spec == "reworded" else launch.spec) in TIDY
 
 
 @contextlib.contextmanager

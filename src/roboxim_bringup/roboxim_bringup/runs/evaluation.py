@@ -22,7 +22,8 @@ from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policie
 from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.runs.store import readable_run
-from roboxim_core.config import load_config, named_config, to_json, to_plain
+from roboxim_core.config import from_plain, load_config, named_config, to_json, to_plain
+from roboxim_core.documents import read_json_object
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
@@ -80,6 +81,8 @@ class EvaluationConfig(EpisodesConfig):
     """Command that reproduces the report, shown in it; empty: the call of `evaluate`."""
     stopped: str = ""
     """How the number of episodes was decided, for the report; empty: it was fixed beforehand."""
+    page: bool = True
+    """Whether to write the report's page, which takes seconds; `report_of` writes it later."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,8 +150,8 @@ class EvaluationResult:
 
     policies: Mapping[str, PolicyResult]
     """Name to result, the policy under test first."""
-    report: Path
-    """The report, ``<out>/report.html``."""
+    report: Path | None
+    """The report, ``<out>/report.html``; none: not written."""
     comparison: str
     """Comparison of the first policy with the others, in words; empty for one policy."""
     privileged: tuple[str, ...]
@@ -257,21 +260,28 @@ def evaluate(
         task=config.task_name, seed=config.seed, policies=tuple(found), facts=_policy_facts(chosen, jobs),
         command=config.command or _call(config), stopped=config.stopped,
     )  # fmt: skip
-    return _report(record, found, out)
+    return _report(record, found, out, page=config.page)
 
 
-def report_of(out: Path, record: EvaluationRecord) -> EvaluationResult:
+def report_of(out: Path, record: EvaluationRecord | None = None) -> EvaluationResult:
     """Write the report of the finished episodes in an evaluation's folder.
 
     Args:
         out: The evaluation's folder, with a run for each policy.
-        record: What the report says about the evaluation.
+        record: What the report says about the evaluation; none: as stored in the folder.
+
+    Raises:
+        ConfigError: When the folder has no record, or its files are damaged.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag that the page shows is not whole.
     """
+    if record is None:
+        stored = out / RECORD_FILE
+        record = from_plain(read_json_object(stored), EvaluationRecord, source=str(stored))
     found = {
         name: PolicyResult(name=name, results=tuple(RunFolder(out / name).results()), folder=out / name)
         for name in record.policies
     }
-    return _report(record, found, out)
+    return _report(record, found, out, page=True)
 
 
 def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
@@ -438,10 +448,10 @@ def _policy_run(result: PolicyResult) -> PolicyRun:
     from roboxim_eval.report import PolicyRun
     from roboxim_eval.report.films import chosen_films
 
-    recorded = {episode.episode_id: episode for episode in result.results if episode.bag}
+    recorded = {episode.episode_id: episode for episode in _with_bags(result)}
     shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
     with readable_run(result.folder, [episode.bag for episode in recorded.values()]) as run:
-        facts = episode_facts(result.folder, recorded.values(), bags=run)
+        facts = episode_facts(result.folder, result.results, bags=run)
         films = {name: frames for name in shown if (frames := film(run / recorded[name].bag))}
     return PolicyRun(
         policy=result.name, results=result.results, folder=result.folder.name, films=films,
@@ -450,51 +460,69 @@ def _policy_run(result: PolicyResult) -> PolicyRun:
     )  # fmt: skip
 
 
-def _report(record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path) -> EvaluationResult:
-    """Write the record and the report."""
-    from roboxim_eval.report import Report, verdict_line, write_report
+def _report(
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path, *, page: bool
+) -> EvaluationResult:  # fmt: skip
+    """Write the record and, if asked for, the page."""
+    from roboxim_eval.report import PolicyRun, verdict_line
 
     write_atomically(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
+    infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
+    runs = [PolicyRun(policy=name, results=result.results) for name, result in found.items()]
+    return EvaluationResult(
+        policies=dict(found), report=_page(record, found, infos, out) if page else None,
+        comparison=verdict_line(runs), privileged=tuple(n for n, info in infos.items() if info.actor_privileged),
+    )  # fmt: skip
+
+
+def _page(
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], infos: Mapping[str, EpisodeInfo], out: Path
+) -> Path:  # fmt: skip
+    """Write the page and return its file."""
+    from roboxim_eval.report import Report, write_report
+
     facts = {"task": record.task, "run seed": str(record.seed), "purpose": "eval"}
     facts |= {"episodes": str(len(next(iter(found.values())).results)), **record.facts}
     versions: dict[str, str] = {}
-    privileged = []
-    for result in found.values():
-        facts[f"timing of {result.name}"] = timing_line(result.results)
-        info = _first_info(result)
-        if info is None:
+    for name, result in found.items():
+        facts[f"timing of {name}"] = timing_line(result.results)
+        if name not in infos:
             continue
+        info = infos[name]
         facts |= {
             "robot": info.scene.robot.model, "renderer": info.renderer,
             "control rate": f"{info.semantics.rate_hz:g} Hz",
         }  # fmt: skip
         facts |= {f"camera {camera.name}": f"{camera.width} x {camera.height}" for camera in info.scene.cameras}
-        versions |= info.versions | {f"model {name}": digest for name, digest in info.models.items()}
+        versions |= info.versions | {f"model {model}": digest for model, digest in info.models.items()}
         if info.actor_version:
-            versions[f"policy {result.name}"] = info.actor_version
+            versions[f"policy {name}"] = info.actor_version
         if info.actor_privileged:
-            facts[f"policy {result.name} is privileged"] = "it sees the task, scene and state"
-            privileged.append(result.name)
-    runs = [_policy_run(result) for result in found.values()]
+            facts[f"policy {name} is privileged"] = "it sees the task, scene and state"
     report = Report(
         title=f"Evaluation of {' and '.join(found)} on {record.task}",
-        runs=runs, facts=facts, versions=versions, command=record.command, stopped=record.stopped,
+        runs=[_policy_run(result) for result in found.values()], facts=facts, versions=versions,
+        command=record.command, stopped=record.stopped,
     )  # fmt: skip
-    page = write_report(report, out)
-    return EvaluationResult(
-        policies=dict(found), report=page, comparison=verdict_line(runs), privileged=tuple(privileged)
-    )
+    return write_report(report, out)
 
 
 def _first_info(result: PolicyResult) -> EpisodeInfo | None:
     """Return the episode information of a policy's first bag; none without a bag."""
     from roboxim_recorder.bag import BagReader
 
-    first = next((episode for episode in result.results if episode.bag), None)
+    first = next(iter(_with_bags(result)), None)
     if first is None:
         return None
     with readable_run(result.folder, [first.bag]) as run:
         return BagReader(run / first.bag).info
+
+
+def _with_bags(result: PolicyResult) -> list[EpisodeResult]:
+    """Return the episodes whose bags are in the folder or in its store; an unpacked run has none."""
+    recorded = [episode for episode in result.results if episode.bag]
+    gone = {episode.bag for episode in RunFolder(result.folder).without_bag(recorded)}
+    return [episode for episode in recorded if episode.bag not in gone]
 
 
 def _call(config: EvaluationConfig) -> str:
@@ -503,7 +531,7 @@ def _call(config: EvaluationConfig) -> str:
     given = {
         name: str(value) if isinstance(value, Path) else value
         for name, value in vars(config).items()
-        if value != default[name] and name not in ("workers", "stopped", "shard")
+        if value != default[name] and name not in ("workers", "stopped", "shard", "page")
     }
     return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 

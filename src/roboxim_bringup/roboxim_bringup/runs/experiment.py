@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.executors import Cancellation, Executor, KeptProcesses
 from roboxim_bringup.experiment_card import EXCLUDED_FILE, JUDGED_FILE, PROOFS_FILE, STATEMENTS_FILE, collect_card
 from roboxim_bringup.experiment_files import checked_design, load_experiment
 from roboxim_bringup.experiment_provenance import (
@@ -125,11 +125,12 @@ def run_experiment(
     design = checked_design(config.experiment, experiment, config.trainer)
     if experiment.curve is not None and not design.trainer.until:
         on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
-    run = _Run(config, design, on_event, cancellation, executor)
-    run.open()
-    for stage in run.stages:
-        if stage.part in config.only and run.ready(stage):
-            run.finish(stage)
+    with KeptProcesses() as kept:
+        run = _Run(config, design, on_event, cancellation, executor, kept)
+        run.open()
+        for stage in run.stages:
+            if stage.part in config.only and run.ready(stage):
+                run.finish(stage)
     done = run.done
     missing = tuple(stage.name for stage in run.stages if stage.name not in done)
     card = None
@@ -158,6 +159,7 @@ class _Run:
         on_event: OnEvent,
         cancellation: Cancellation | None,
         executor: Executor | None,
+        kept: KeptProcesses,
     ) -> None:
         self.config, self.design = config, design
         self.out = checked_path(config.out)
@@ -175,7 +177,7 @@ class _Run:
         require_found(self.policies.values())
         self._runner = Stages(
             design=design, out=self.out, policies=self.policies, workers=config.workers, renderer=config.renderer,
-            on_event=on_event, cancellation=cancellation, executor=executor,
+            on_event=on_event, cancellation=cancellation, executor=executor, kept=kept,
         )  # fmt: skip
 
     # -------------------------------------------------------------- state

@@ -141,6 +141,27 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
     return path
 
 
+def write_evaluation_pages(folder: ExperimentFolder) -> list[Path]:
+    """Write the page of each evaluation of an experiment, with films and recorded factors of its own.
+
+    A run does not write them, since they take seconds each and the experiment's page shows the same episodes.
+
+    Returns:
+        The pages.
+
+    Raises:
+        ConfigError: When an evaluation is not finished, or its files are damaged.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag that a page shows is not whole.
+    """
+    from roboxim_bringup.runs.evaluation import report_of
+
+    pages = (
+        report_of(folder.path / stage_name(one.condition, one.replicate, one.checkpoint)).report
+        for one in folder.design.evaluations
+    )
+    return [page for page in pages if page is not None]
+
+
 def experiment_episodes(folder: ExperimentFolder) -> list[Episode]:
     """Return the episodes of an experiment's final evaluations, as a page shows them."""
     results = results_of(folder.design, folder.path)

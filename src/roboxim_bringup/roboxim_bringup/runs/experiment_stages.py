@@ -16,7 +16,8 @@ from typing import IO, Any
 
 import yaml
 
-from roboxim_bringup.executors import Cancellation, CancelledError, Executor
+from roboxim_bringup.executors import Cancellation, CancelledError, Executor, KeptProcesses, LocalExecutor
+from roboxim_bringup.experiment_card import evaluation_folder
 from roboxim_bringup.process import spawn
 from roboxim_bringup.runs.corruption import corrupt
 from roboxim_bringup.runs.delivery import task_mix_of
@@ -72,6 +73,8 @@ class Stages:
     """Ends the run when it is set."""
     executor: Executor | None
     """Runs episodes and reads bags; none: processes of this machine."""
+    kept: KeptProcesses
+    """Processes of this machine that run the episodes of one stage after the other."""
 
     def run(self, stage: Stage, stages: Mapping[str, Stage]) -> dict[str, Any]:
         """Run a stage.
@@ -106,6 +109,10 @@ class Stages:
     def _folder(self, stage: str) -> Path:
         return self.out / stage
 
+    def _episodes(self, run: Path) -> Executor:
+        """Return what runs the episodes of a run's folder."""
+        return self.executor or LocalExecutor(self.workers, log_dir=run / "logs", kept=self.kept)
+
     def _mix(self, stage: Stage) -> str:
         """Write a stage's task mix, and return the file."""
         path = self.out / "mixes" / f"{stage.name.replace('/', '-')}.yaml"
@@ -122,7 +129,7 @@ class Stages:
                 seed=stage.inputs["seed"], size=self._size, first_try=True, workers=self.workers,
                 renderer=self.renderer,
             ),
-            executor=self.executor, **self._options,
+            executor=self._episodes(self._folder(stage.name)), **self._options,
         )  # fmt: skip
         failed = len(result.results) - len(result.kept)
         if failed:
@@ -205,9 +212,9 @@ class Stages:
             EvaluationConfig(
                 policies=policy, task=self._mix(stage), out=self._folder(stage.name),
                 episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
-                size=self._size, workers=self.workers, renderer=self.renderer,
+                size=self._size, workers=self.workers, renderer=self.renderer, page=False,
             ),
-            executor=self.executor, **self._options,
+            executor=self._episodes(evaluation_folder(self.out, stage.name)), **self._options,
         )  # fmt: skip
         result.require_measured()
 

@@ -67,15 +67,15 @@ def evaluate_sequentially(
     seen = []
     for number, scenes in enumerate(plan.looks, start=1):
         planned = f"Planned: at most {plan.looks[-1]} scenes, looks after {', '.join(map(str, plan.looks))}."
-        step = replace(config, episodes=scenes, stopped=f"{planned} This is look {number}.")
+        step = replace(config, episodes=scenes, stopped=f"{planned} This is look {number}.", page=False)
         evaluation = evaluate(step, on_event=on_event, cancellation=cancellation, executor=executor)
         first, second = evaluation.policies.values()
         seen.append(_pairs(first, second))
         state = sequential_test(plan, seen)
         if state.finished:
             sentence = _sentence(planned, first, second, state.decided, scenes)
-            if step.stopped != sentence:  # the report of the last look states the outcome
-                evaluation = evaluate(replace(step, stopped=sentence), on_event=ignore, cancellation=cancellation)
+            whole = replace(step, stopped=sentence, page=config.page)  # only the last look has a report
+            evaluation = evaluate(whole, on_event=ignore, cancellation=cancellation)
             return SequentialResult(evaluation=evaluation, decided=state.decided, sentence=sentence)
     raise AssertionError("the last look finishes the comparison")
 

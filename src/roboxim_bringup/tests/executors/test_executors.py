@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.executors import CancelledError, Done, InlineExecutor, Job, LocalExecutor, Lost, Work
+from roboxim_bringup.executors import (
+    CancelledError,
+    Done,
+    InlineExecutor,
+    Job,
+    KeptProcesses,
+    LocalExecutor,
+    Lost,
+    Work,
+)
 from roboxim_bringup.executors.pool import ClosingError
 from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
@@ -49,6 +60,9 @@ class Worker:
         if job == "kill" or (job == "kill once" and self.first()):
             print("last words", flush=True)
             os.kill(os.getpid(), signal.SIGKILL)
+        if job == "say":
+            print("said", flush=True)
+            return {"pid": os.getpid(), "variable": os.environ.get("THING")}
         return {"job": job, "pi": 3.141592653589793, "variable": os.environ.get("THING")}
 
     def first(self):
@@ -91,6 +105,36 @@ def test_every_executor_gives_the_same_results(work, tmp_path):
         found.append([{**results[job.key], "variable": None} for job in wanted])
         assert list(tmp_path.glob("closed-*")), "workers are closed"
     assert found[0] == found[1] == found[2]
+
+
+def test_kept_processes_serve_one_work_after_the_other(work, tmp_path):
+    """Each with its settings, environment and log; a work that may leave something behind gets its own process."""
+    first, second = work(), work()
+    second.environment["OTHER"] = second.environment.pop("THING")
+    with KeptProcesses() as kept:
+        pids, variables = [], []
+        for number, given in enumerate((first, second, first)):
+            executor = LocalExecutor(1, log_dir=tmp_path / f"logs-{number}", kept=kept)
+            for outcome in executor.run(replace(given, leaves_nothing=number < 2), jobs("say")):
+                pids.append(outcome.value["pid"])
+                variables.append(outcome.value["variable"])
+        [(process, _)] = kept._idle
+    assert pids[0] == pids[1] != pids[2]
+    assert variables == ["x", None, "x"], "a work has its own environment alone"
+    assert [(tmp_path / f"logs-{i}/worker-0.log").read_text().count("said") for i in range(3)] == [1, 1, 1]
+    assert process.poll() is not None, "it ends with its keeper"
+
+
+def test_a_kept_process_that_died_or_was_busy_is_not_used_again(work, tmp_path):
+    given = replace(work(), leaves_nothing=True)
+    with KeptProcesses() as kept:
+        [first] = LocalExecutor(1, kept=kept).run(given, jobs("say"))
+        os.kill(first.value["pid"], signal.SIGKILL)
+        [second] = LocalExecutor(1, kept=kept).run(given, jobs("say"))
+        assert second.value["pid"] != first.value["pid"]
+        with pytest.raises(ConfigError, match="wrong job"):
+            list(LocalExecutor(1, kept=kept).run(given, jobs("wrong")))
+        assert kept.take() is None
 
 
 @pytest.mark.parametrize("fault", ["kill once", "broken once"])

@@ -235,7 +235,10 @@ def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Sequence[str]
 
 
 def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: Sequence[Trained]) -> Iterable[str]:
-    """Say where held-out objects lie beside the held-out skill's target, and where words ask for a held-out cell."""
+    """Say where held-out objects lie beside the held-out skill's target, and where words ask for a held-out cell.
+
+    Words that ask for the episode's own cell say nothing about another one, e.g. if cells differ by camera alone.
+    """
     for cell in closed:
         demand = demands[cell]
         wanted = [value for allowed in demand.models.values() for value in allowed.values]
@@ -246,7 +249,10 @@ def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: S
                 f"{beside} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "
                 f"'{cell}' as a distractor"
             )
-        said = sum(any(_asks_for(demand, asked) for asked in episode.asked) for episode in episodes)
+        said = sum(
+            any(_asks_for(demand, asked) and not _asks_for(demands[e.shown.cell], asked) for asked in e.asked)
+            for e in episodes
+        )
         if said:
             yield f"the instructions of {said} training episodes ask for the held-out cell '{cell}'"
 

@@ -1,0 +1,85 @@
+"""Worker processes that outlive their run, so that the next run of the same kind need not start any.
+
+The start of an episode worker imports the whole graph and a policy's libraries and compiles the policy: several seconds
+of processor time, more than a short evaluation's episodes. A kept process closes its worker after a run and makes
+another one for the next.
+
+Non-obvious:
+- Only a work that says so (`Work.leaves_nothing`) shares processes: a policy of the user's could keep a model in a
+  module's variable, and the next policy would find it.
+- A child dies with the thread that started it, so all are started by one thread of this class.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any
+
+from roboxim_bringup.process import stop
+
+Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
+"""A worker's process, and the connection to it."""
+GRACE_S = 3.0
+"""Longest time for the processes to end [s]."""
+
+
+class KeptProcesses:
+    """Idle worker processes. A context manager, at whose end they end; used by several threads."""
+
+    def __init__(self) -> None:
+        """Keep none yet."""
+        self._starter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="kept-workers")
+        self._lock = threading.Lock()
+        self._idle: list[Spawned] = []
+        self._all: list[subprocess.Popen[bytes]] = []
+
+    def spawned(self, make: Callable[[], Spawned]) -> Spawned:
+        """Start a process that may outlive the calling thread.
+
+        Args:
+            make: Starts it.
+        """
+        found = self._starter.submit(make).result()
+        with self._lock:
+            self._all = [process for process in self._all if process.poll() is None]
+            self._all.append(found[0])
+        return found
+
+    def take(self) -> Spawned | None:
+        """Return an idle process, which is the caller's now; none: there is none."""
+        with self._lock:
+            while self._idle:
+                process, connection = self._idle.pop()
+                if process.poll() is None:
+                    return process, connection
+                connection.close()
+        return None
+
+    def give(self, process: subprocess.Popen[bytes], connection: Connection[Any, Any]) -> None:
+        """Keep a process whose worker is closed."""
+        with self._lock:
+            self._idle.append((process, connection))
+
+    def close(self) -> None:
+        """End all processes."""
+        with self._lock:
+            for _, connection in self._idle:
+                connection.close()
+            self._idle.clear()
+        stop(self._all, grace_s=GRACE_S)
+        self._starter.shutdown()
+
+    def __enter__(self) -> KeptProcesses:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
