@@ -1,7 +1,10 @@
-"""An experiment that is killed in each of its stages ends with the same card; a changed input is refused by name."""
+"""An experiment that is killed in the midst of each stage ends with the same card; a changed input is refused by name.
+
+The experiment is the smallest one that has every kind of stage: one condition, whose dataset has a planted fault and
+whose training has a checkpoint. One worker, since a second one would only start a second graph after each kill.
+"""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -13,34 +16,33 @@ import pytest
 pytestmark = pytest.mark.slow
 
 TEXT = """
-about: Does a policy combine a skill and an object that it never saw together?
+about: Does a policy reach for an object that it never saw?
 factors: {{task: [pick_up], target: [cube, soda_can]}}
 unseen: [{{target: cube}}]
 set: {{distractors: {{minimum: 0, maximum: 0}}}}
 datasets:
-  leave_out: {{cells: seen, per_cell: 2}}
-  baseline: {{cells: all, per_cell: 2, fault: rotation_jump, share: 0.25}}
+  leave_out: {{cells: seen, per_cell: 3, fault: rotation_jump, share: 0.25}}
 conditions:
   leave_out: {{train: leave_out}}
-  baseline: {{train: baseline}}
 trainers:
   bc:
     command: "roboxim train bc {{dataset}} --out {{out}} --seed {{seed}} --steps {{steps}}"
     until: "--until {{until}}"
     policy: bc
     steps: {steps}
-evaluate: {{per_cell: 2, max_steps: 12}}
+evaluate: {{per_cell: 2, max_steps: 8}}
 curve: {{every: 10, per_checkpoint: 1}}
 replicates: {{count: 1}}
-compare: [{{first: leave_out, second: baseline, where: unseen, primary: true}}]
+compare: [{{first: leave_out, second: leave_out, where: unseen, against: seen, primary: true}}]
 image_size: 64x64
 """
-LONGEST_S = 900.0
-"""Longest wait for a stage to begin [s]."""
+LONGEST_S = 1800.0
+"""Longest wait for a stage to begin [s]; a busy machine is slow."""
 
 
 def start(file, out, log):
     command = [str(Path(sys.executable).with_name("roboxim")), "experiment", "run", str(file), "--out", str(out)]
+    command += ["--workers", "1"]
     return subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, process_group=0)
 
 
@@ -54,9 +56,9 @@ def kill_when(file, out, log, begun):
     process = start(file, out, log)
     deadline = time.monotonic() + LONGEST_S
     while not begun():
-        assert process.poll() is None, f"it ended early: {Path(log.name).read_text()[-3000:]}"
+        assert process.poll() is None or begun(), f"it ended early: {Path(log.name).read_text()[-3000:]}"
         assert time.monotonic() < deadline, "the stage did not begin"
-        time.sleep(0.05)
+        time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
 
@@ -64,6 +66,16 @@ def kill_when(file, out, log, begun):
 def finished(out):
     log = out / "stages.jsonl"
     return [json.loads(line)["stage"] for line in log.read_text().splitlines()] if log.exists() else []
+
+
+def in_the_midst(out, stage):
+    """Return whether a stage has begun: an episode is there but not all, or the first checkpoint, or any file."""
+    kind = stage.partition("/")[0]
+    if kind in ("generate", "evaluate"):
+        return any(log.stat().st_size for log in (out / stage).rglob("results.jsonl"))
+    if kind == "train":
+        return (out / f"{stage}@10").exists()
+    return (out / stage).exists() and any((out / stage).iterdir())
 
 
 def test_a_run_that_is_killed_in_each_stage_ends_with_the_same_card(tmp_path):
@@ -75,21 +87,16 @@ def test_a_run_that_is_killed_in_each_stage_ends_with_the_same_card(tmp_path):
         assert {stage.split("/")[0] for stage in stages} == {
             "generate", "corrupt", "export", "prove", "train", "evaluate",
         }  # fmt: skip
+        cut = []
         for stage in stages:
-            folder = out / stage
             if stage in finished(out):
                 continue  # it was quicker than the kill
-            kill_when(file, out, log, lambda folder=folder: folder.exists() and any(os.scandir(folder)))
+            kill_when(file, out, log, lambda stage=stage: in_the_midst(out, stage))
+            cut += [stage] if stage not in finished(out) else []
+        assert {"generate", "train", "evaluate"} <= {stage.split("/")[0] for stage in cut}, "killed while they ran"
         killed = finish(file, out, log)
-    assert finished(out) == stages, "each stage is finished once"
-    assert killed["sha256"] == whole["sha256"]
-
-
-def test_a_changed_file_is_refused_by_the_stage_that_it_changes(tmp_path):
-    file, out = tmp_path / "mine.yaml", tmp_path / "out"
-    file.write_text(TEXT.format(steps=20))
-    with open(tmp_path / "log", "a") as log:
-        kill_when(file, out, log, lambda: any(stage.startswith("train/") for stage in finished(out)))
+        assert finished(out) == stages, "each stage is finished once"
+        assert killed["sha256"] == whole["sha256"]
         file.write_text(TEXT.format(steps=30))
         assert start(file, out, log).wait(LONGEST_S) != 0
     text = (tmp_path / "log").read_text()
