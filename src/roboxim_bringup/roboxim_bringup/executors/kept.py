@@ -65,6 +65,11 @@ class KeptProcesses:
         with self._lock:
             self._idle.append((process, connection))
 
+    def pids(self) -> list[int]:
+        """Return the process ids of all processes that run, idle or not."""
+        with self._lock:
+            return [process.pid for process in self._all if process.poll() is None]
+
     def close(self) -> None:
         """End all processes."""
         with self._lock:

@@ -34,7 +34,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
     descriptor = int(sys.argv[1])
     os.set_inheritable(descriptor, False)  # a grandchild would keep the connection open
-    inherited = dict(os.environ)
+    environment, path = dict(os.environ), list(sys.path)
     with Connection(descriptor) as connection:
         writing = threading.Lock()  # a worker may note from other threads
 
@@ -45,7 +45,8 @@ def main() -> int:
         code = None
         while code is None:
             os.environ.clear()
-            os.environ.update(inherited)
+            os.environ.update(environment)
+            sys.path[:] = path
             code = _serve(connection, send)
         return code
 

@@ -26,8 +26,8 @@ from roboxim_bringup.executors.protocol import Work
 from roboxim_bringup.process import describe_exit, spawn, stop
 from roboxim_core.errors import UnavailableError, raise_for_code
 
-READY_S = 300.0
-"""Longest start of a worker [s]; a policy may compile meanwhile."""
+READY_S = 900.0
+"""Longest start of a worker [s]; a policy may compile meanwhile, on a machine that has other work."""
 STALL_S = 300.0
 """A worker that is silent for this time counts as dead [s]."""
 GRACE_S = 3.0
@@ -78,10 +78,20 @@ class WorkerProcess:
     def start(self) -> None:
         """Start the process, or continue in one of an earlier work; see `Place.start`."""
         Path(self.log).write_bytes(b"")
-        found = self._kept.take() if self._kept is not None else None
-        self.process, self._connection = found or self._spawned()
+        if self._kept is not None and (found := self._kept.take()) is not None:
+            try:
+                self._begin(found)
+            except WorkerDiedError:  # it may have died at rest, of what an earlier work did
+                self._stop()
+            else:
+                return
+        self._begin(self._spawned())
+
+    def _begin(self, place: Spawned) -> None:
+        """Make the worker in a process; returns when it is ready."""
+        self.process, self._connection = place
         self._send("work", {"work": asdict(self._work), "number": self._number, "log": self.log})
-        kind, content = self._receive(READY_S)
+        kind, content = self._receive(starting=True)
         if kind != "ready":
             self._raise_for(kind, content)
         self._idle = True
@@ -126,6 +136,10 @@ class WorkerProcess:
             self._kept.give(self.process, self._connection)
             self.process = self._connection = None
             return False
+        return self._stop()
+
+    def _stop(self) -> bool:
+        """End the process; return whether something from outside had ended it before."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -153,8 +167,12 @@ class WorkerProcess:
         except OSError:
             raise WorkerDiedError(self._describe_death()) from None
 
-    def _receive(self, ready_within_s: float = float("inf")) -> tuple[str, Any]:
-        """Return the worker's next message; raise when the worker cannot send one any more."""
+    def _receive(self, *, starting: bool = False) -> tuple[str, Any]:
+        """Return the worker's next message; raise when the worker cannot send one any more.
+
+        Args:
+            starting: Whether it is the first one, for which the worker has `READY_S`.
+        """
         assert self._connection is not None
         assert self.process is not None
         self._heard = time.monotonic()
@@ -164,9 +182,9 @@ class WorkerProcess:
                 raise ClosingError
             if self.process.poll() is not None:
                 raise WorkerDiedError(self._describe_death())
-            if silence > ready_within_s:
-                raise UnavailableError(f"a worker is not ready after {ready_within_s:g} s; its log: {self.log}")
-            if silence > self._stall_s:
+            if starting and silence > READY_S:
+                raise UnavailableError(f"a worker is not ready after {READY_S:g} s; its log: {self.log}")
+            if not starting and silence > self._stall_s:
                 raise WorkerDiedError(f"no message from it for {self._stall_s:g} s")
         try:
             kind, content = json.loads(self._connection.recv_bytes())

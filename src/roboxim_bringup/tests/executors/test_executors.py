@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from multiprocessing.connection import Pipe
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
 WORKER = """
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
@@ -62,7 +64,7 @@ class Worker:
             os.kill(os.getpid(), signal.SIGKILL)
         if job == "say":
             print("said", flush=True)
-            return {"pid": os.getpid(), "variable": os.environ.get("THING")}
+            return {"pid": os.getpid(), "variable": os.environ.get("THING"), "path": sys.path}
         return {"job": job, "pi": 3.141592653589793, "variable": os.environ.get("THING")}
 
     def first(self):
@@ -108,19 +110,20 @@ def test_every_executor_gives_the_same_results(work, tmp_path):
 
 
 def test_kept_processes_serve_one_work_after_the_other(work, tmp_path):
-    """Each with its settings, environment and log; a work that may leave something behind gets its own process."""
+    """Each with its settings, environment, modules and log; a work that may leave something gets its own process."""
     first, second = work(), work()
+    first = replace(first, python_path=(*first.python_path, "/of/the/first"))
     second.environment["OTHER"] = second.environment.pop("THING")
     with KeptProcesses() as kept:
-        pids, variables = [], []
+        said = []
         for number, given in enumerate((first, second, first)):
             executor = LocalExecutor(1, log_dir=tmp_path / f"logs-{number}", kept=kept)
-            for outcome in executor.run(replace(given, leaves_nothing=number < 2), jobs("say")):
-                pids.append(outcome.value["pid"])
-                variables.append(outcome.value["variable"])
+            said += [done.value for done in executor.run(replace(given, leaves_nothing=number < 2), jobs("say"))]
         [(process, _)] = kept._idle
-    assert pids[0] == pids[1] != pids[2]
-    assert variables == ["x", None, "x"], "a work has its own environment alone"
+        assert kept.pids() == [process.pid]
+    assert said[0]["pid"] == said[1]["pid"] != said[2]["pid"]
+    assert [one["variable"] for one in said] == ["x", None, "x"], "a work has its own environment alone"
+    assert ["/of/the/first" in one["path"] for one in said] == [True, False, True]
     assert [(tmp_path / f"logs-{i}/worker-0.log").read_text().count("said") for i in range(3)] == [1, 1, 1]
     assert process.poll() is not None, "it ends with its keeper"
 
@@ -135,6 +138,28 @@ def test_a_kept_process_that_died_or_was_busy_is_not_used_again(work, tmp_path):
         with pytest.raises(ConfigError, match="wrong job"):
             list(LocalExecutor(1, kept=kept).run(given, jobs("wrong")))
         assert kept.take() is None
+
+
+def test_a_kept_process_that_ends_when_it_is_needed_is_replaced(work):
+    """It ends by itself, which is no fault of the work that it gets."""
+    ours, theirs = Pipe()
+    code = f"import os, multiprocessing.connection as c; c.Connection({theirs.fileno()}).recv_bytes(); os._exit(3)"
+    process = subprocess.Popen([sys.executable, "-c", code], pass_fds=[theirs.fileno()])
+    theirs.close()
+    with KeptProcesses() as kept:
+        kept.give(process, ours)
+        [done] = LocalExecutor(1, kept=kept).run(replace(work(), leaves_nothing=True), jobs("say"))
+    assert process.returncode == 3
+    assert done.value["pid"] != process.pid
+
+
+def test_a_cancelled_run_leaves_no_kept_process_at_work(work):
+    given, stop = replace(work(), leaves_nothing=True), threading.Event()
+    with KeptProcesses() as kept:
+        executor = LocalExecutor(2, kept=kept)
+        with pytest.raises(CancelledError):
+            list(executor.run(given, jobs("hang", "hang"), on_note=lambda _: stop.set(), cancellation=stop))
+        assert kept.pids() == []
 
 
 @pytest.mark.parametrize("fault", ["kill once", "broken once"])
@@ -175,8 +200,8 @@ def test_a_worker_that_cannot_start_shows_its_log(work):
 
 
 def test_a_worker_that_hangs_counts_as_dead(work):
-    [outcome] = LocalExecutor(1, stall_s=3.0).run(work(), jobs("hang"))
-    assert "no message from it for 3 s" in outcome.message
+    [outcome] = LocalExecutor(1, stall_s=0.2).run(work(), jobs("hang"))  # a start takes longer, and is no silence
+    assert "no message from it for 0.2 s" in outcome.message
 
 
 def test_a_cancelled_run_ends_its_workers(work):
