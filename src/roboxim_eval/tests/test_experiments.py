@@ -57,7 +57,8 @@ scales:
 RATES = Rates(
     machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
     demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
-    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, evaluate_start_s=10, proof_start_s=5,
+    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
+    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
 )  # fmt: skip
 
 
@@ -178,6 +179,7 @@ def test_curves_and_final_evaluations_never_meet_the_same_scenes():
     design = design_of(config(curve={"every": 1000, "per_checkpoint": 10, "replicates": 1}))
     assert [t.checkpoints for t in design.trainings if t.replicate == 0] == [(1000, 2000, 3000, 4000)] * 2
     assert not any(t.checkpoints for t in design.trainings if t.replicate)
+    assert design.training_starts == 2 * 5 + 8, "a training with a curve starts again at each checkpoint"
     curve = [e for e in design.evaluations if e.checkpoint]
     assert all(e.rollouts == 10 and not set(e.counts) & {"pick_up target=cube"} for e in curve)
     stages = [stage for stage in stages_of(design) if stage.kind == "evaluate"]
@@ -218,8 +220,8 @@ def test_the_cost_follows_from_measured_rates():
     design = design_of(config())
     cost = cost_of(design, RATES)
     assert cost.train_s == pytest.approx(10 * (4000 / 5.7 + 10))
-    assert cost.evaluate_s == pytest.approx(1400 * (4.0 + 0.1) + 15 * 10 + 5 * 5)
-    assert cost.generate_s == pytest.approx(144 * (1.2 + 0.1) + 216 * 0.1 + 10 + 2 * 5)
+    assert cost.evaluate_s == pytest.approx(1400 * (4.0 + 0.1) + 15 * 10 + 5 * 5 + 7 + 3 * 8 * 0.5)
+    assert cost.generate_s == pytest.approx(144 * (1.2 + 0.1) + 216 * 0.1 + 10 + 5)
     assert cost.disk_bytes == pytest.approx((144 + 10 + 1400) * 1e7 + 216 * 1e6)
     assert 0.1 < cost.detectable < 0.3
     away = cost_of(design_of(config(trainers={"external": {}})), RATES)

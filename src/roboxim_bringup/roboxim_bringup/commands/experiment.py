@@ -338,7 +338,8 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     click.echo(f"proofs           {rates.proof_s:.2f} s each")
     click.echo(
         f"start of a stage {rates.start_s:.0f} s generation, {rates.train_start_s:.0f} s training, "
-        f"{rates.evaluate_start_s:.0f} s evaluation, {rates.proof_start_s:.0f} s proof"
+        f"{rates.evaluate_start_s:.0f} s evaluation ({rates.first_evaluate_s:.0f} s more for the first), "
+        f"{rates.proof_start_s:.0f} s proof"
     )
     click.echo(f"stored in {store_rates(rates)}")
 

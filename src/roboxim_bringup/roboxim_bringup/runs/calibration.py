@@ -8,19 +8,21 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.executors import Cancellation
+from roboxim_bringup.executors import Cancellation, KeptProcesses, LocalExecutor
 from roboxim_bringup.runs.delivery import BagJob, DeliveryReader, demands_of
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, ignore
+from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, evaluate, report_of
+from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, StageStarted, ignore
+from roboxim_bringup.runs.experiment_stages import started
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.generation import GenerationConfig, generate
@@ -30,7 +32,8 @@ from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.runs.training import BCConfig, train_bc
 from roboxim_core.config import from_json, parse_yaml, to_json
 from roboxim_core.documents import read_text
-from roboxim_core.errors import ConfigError
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.experiments import Design, Rates
 
@@ -79,8 +82,13 @@ class _Watch:
     on_event: OnEvent
     seen: list[tuple[float, int]] = field(default_factory=list)
 
+    began: float = 0.0
+    """Time when the training itself began, after the reading [s]."""
+
     def __call__(self, event: Event) -> None:
         self.on_event(event)
+        if isinstance(event, StageStarted):
+            self.began = time.monotonic()
         if isinstance(event, StageProgress) and event.note.startswith("loss"):
             self.seen.append((time.monotonic(), event.done))
 
@@ -91,6 +99,12 @@ class _Watch:
         if last <= first:
             raise ConfigError("the training was too short to measure a rate; calibrate with more steps")
         return (last - first) / (end - begin)
+
+    @property
+    def compilation_s(self) -> float:
+        """Time before the first steps [s]."""
+        end, steps = self.seen[0]
+        return max(0.0, end - self.began - steps / self.steps_per_s)
 
 
 def calibrate(
@@ -112,34 +126,42 @@ def calibrate(
         RoboximError: When a stage fails.
     """
     options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
-    with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name:
+    with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name, KeptProcesses() as processes:
         folder = Path(name)
         common: dict[str, Any] = {"task": str(config.mix), "size": config.size, "workers": config.workers}
+
+        def episodes(run: str) -> LocalExecutor:
+            return LocalExecutor(config.workers, log_dir=folder / f"{run}-logs", kept=processes)
+
         demos, generate_s = _timed(
-            lambda: generate(GenerationConfig(out=folder / "demos", episodes=config.episodes, **common), **options)
-        )
+            lambda: generate(
+                GenerationConfig(out=folder / "demos", episodes=config.episodes, **common),
+                executor=episodes("demos"), **options,
+            )
+        )  # fmt: skip
         demos.require_any()
         kept = len(demos.kept)
         export, export_s = _timed(
             lambda: export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0), **options)
         )
         watch = _Watch(on_event)
-        trained, train_s = _timed(
-            lambda: train_bc(
-                folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
-            )
+        trained = train_bc(
+            folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
         )
         policy = PolicySpec(spec="bc", options={"checkpoint": str(folder / "bc")})
-        rollouts, evaluate_s = _timed(
-            lambda: evaluate(
-                EvaluationConfig(policies=policy, out=folder / "evaluation", episodes=config.rollouts, **common),
-                **options,
-            )
-        )
+
+        def evaluation(run: str, number: int) -> EvaluationResult:
+            wanted = EvaluationConfig(policies=policy, out=folder / run, episodes=number, page=False, **common)
+            return evaluate(wanted, executor=episodes(run), **options)
+
+        first, first_s = _timed(lambda: evaluation("first", config.workers))  # loads the policy's libraries
+        rollouts, evaluate_s = _timed(lambda: evaluation("evaluation", config.rollouts))
+        _, page_s = _timed(lambda: report_of(folder / "evaluation"))
         bags = [str(folder / "demos" / result.bag) for result in demos.kept]
         proof_s, proof_start_s = _proof_times(bags, config, folder / "logs", options)
-        demonstration_s = sum(result.wall_s for result in demos.results) / kept / config.workers
+        demonstration_s = _episode_s(demos.results, config.workers) * len(demos.results) / kept
         rollout_s = sum(result.wall_s for result in rollouts.results) / config.rollouts / config.workers
+        evaluate_start_s = max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts)
         return Rates(
             machine=f"{platform.machine()}, {os.cpu_count()} cores",
             measured=datetime.now().isoformat(timespec="minutes"),
@@ -157,10 +179,42 @@ def calibrate(
             rollout_bytes=_size(rollouts.first.folder / "episodes") / config.rollouts,
             proof_s=proof_s,
             start_s=max(LEAST_START_S, generate_s - demonstration_s * kept),
-            train_start_s=max(LEAST_START_S, train_s - config.steps / watch.steps_per_s),
-            evaluate_start_s=max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts),
+            train_start_s=_training_start_s(folder, config.steps) + watch.compilation_s,
+            first_evaluate_s=max(
+                LEAST_START_S, first_s - evaluate_start_s - _rollouts_s(first.results, config.workers)
+            ),
+            evaluate_start_s=evaluate_start_s,
             proof_start_s=proof_start_s,
+            film_s=page_s / config.rollouts,
         )
+
+
+def _episode_s(results: Sequence[EpisodeResult], workers: int) -> float:
+    """Return the wall time of an episode with all workers busy [s].
+
+    The first episode of each worker is not counted, since it loads the models; its excess is part of the start.
+    """
+    warm = results[workers:] or results
+    return sum(result.wall_s for result in warm) / len(warm) / workers
+
+
+def _rollouts_s(results: Sequence[EpisodeResult], workers: int) -> float:
+    return sum(result.wall_s for result in results) / workers
+
+
+def _training_start_s(folder: Path, steps: int) -> float:
+    """Return the wall time of a training's command on a finished training: it starts, reads, and has no step to do.
+
+    Raises:
+        RoboximError: When the command fails.
+    """
+    words = ["roboxim", "train", "bc", str(folder / "rlds"), "--out", str(folder / "bc"), "--steps", str(steps)]
+    with open(folder / "training.log", "w+") as log:
+        code, seconds = _timed(lambda: started(words, log).wait())
+        if code:
+            log.seek(0)
+            raise RoboximError(f"{shlex.join(words)} ended with code {code}:\n{log.read().strip()[-2000:]}")
+    return seconds
 
 
 def _proof_times(
@@ -232,7 +286,7 @@ def store_rates(rates: Rates) -> Path:
 
 
 def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
-    """Return the rates that a finished run of an experiment shows; none: it was too small to show any.
+    """Return the rates that a finished run of an experiment shows; none: it was too small, or a stage was interrupted.
 
     What a run does not show, e.g. the start of its trainings, is taken from earlier rates.
 
@@ -246,10 +300,11 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
     Raises:
         ConfigError: When a file of the folder is damaged.
     """
-    wall = {entry.data["stage"]: float(entry.data["wall_s"]) for entry in ResultsLog(out / "stages.jsonl").read()}
+    entries = [entry.data for entry in ResultsLog(out / "stages.jsonl").read()]
+    wall = {entry["stage"]: float(entry["wall_s"]) for entry in entries}
     of = {kind: [stage for stage in wall if stage.startswith(f"{kind}/")] for kind in ("generate", "train", "evaluate")}
     small = design.episodes < LEAST_EPISODES or design.rollouts < LEAST_EPISODES or design.steps < LEAST_STEPS
-    if small or not all(of.values()):
+    if small or not all(of.values()) or any(entry.get("continued") for entry in entries):
         return None
     demos = [result for stage in of["generate"] for result in RunFolder(out / stage).results()]
     rollouts = [
@@ -257,9 +312,10 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
         for stage in of["evaluate"]
         for result in RunFolder(out / stage / stage.removeprefix("evaluate/").rpartition(".")[0]).results()
     ]
-    demonstration_s = sum(result.wall_s for result in demos) / len(demos) / workers
+    demonstration_s = _episode_s(demos, workers)
     rollout_s = sum(result.wall_s for result in rollouts) / len(rollouts) / workers
-    training_s = sum(wall[stage] for stage in of["train"]) - len(of["train"]) * before.train_start_s
+    training_s = sum(wall[stage] for stage in of["train"]) - design.training_starts * before.train_start_s
+    evaluating_s = sum(wall[stage] for stage in of["evaluate"]) - before.first_evaluate_s
     if not demonstration_s > 0 or not rollout_s > 0 or not training_s > 0:
         return None
     proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith("prove/evaluation"))
@@ -274,7 +330,6 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
                     - demonstration_s * len(demos) / len(of["generate"])),
         steps_per_s=design.steps / training_s,
         rollout_s=rollout_s,
-        evaluate_start_s=max(LEAST_START_S, sum(wall[s] for s in of["evaluate"]) / len(of["evaluate"])
-                             - rollout_s * len(rollouts) / len(of["evaluate"])),
+        evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
         proof_s=proof_s if proof_s > 0 else before.proof_s,
     )  # fmt: skip

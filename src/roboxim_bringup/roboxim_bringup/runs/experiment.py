@@ -254,10 +254,12 @@ class _Run:
             write_atomically(self.out / JUDGED_FILE, json.dumps(again) + "\n")
 
     def learn_rates(self, name: str) -> None:
-        """Store the rates that a whole run showed, for later plans; those of a run in pieces are as good."""
+        """Store the rates that a whole run on this machine showed, for later plans."""
         before = stored_rates(self.design.config.image_size)
-        found = None if before is None else rates_of_run(name, self.out, self.design, self.config.workers, before)
-        if found is not None and self._ran:
+        if before is None or not self._ran or self._runner.executor is not None:
+            return
+        found = rates_of_run(name, self.out, self.design, self.config.workers, before)
+        if found is not None:
             store_rates(found)
 
     # -------------------------------------------------------------- stages
@@ -278,10 +280,12 @@ class _Run:
         absent = [need for need in stage.needs if need not in done and need in self._by_name]
         if absent:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")
-        started = time.monotonic()
+        started, continued = time.monotonic(), (self.out / stage.name).exists()
         made = self._runner.run(stage, self._by_name)
         self._ran = True
         entry = {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1), **made}
+        if continued:
+            entry["continued"] = True  # wall_s has not all of it
         if stage.kind in ("export", "train"):
             entry["sha256"] = folder_sha256(self.out / stage.name)
         self.log.append(self._key(stage), entry)

@@ -28,14 +28,13 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import Design, ExperimentConfig
 from roboxim_eval.experiments.card import SCHEMA, Card
 from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.experiments.cost import FILMS
 
 if TYPE_CHECKING:
     from roboxim_eval.report.episodes import Episode
 
 STATE_FILE = "experiment.json"
 REPORT_FILE = "report.html"
-FILMS = 8
-"""Films of each condition in the report."""
 
 
 @dataclass(frozen=True, kw_only=True)

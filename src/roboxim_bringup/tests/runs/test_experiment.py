@@ -87,6 +87,7 @@ class Fakes:
 
     def evaluate(self, config, executor, **_):
         name, replicate = config.policies.name, Path(config.out).name.split(".")[1]
+        assert not config.page, "a page for each evaluation would take longer than the experiment's"
         if self.fail_at == f"{name}.{replicate}":
             raise RoboximError("the machine was switched off")
         self.calls.append(f"evaluate {name}.{replicate} {config.policies.spec}")
@@ -153,6 +154,7 @@ def test_an_interrupted_experiment_continues_and_ends_with_the_same_card(fakes, 
     result = run_experiment(config())
     assert not set(before) & set(fakes.calls)
     assert result.card.sha256 == whole
+    assert "continued" not in (tmp_path / "whole/stages.jsonl").read_text(), "its times are whole, for later plans"
 
 
 def test_a_changed_input_is_refused_by_name(fakes, config):

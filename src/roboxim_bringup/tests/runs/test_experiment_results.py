@@ -5,12 +5,14 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from roboxim_bringup.cli import group
 from roboxim_bringup.experiment_card import collect_card, evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs import benchmark, experiment_pack, sequential
 from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark, stored_benchmark_card
-from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult
+from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationRecord, EvaluationResult, PolicyResult
 from roboxim_bringup.runs.experiment import ExperimentResult
 from roboxim_bringup.runs.experiment_models import compared
 from roboxim_bringup.runs.experiment_pack import pack, packed_files, unpack
@@ -19,11 +21,12 @@ from roboxim_bringup.runs.experiment_report import (
     experiment_episodes,
     folder_card,
     write_card,
+    write_evaluation_pages,
     write_experiment_report,
 )
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
-from roboxim_core.config import parse_yaml, to_plain
+from roboxim_core.config import parse_yaml, to_json, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import experiment_config, stages_of
@@ -265,6 +268,24 @@ def test_policies_of_a_benchmark_are_named_with_their_experiment(planted_benchma
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "wrong", policies=wrong))
 
 
+def test_pages_of_evaluations_are_written_on_demand(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    folder_card(folder)
+    with pytest.raises(ConfigError, match=r"leave_out.0/evaluation.json"):
+        write_evaluation_pages(folder)
+    for stage in stages_of(folder.design):
+        if stage.kind == "evaluate":
+            name = stage.name.removeprefix("evaluate/").partition(".")[0]
+            record = EvaluationRecord(task="mine", seed=1, policies=(name,))
+            (folder.path / stage.name / "evaluation.json").write_text(to_json(record))
+    words = ("experiment", "report", str(folder.path), "--evaluations", "--films", "0")
+    said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
+    pages = sorted((folder.path / "evaluate").glob("*/report.html"))
+    assert len(pages) == 9
+    assert all(f"report: {page}\n" in said for page in pages)
+    assert "32 of 80" in pages[-1].read_text(), "leave_out.2 by its own results"
+
+
 # ------------------------------------------------------------------ stopping early
 
 
@@ -275,7 +296,7 @@ def planted_evaluations(monkeypatch, tmp_path):
 
     def made(rates):
         def evaluate(config, **_):
-            calls.append((config.episodes, config.stopped))
+            calls.append((config.episodes, config.stopped, config.page))
             policies = {}
             for name, rate in zip(config.policies, rates, strict=True):
                 results = tuple(
@@ -298,7 +319,7 @@ def test_an_evaluation_stops_when_two_policies_differ(planted_evaluations):
     assert found.decided
     assert "Planned: at most 200 scenes, looks after 50, 100, 150, 200." in found.sentence
     assert "Stopped after 50: this checkpoint of good is better than this one of bad" in found.sentence
-    assert [episodes for episodes, _ in calls] == [50, 50]
+    assert [(episodes, page) for episodes, _, page in calls] == [(50, False), (50, True)], "one page, at the end"
     assert calls[-1][1] == found.sentence, "the report states it"
 
 
@@ -307,7 +328,7 @@ def test_an_evaluation_of_equal_policies_uses_all_scenes(planted_evaluations):
     found = sequential.evaluate_sequentially(EvaluationConfig(policies=["a", "b"], episodes=90), 3)
     assert not found.decided
     assert "cannot tell which is better" in found.sentence
-    assert [episodes for episodes, _ in calls][:3] == [30, 60, 90]
+    assert [episodes for episodes, *_ in calls] == [30, 60, 90, 90]
     with pytest.raises(ConfigError, match="exactly two"):
         sequential.evaluate_sequentially(EvaluationConfig(policies=["a"], episodes=90), 3)
     with pytest.raises(ConfigError, match="looks must be from 2"):

@@ -12,6 +12,9 @@ from roboxim_eval.statistics.power import Design as Size
 from roboxim_eval.statistics.power import detectable
 from roboxim_eval.statistics.replicates import LEAST_REPLICATES
 
+FILMS = 8
+"""Films of each condition in an experiment's report."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
@@ -49,10 +52,14 @@ class Rates:
     """Wall time of a generation beside its episodes: the start of the graph, and the pictures at the end [s]."""
     train_start_s: float
     """Wall time of a training before its first step: reading the data, compiling [s]."""
+    first_evaluate_s: float
+    """Wall time that an experiment's first evaluation takes longer: workers load the policy's libraries [s]."""
     evaluate_start_s: float
-    """Wall time of an evaluation beside its episodes: the start of graph and policy, and the report [s]."""
+    """Wall time of a further evaluation beside its episodes: the start of graph and policy [s]."""
     proof_start_s: float
     """Wall time of the start of a proof [s]."""
+    film_s: float
+    """Wall time of a film of the report, its episode's facts included [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -74,7 +81,7 @@ class Cost:
     train_s: float | None
     """Time of the trainings [s]; none: they run elsewhere."""
     evaluate_s: float
-    """Time of the rollouts and of their proofs [s]."""
+    """Time of the rollouts, of their proofs and of the report [s]."""
     disk_bytes: float
     """Disk of bags, datasets and checkpoints."""
     detectable: float | None
@@ -96,8 +103,12 @@ def cost_of(design: Design, rates: Rates) -> Cost:
     """
     exported = design.generations * sum(sum(counts.values()) for counts in design.datasets.values())
     here = bool(design.trainer.command)
-    train_s = design.steps / rates.steps_per_s + len(design.trainings) * rates.train_start_s
-    start_s = rates.start_s + len(design.datasets) * rates.proof_start_s
+    train_s = design.steps / rates.steps_per_s + design.training_starts * rates.train_start_s
+    films = sum(
+        min(FILMS, sum(one.rollouts for one in design.evaluations if one.condition == name and not one.checkpoint))
+        for name in design.config.conditions
+    )
+    start_s = rates.start_s + rates.proof_start_s
     return Cost(
         generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)
         + exported * rates.export_s
@@ -105,6 +116,8 @@ def cost_of(design: Design, rates: Rates) -> Cost:
         train_s=train_s if here else None,
         evaluate_s=design.rollouts * (rates.rollout_s + rates.proof_s)
         + len(design.evaluations) * rates.evaluate_start_s
+        + rates.first_evaluate_s
+        + films * rates.film_s
         + design.config.replicates.count * rates.proof_start_s,
         disk_bytes=design.episodes * rates.demonstration_bytes
         + exported * rates.dataset_bytes
