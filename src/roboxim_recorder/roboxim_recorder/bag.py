@@ -207,9 +207,9 @@ class BagReader:
             RecorderError: With code ``BAG_DAMAGED``.
         """
         for topic, _, data in self._read(None):
-            yield topic, data
+            yield topic, bytes(data)
 
-    def _read(self, names: Sequence[str] | None) -> Iterator[tuple[str, int, bytes]]:
+    def _read(self, names: Sequence[str] | None) -> Iterator[tuple[str, int, memoryview]]:
         with (
             damage(self.path),
             self.file.open("rb") as stream,
@@ -218,7 +218,7 @@ class BagReader:
             for channel, stamp, data in found:
                 yield channel.topic, stamp, data
 
-    def decode(self, topic: str, cdr: bytes) -> Any:
+    def decode(self, topic: str, cdr: bytes | memoryview) -> Any:
         """Decode a message of a topic.
 
         Raises:

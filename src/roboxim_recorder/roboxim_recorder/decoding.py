@@ -27,7 +27,7 @@ class Decoder:
         self.types = {topic: schema.name for topic, schema in self._schemas.items()}
         """Topic to message type."""
 
-    def decode(self, topic: str, cdr: bytes) -> Any:
+    def decode(self, topic: str, cdr: bytes | memoryview) -> Any:
         """Decode a message of a topic; its arrays share the memory of ``cdr``."""
         return self._store.deserialize_cdr(memoryview(cdr), self.types[topic])
 
