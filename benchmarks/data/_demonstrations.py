@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from typing import Any
 
 from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_recorder import topics
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.edited import copy_edited
 from roboxim_tasks.skills import SKILLS
 
 QUICK = ("pick_up", "push_button")
@@ -37,3 +42,19 @@ def demonstrations(
             )
         )
     return runs
+
+
+def copy(original: Path, out: Path, name: str, index: int) -> None:
+    """Copy a bag under another id, with another hash of its last state."""
+
+    def edit(topic: str, message: Any) -> None:
+        if hasattr(message, "episode_id"):
+            message.episode_id = name
+        if hasattr(message, "index"):
+            message.index = index
+        if topic == topics.RESULT:
+            message.final_state_hash = f"{index:032x}"
+
+    named = [topic for topic, kind in BagReader(original).types.items() if kind.startswith("roboxim_interfaces/")]
+    shutil.rmtree(out / ".partial" / name, ignore_errors=True)
+    copy_edited(original, out, named, edit, episode_id=name)

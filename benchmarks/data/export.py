@@ -1,7 +1,9 @@
 """Episodes per second of exports: LeRobot with videos, RLDS with JPEG 95, HDF5; two 256 x 256 cameras.
 
-The bags are generated first and do not count. ``cpu_ms`` is the processor time of an episode, of the exporting process
-(reading bags included) and of its video workers; unlike the rate it hardly depends on what else the machine does.
+The bags are generated first and do not count. RLDS is also exported by a process for each core, from copies of the
+bags, since that pays when there are many episodes; the start of the processes counts. ``cpu_ms`` is the processor time
+of an episode, of the exporting process (reading bags included) and of its workers; unlike the rate it hardly depends on
+what else the machine does.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._harness import Bench
+from benchmarks.data._demonstrations import copy
 
 from roboxim_core.errors import RecorderError
 from roboxim_recorder.export import EXPORTERS, export_bags
@@ -26,7 +29,11 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "LeRobot 3.0, PNG": ("lerobot", {"images": True}),
     "RLDS, JPEG 95": ("rlds", {}),
     "HDF5, lzf": ("hdf5", {}),
+    "RLDS, JPEG 95, a process a core": ("rlds", {}),
 }
+*_, MANY = CASES
+COPIES = 6
+"""Times that a bag is exported by several processes."""
 HEADLINE = "LeRobot 3.0, h264"
 
 
@@ -37,6 +44,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         bags = bench.options.bags or generated(Path(folder) / "run", 6 if bench.quick else 40)
         for name in CASES:
+            if name == MANY:
+                bags = copied(bags, Path(folder) / "copies", 2 if bench.quick else COPIES)
             episodes, steps, seconds, own_ms, workers_ms = measure(name, bags, Path(folder) / "out")
             rates[name] = episodes / seconds
             size = sum(file.stat().st_size for file in (Path(folder) / "out").rglob("*") if file.is_file())
@@ -66,6 +75,13 @@ def generated(run: Path, episodes: int) -> Path:
     return run
 
 
+def copied(bags: Path, out: Path, times: int) -> Path:
+    """Return a folder with copies of the bags of a run under other ids."""
+    for index, bag in enumerate(times * sorted((bags / "episodes").iterdir())):
+        copy(bag, out, f"demo-1-{index:05d}-0", index)
+    return out
+
+
 def measure(name: str, bags: Path, target: Path) -> tuple[int, int, float, float, float]:
     """Export once; return episodes, steps, wall time [s], and processor time of an episode here and in workers [ms]."""
     exporter, options = CASES[name]
@@ -73,7 +89,7 @@ def measure(name: str, bags: Path, target: Path) -> tuple[int, int, float, float
     before = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     start = time.perf_counter()
     try:
-        report = export_bags(exporter, bags, target, config)
+        report = export_bags(exporter, bags, target, config, workers=0 if name == MANY else 1)
     except RecorderError as error:
         raise SystemExit(f"the export failed: {error}") from None
     took = time.perf_counter() - start

@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._harness import Bench
+from benchmarks.data._demonstrations import copy
 
 from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_recorder import topics
-from roboxim_recorder.bag import BagReader
-from roboxim_recorder.edited import copy_edited
 from roboxim_recorder.export import EXPORTERS, export_bags
 
 FORMATS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -63,22 +61,6 @@ def copies(out: Path, count: int) -> Path:
         if name not in there:
             copy(original, out / "bags", name, index)
     return out / "bags"
-
-
-def copy(original: Path, out: Path, name: str, index: int) -> None:
-    """Copy a bag under another id, with another hash of its last state."""
-
-    def edit(topic: str, message: Any) -> None:
-        if hasattr(message, "episode_id"):
-            message.episode_id = name
-        if hasattr(message, "index"):
-            message.index = index
-        if topic == topics.RESULT:
-            message.final_state_hash = f"{index:032x}"
-
-    named = [topic for topic, kind in BagReader(original).types.items() if kind.startswith("roboxim_interfaces/")]
-    shutil.rmtree(out / ".partial" / name, ignore_errors=True)
-    copy_edited(original, out, named, edit, episode_id=name)
 
 
 def measure(exporter: str, options: dict[str, Any], bags: Path, target: Path) -> tuple[float, float]:

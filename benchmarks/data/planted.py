@@ -1,5 +1,7 @@
 """Whether the audit finds every planted fault in 1, 10 and 100 % of the episodes of bags of all skills.
 
+The two small shares are of all bags, the whole one of the first two bags of each skill.
+
 Every fault that can be planted in bags is planted in copies, at each rate, and the copy is audited by the check that
 must find it. Faults that only datasets can have are planted in an RLDS export. With ``--out`` bags and finished
 measurements are stored there, and the same command continues an interrupted run.
@@ -23,6 +25,8 @@ from roboxim_bringup.runs.export import ExportConfig, export_dataset
 from roboxim_core.errors import InvalidRequestError
 
 RATES = (0.01, 0.1, 1.0)
+EACH = 2
+"""Bags of each skill in which every episode gets a fault."""
 NEEDS_RENDERER = ("hidden_object", "indistinguishable")
 
 
@@ -37,12 +41,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         out = (options.out or Path(scratch)).absolute()
         runs = demonstrations(out / "bags", episodes, skills=skills, seed=options.seed, workers=options.workers)
-        bags = gathered(list(runs.values()), out / "all")
-        dataset = export_dataset("rlds", bags, out / "rlds", ExportConfig(uneven=True)).path
+        sources = {rate: sources_of(list(runs.values()), out, EACH if rate == 1 else 0) for rate in RATES}
         planted = found = 0
         for name, kind in kinds.items():
             for rate in RATES:
-                row = measure(kind, rate, bags if kind.bags else dataset, out, options.seed)
+                row = measure(kind, rate, sources[rate][not kind.bags], out, options.seed)
                 bench.row(fault=name, rate=rate, **row)
                 planted, found = planted + int(row["planted"]), found + int(row["found"])
     bench.finish(f"share of {planted} planted faults that are found", found / planted, "", at_least=1.0)
@@ -57,10 +60,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes that demonstrate (default: 2)")
 
 
-def gathered(runs: list[Path], out: Path) -> Path:
-    """Return a folder of all bags of the runs; the files are linked."""
+def sources_of(runs: list[Path], out: Path, each: int) -> tuple[Path, Path]:
+    """Return what faults are planted in: a folder of bags, and the dataset of it.
+
+    Args:
+        runs: A run for each skill.
+        out: Folder of both.
+        each: Bags of each run; 0: all.
+    """
+    bags = gathered(runs, out / (f"each-{each}" if each else "all"), each)
+    target = out / (f"rlds-each-{each}" if each else "rlds")
+    return bags, export_dataset("rlds", bags, target, ExportConfig(uneven=True)).path
+
+
+def gathered(runs: list[Path], out: Path, each: int) -> Path:
+    """Return a folder of the bags of the runs; the files are linked."""
     for run in runs:
-        for bag in sorted((run / "episodes").iterdir()):
+        for bag in sorted((run / "episodes").iterdir())[: each or None]:
             if not (out / "episodes" / bag.name).is_dir():
                 shutil.copytree(bag, out / "episodes" / bag.name, copy_function=os.link)
     return out

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.documents import read_json_object
@@ -238,3 +238,15 @@ class DatasetWriter(Protocol):
 
     def complete(self, files: Mapping[str, str | bytes]) -> None:
         """Move the dataset to its final place, with further files by name."""
+
+
+@runtime_checkable
+class EncodingWriter(DatasetWriter, Protocol):
+    """A writer whose episodes other processes can encode."""
+
+    @property
+    def encoder(self) -> Callable[[Episode], bytes]:
+        """Return what encodes an episode; it can be pickled."""
+
+    def add_encoded(self, split: str, data: bytes) -> None:
+        """Append an episode that the encoder has encoded."""

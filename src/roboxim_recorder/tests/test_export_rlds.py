@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 from dataclasses import replace
 
 import numpy as np
@@ -167,3 +168,21 @@ def test_a_damaged_bag_is_named(tmp_path, fake):
 def test_bad_configurations_are_refused(options):
     with pytest.raises(InvalidRequestError):
         ExportConfig(**options)
+
+
+def test_processes_write_the_same_bytes_and_a_dead_one_costs_nothing(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_datasets.rlds.dataset.RldsWriter", small_shards())
+    config = ExportConfig(actions="end_effector_absolute,rotation_6d", image_width=32, image_height=24)
+    alone = export_rlds(run, tmp_path / "alone", config).path
+    monkeypatch.setattr("roboxim_recorder.export.processes.AHEAD", 0)  # so that the second episode comes too late
+
+    def kill(done, total):
+        if done == 1:
+            for process in multiprocessing.active_children():
+                process.kill()
+
+    with pytest.raises(RecorderError, match="a process of the export ended unexpectedly; run the same command again"):
+        export_rlds(run, tmp_path / "together", config, workers=2, progress=kill)
+    report = export_rlds(run, tmp_path / "together", config, workers=2)
+    assert report.resumed == 1
+    assert {p.name: p.read_bytes() for p in report.path.iterdir()} == {p.name: p.read_bytes() for p in alone.iterdir()}

@@ -115,6 +115,10 @@ def _common() -> list[click.Parameter]:
             help="Execute the actions of so many episodes again, and refuse the export if too few succeed.",
         ),
         click.Option(
+            ["--workers"], type=click.IntRange(0), default=0, show_default="one for each core from 100 episodes on",
+            help="Processes that read and encode episodes, for RLDS, and that execute those of --gate.",
+        ),
+        click.Option(
             ["--store"], default="", metavar="URL",
             help="Upload the dataset, e.g. to s3://bucket/demos-rlds. Needs roboxim[store]. RUN may be a URL too.",
         ),
@@ -123,7 +127,8 @@ def _common() -> list[click.Parameter]:
 
 def _export(
     name: str, own: dict[str, Any], source: tuple[Path | str, ...], target: Path, cameras: tuple[str, ...], size: str,
-    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, store: str, **common: Any,
+    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, workers: int, store: str,
+    **common: Any,
 ) -> None:  # fmt: skip
     from roboxim_bringup.options import parse_counts, parse_size
     from roboxim_bringup.printer import EventPrinter
@@ -137,7 +142,9 @@ def _export(
         only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
     )  # fmt: skip
     with EventPrinter() as printer, local_sources(source) as runs:
-        report = export_dataset(name, runs, target, config, overwrite=overwrite, gate=gate, on_event=printer)
+        report = export_dataset(
+            name, runs, target, config, overwrite=overwrite, gate=gate, workers=workers, on_event=printer
+        )
     _print_report(report)
     if store:
         click.echo(f"{store}: {upload_dataset(target, store)} files uploaded and compared")

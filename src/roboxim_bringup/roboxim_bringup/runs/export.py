@@ -73,7 +73,7 @@ def export_dataset(
         config: Configuration of the format's class; none: the defaults.
         overwrite: Replace an existing dataset.
         gate: Number of episodes to execute again, spread evenly; 0: no gate.
-        workers: Processes that execute them.
+        workers: Processes that read and encode episodes (see `export_bags`) and that execute them again.
         on_event: Receives the run's events.
         cancellation: Ends the export when it is set.
 
@@ -98,7 +98,7 @@ def export_dataset(
     def export(place: Path, if_exists: IfExists) -> ExportReport:
         with telling_interruption(on_event, lambda: "the same call or command continues the export"):
             on_event(StageStarted(title="exporting", total=1, unit="episodes"))
-            report = export_bags(name, sources, place, config, if_exists=if_exists, progress=progress)
+            report = export_bags(name, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
             on_event(StageFinished())
         return report
 
@@ -106,7 +106,7 @@ def export_dataset(
         from roboxim_bringup.runs.replay_gate import replay_dataset  # imports the simulator
 
         replayed = replay_dataset(
-            dataset, sources, episodes=gate, workers=workers, on_event=on_event, cancellation=cancellation
+            dataset, sources, episodes=gate, workers=max(1, workers), on_event=on_event, cancellation=cancellation
         )
         folder = dataset if dataset.is_dir() else dataset.parent
         write_atomically(folder / REPLAY_FILE, replayed.to_json())

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_datasets.dataset import SPLITS, Dataset, Description
+from roboxim_datasets.dataset import SPLITS, Dataset, Description, Features
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import EncodedSteps, read_steps, to_rlds
-from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures
+from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures, encode_episode
 from roboxim_datasets.rlds.loader_files import loader_files, statistics_of
 from roboxim_datasets.rlds.reader import RldsDataset, find_rlds
 from roboxim_datasets.rlds.writer import RldsWriter
@@ -49,6 +49,24 @@ class RldsOptions:
             raise InvalidRequestError("loaders rewrite the actions of datasets called bridge*; choose another name")
 
 
+@dataclass(frozen=True, kw_only=True)
+class RldsEncoder:
+    """Encodes episodes as records of a dataset, also in another process."""
+
+    described: Features
+    """What the dataset's steps consist of."""
+    features: RldsFeatures
+    """The same, as RLDS stores it."""
+
+    def __call__(self, episode: Episode) -> bytes:
+        """Return an episode's record."""
+        with ThreadPoolExecutor(1) as pool:
+            return encode_episode(
+                to_rlds(read_steps(episode, self.described, self.features, pool), self.described, self.features),
+                self.features,
+            )
+
+
 class RldsDatasetWriter:
     """Writes episodes to an RLDS dataset.
 
@@ -69,6 +87,16 @@ class RldsDatasetWriter:
         read = read_steps(episode, self._description.features, self._writer.features, self._pool)
         self._write_pending()
         self._pending = split, read
+
+    @property
+    def encoder(self) -> RldsEncoder:
+        """What encodes an episode in another process."""
+        return RldsEncoder(described=self._description.features, features=self._writer.features)
+
+    def add_encoded(self, split: str, data: bytes) -> None:
+        """Append an episode that the encoder has encoded."""
+        self._write_pending()
+        self._writer.add_encoded(split, data)
 
     def _write_pending(self) -> None:
         if self._pending is not None:

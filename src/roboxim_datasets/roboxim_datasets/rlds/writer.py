@@ -98,8 +98,16 @@ class RldsWriter:
             InvalidRequestError: When the episode does not fit the features.
             OSError: When the disk is full.
         """
+        self.add_encoded(split, encode_episode(episode, self.features))
+
+    def add_encoded(self, split: str, payload: bytes) -> None:
+        """Append an episode that `roboxim_datasets.rlds.format.encode_episode` has serialised.
+
+        Raises:
+            OSError: When the disk is full.
+        """
         pending = self._pending.setdefault(split, [])
-        pending.append(encode_episode(episode, self.features))
+        pending.append(payload)
         if sum(map(len, pending)) >= self._shard_bytes:
             self._finish_shard(split)
 

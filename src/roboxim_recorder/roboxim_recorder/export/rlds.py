@@ -49,7 +49,8 @@ def export_rlds(
     config: ExportConfig | None = None,
     *,
     if_exists: Literal["refuse", "overwrite", "keep"] = "refuse",
+    workers: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> ExportReport:
     """Export bags as RLDS; see `export_bags`."""
-    return export_bags("rlds", source, target, config, if_exists=if_exists, progress=progress)
+    return export_bags("rlds", source, target, config, if_exists=if_exists, workers=workers, progress=progress)

@@ -15,20 +15,25 @@ from roboxim_core.config import digest, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
 from roboxim_datasets.card import card_path, write_card
-from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter
+from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter, EncodingWriter
 from roboxim_datasets.formats import FORMATS
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.content import Content, content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE, convention_text
 from roboxim_recorder.export.episodes import exported_episode
+from roboxim_recorder.export.processes import add_in_processes, available_cores
 from roboxim_recorder.export.registry import EXPORTERS, Exporter
-from roboxim_recorder.export.selection import Chosen, Selection, choose
+from roboxim_recorder.export.selection import Chosen, Selection, Source, choose
 from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
 SWITCH_INTERVAL_S = 0.5e-3
 """Time after which a thread that decompresses or encodes gets the interpreter from the one that converts [s]. Python's
 default, 5 ms, is longer than most of their steps; exports are an eighth faster with a shorter one."""
+
+
+MANY_EPISODES = 100
+"""Episodes from which on an export with several processes is faster, although each takes seconds to start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +67,7 @@ def export_bags(
     config: Selection | None = None,
     *,
     if_exists: Literal["refuse", "overwrite", "keep"] = "refuse",
+    workers: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> ExportReport:
     """Export runs' folders, folders of bags or bags.
@@ -76,6 +82,8 @@ def export_bags(
         config: Configuration, of the format's class; None: the defaults.
         if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
             when it is of the same bags and configuration (an error otherwise).
+        workers: Processes that read and encode episodes, for formats that allow it (RLDS); 0: one for each core if
+            there are many episodes. With several, the calling script needs a main guard, as for `multiprocessing`.
         progress: Called with the episodes done and their total.
 
     Raises:
@@ -104,7 +112,7 @@ def export_bags(
             exporter.open(Path(target), config, description, identity=identity, overwrite=overwrite) as writer,
             _frequent_switches(),
         ):
-            resumed = _write_episodes(writer, chosen, content, progress)
+            resumed = _write_episodes(writer, chosen, content, config, workers, progress)
             facts = {
                 "format": name,
                 "identity": identity,
@@ -134,19 +142,30 @@ def _frequent_switches() -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
-def _write_episodes(writer: DatasetWriter, chosen: Chosen, content: Content, progress: Progress) -> int:
+def _write_episodes(
+    writer: DatasetWriter, chosen: Chosen, content: Content, config: Selection, workers: int, progress: Progress
+) -> int:
     """Add every episode that an interrupted export has not written; return the number that it had written."""
     skip = {split: writer.resumed(split) for split in chosen.splits}
     resumed, total = sum(skip.values()), len(chosen.sources)
-    done = resumed
-    if done:
+    left = [(split, source) for split, sources in chosen.splits.items() for source in sources[skip[split] :]]
+    if resumed:
+        progress(resumed, total)
+    if not workers:
+        workers = available_cores() if len(left) >= MANY_EPISODES else 1
+    if workers > 1 and isinstance(writer, EncodingWriter):
+        added = add_in_processes(writer, left, chosen.sources[0], config, workers)
+    else:
+        added = _add(writer, left, content)
+    for done, _ in enumerate(added, start=resumed + 1):
         progress(done, total)
-    for split, sources in chosen.splits.items():
-        for source in sources[skip[split] :]:
-            writer.add(split, exported_episode(source, content))
-            done += 1
-            progress(done, total)
     return resumed
+
+
+def _add(writer: DatasetWriter, left: Sequence[tuple[str, Source]], content: Content) -> Iterator[None]:
+    for split, source in left:
+        writer.add(split, exported_episode(source, content))
+        yield
 
 
 def _identity(name: str, chosen: Chosen, content: Content, config: Selection) -> str:
