@@ -45,6 +45,27 @@ def executor_options() -> list[Decorator]:
     ]  # fmt: skip
 
 
+def parse_resources(option: str, text: str) -> dict[str, float]:
+    """Parse ``CPU=2,GPU=0.25``; ``cpu`` and ``gpu`` may be written in small letters.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    from roboxim_core.errors import ConfigError
+
+    taken = {}
+    for part in filter(None, text.split(",")):
+        name, _, amount = part.partition("=")
+        name = name.strip().upper() if name.strip().lower() in ("cpu", "gpu") else name.strip()
+        try:
+            taken[name] = float(amount)
+        except ValueError:
+            raise ConfigError(f"{option} is NAME=N,..., e.g. CPU=2,GPU=0.25; got '{text}'") from None
+        if not name or not 0 <= taken[name] < float("inf"):
+            raise ConfigError(f"{option} is NAME=N,... with N from 0, e.g. CPU=2,GPU=0.25; got '{text}'")
+    return taken
+
+
 def make_executor(executor: str, address: str, resources: str, workers: int) -> Any:
     """Return what runs the episodes; none: the run's own choice, processes of this machine.
 
@@ -65,14 +86,35 @@ def make_executor(executor: str, address: str, resources: str, workers: int) -> 
         return None
     from roboxim_bringup.executors.ray_cluster import RayExecutor
 
-    taken = {}
-    for part in filter(None, resources.split(",")):
-        name, _, amount = part.partition("=")
-        try:
-            taken[name.strip()] = float(amount)
-        except ValueError:
-            raise ConfigError(f"--resources is NAME=N,..., e.g. CPU=2,GPU=0.25; got '{resources}'") from None
-    return RayExecutor(workers, address=address, resources=taken or None)
+    return RayExecutor(workers, address=address, resources=parse_resources("--resources", resources) or None)
+
+
+def make_policy_servers(executor: str, address: str, resources: str, servers: int, out: Path) -> list[Any]:
+    """Return what runs the policy servers of an evaluation; none: each worker has the policies itself.
+
+    Args:
+        executor: ``local`` or ``ray``.
+        address: Address of the Ray cluster; empty: one on this machine.
+        resources: What a server takes of a Ray node, ``NAME=N,...``; empty: nothing.
+        servers: Number of servers of each policy; 0: one if ``resources`` are given.
+        out: Folder of the evaluation.
+
+    Raises:
+        ConfigError: When Ray is not installed, or an option does not fit.
+    """
+    from roboxim_core.errors import ConfigError
+
+    taken = parse_resources("--policy-resources", resources)
+    if executor == "local":
+        if taken:
+            raise ConfigError("--policy-resources is for --executor ray; --policy-servers works without")
+        from roboxim_bringup.executors import LocalExecutor
+
+        return [LocalExecutor(1, log_dir=out / ".policy-servers" / str(number)) for number in range(servers)]
+    from roboxim_bringup.executors.ray_cluster import RayExecutor
+
+    wanted = {"CPU": 0.0, **taken}
+    return [RayExecutor(1, address=address, resources=wanted) for _ in range(servers or bool(taken))]
 
 
 def episode_options(*, episodes: int, out: str) -> Decorator:

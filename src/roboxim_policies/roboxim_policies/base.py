@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Self
 
 import numpy.typing as npt
 
@@ -148,6 +148,29 @@ class BasePolicy(ABC):
             Array-like of shape (horizon, D) or (D,), by default with D = 7: translation [m], rotation [rad], gripper
             (1 = open); see `ActionSemantics`. Fewer rows than ``horizon`` are allowed.
         """
+
+    def another(self) -> Policy | None:
+        """Return a policy with an episode of its own that shares this one's model; none: it cannot share it.
+
+        A process that serves the policy to several simulators (``--policy-servers``) needs one for each of them, and
+        makes them from scratch otherwise.
+        """
+        return None
+
+    @classmethod
+    def act_batch(cls, policies: Sequence[Self], windows: Sequence[ObservationWindow]) -> Sequence[Any]:
+        """Return the next actions of several episodes. A policy that computes them together overrides this.
+
+        Only a process that serves the policy to several simulators calls it (``--policy-servers``).
+
+        Args:
+            policies: One for each episode: the policy itself, or what `another` returned.
+            windows: The request of each; see `act`.
+
+        Returns:
+            What `act` returns, for each.
+        """
+        return [policy.act(window) for policy, window in zip(policies, windows, strict=True)]
 
 
 def load_policy(spec: str, **kwargs: Any) -> Policy:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +28,16 @@ class RewordedPolicy:
         """
         self._policy: Policy = load_policy(policy, **options)
         self._instruction = instruction
+
+    def another(self) -> RewordedPolicy | None:
+        """Return a policy with an episode of its own that shares the other policy's model; none: it cannot."""
+        another = getattr(self._policy, "another", None)
+        inner = another() if callable(another) else None
+        if inner is None:
+            return None
+        found = copy.copy(self)
+        found._policy = inner
+        return found
 
     def describe(self) -> PolicyDescription:
         """Describe the other policy; the version names the instruction."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import click
@@ -64,11 +65,19 @@ from roboxim_bringup.options import episode_options
     "--stop-early", "looks", type=click.IntRange(2), metavar="LOOKS",
     help="Stop before --episodes at one of LOOKS evenly spaced looks if two policies differ by then.",
 )  # fmt: skip
+@click.option(
+    "--policy-servers", type=click.IntRange(0, 1000), default=0, metavar="N",
+    help="Serve each policy from N processes to all workers; 0: each worker has the policy itself.",
+)  # fmt: skip
+@click.option(
+    "--policy-resources", default="", metavar="NAME=N,...",
+    help="What a policy server takes of a Ray node, e.g. GPU=1; implies --policy-servers 1.",
+)  # fmt: skip
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
     policy_timeout: float, ensemble: str | None, late_rows: str | None, looks: int | None, executor: str, address: str,
-    resources: str, **options: Any,
+    resources: str, policy_servers: int, policy_resources: str, **options: Any,
 ) -> None:  # fmt: skip
     r"""Run policies in fresh scenes, count successes, and write OUT/report.html.
 
@@ -81,7 +90,9 @@ def command(
     Every policy meets the same scenes. Evaluation scenes are never those of demonstrations, whatever the seed. Ctrl-C
     stops; the same command continues. A policy whose file or checkpoint has changed since needs another --out.
     """
-    from roboxim_bringup.options import make_executor, parse_size
+    from contextlib import nullcontext
+
+    from roboxim_bringup.options import make_executor, make_policy_servers, parse_size
     from roboxim_bringup.runs.policies import choose_policies
 
     image_size = parse_size(size)
@@ -95,13 +106,14 @@ def command(
         late_rows=late_rows or "", command=command_line(sys.argv[1:]), **options,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
-    with EventPrinter() as printer:
+    serves = make_policy_servers(executor, address, policy_resources, policy_servers, Path(config.out))
+    with EventPrinter() as printer, runs_on or nullcontext():
         if looks is None:
-            result, stopped = evaluate(config, on_event=printer, executor=runs_on), ""
+            result, stopped = evaluate(config, on_event=printer, executor=runs_on, servers=serves), ""
         else:
             from roboxim_bringup.runs.sequential import evaluate_sequentially
 
-            found = evaluate_sequentially(config, looks, on_event=printer, executor=runs_on)
+            found = evaluate_sequentially(config, looks, on_event=printer, executor=runs_on, servers=serves)
             result, stopped = found.evaluation, found.sentence
     for name in result.privileged:
         click.echo(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from collections.abc import Callable, Iterator, Sequence
 
 from roboxim_bringup.executors.protocol import (
@@ -13,9 +14,12 @@ from roboxim_bringup.executors.protocol import (
     Job,
     Lost,
     Note,
+    Prepare,
     Work,
+    Worker,
     WorkerBrokenError,
     as_json,
+    unchanged,
 )
 
 
@@ -34,9 +38,15 @@ class InlineExecutor:
         on_note: Callable[[Note], None] = lambda _: None,
         before_retry: Callable[[str], None] = lambda _: None,
         cancellation: Cancellation | None = None,
+        prepare: Prepare = unchanged,
     ) -> Iterator[Done | Lost]:
         """Run jobs; see `Executor.run`."""
-        worker = work.make_worker(next(self._numbers))
+
+        def made() -> Worker:
+            number = next(self._numbers)
+            return prepare(work, number, threading.Event()).make_worker(number)
+
+        worker = made()
         try:
             for job in jobs:
                 for attempt in range(1, MAX_TRIES + 1):
@@ -56,7 +66,7 @@ class InlineExecutor:
                         worker.close()
                         before_retry(job.key)
                         if attempt < MAX_TRIES or job is not jobs[-1]:
-                            worker = work.make_worker(next(self._numbers))
+                            worker = made()
                 yield outcome
         finally:
             worker.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from roboxim_bringup.executors.kept import KeptProcesses
 from roboxim_bringup.executors.pool import Pool
-from roboxim_bringup.executors.protocol import Cancellation, Done, Job, Lost, Note, Work
+from roboxim_bringup.executors.protocol import Cancellation, Done, Job, Lost, Note, Prepare, Work, unchanged
 from roboxim_bringup.executors.worker_process import STALL_S, WorkerProcess
 
 
@@ -45,6 +45,7 @@ class LocalExecutor:
         on_note: Callable[[Note], None] = lambda _: None,
         before_retry: Callable[[str], None] = lambda _: None,
         cancellation: Cancellation | None = None,
+        prepare: Prepare = unchanged,
     ) -> Iterator[Done | Lost]:
         """Run jobs; see `Executor.run`.
 
@@ -55,7 +56,8 @@ class LocalExecutor:
         log_dir.mkdir(parents=True, exist_ok=True)
         self._pool = Pool(
             lambda number, closing: WorkerProcess(
-                work, number, log_dir, closing=closing, stall_s=self.stall_s, kept=self._kept
+                prepare(work, number, closing), number, log_dir, closing=closing, stall_s=self.stall_s,
+                kept=self._kept,
             ),
             jobs, self.workers, before_retry,
         )  # fmt: skip

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -137,6 +138,16 @@ class Lost:
     """Cause of the last worker's death, with the end of its log."""
 
 
+Prepare = Callable[[Work, int, threading.Event], Work]
+"""Returns a work for the worker of a number, with what may have changed since the run began, e.g. a server's address.
+It may wait, in the worker's thread; when the event is set it raises `roboxim_bringup.executors.pool.ClosingError`."""
+
+
+def unchanged(work: Work, number: int, closing: threading.Event) -> Work:
+    """Return the work as it is; a `Prepare`."""
+    return work
+
+
 class Executor(Protocol):
     """Runs jobs."""
 
@@ -148,6 +159,7 @@ class Executor(Protocol):
         on_note: Callable[[Note], None] = lambda _: None,
         before_retry: Callable[[str], None] = lambda _: None,
         cancellation: Cancellation | None = None,
+        prepare: Prepare = unchanged,
     ) -> Iterator[Done | Lost]:
         """Run jobs, and yield each result as soon as it is available, in any order.
 
@@ -160,6 +172,7 @@ class Executor(Protocol):
             before_retry: Called with the key of a job whose worker died, before another worker repeats it, possibly in
                 another thread. It removes what the dead worker left.
             cancellation: Ends the run when it is set.
+            prepare: Called before each worker starts; returns its work.
 
         Raises:
             CancelledError: When the run was cancelled.

@@ -13,14 +13,16 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from types import TracebackType
 from typing import Any
 
 from roboxim_bringup.executors.pool import ClosingError, Pool, WorkerDiedError
-from roboxim_bringup.executors.protocol import Cancellation, Done, Job, Lost, Note, Work
+from roboxim_bringup.executors.protocol import Cancellation, Done, Job, Lost, Note, Prepare, Work, unchanged
 from roboxim_bringup.executors.worker_process import READY_S, STALL_S
 from roboxim_core.errors import ConfigError, UnavailableError, raise_for_code
 
@@ -30,6 +32,10 @@ PLACED_S = 600.0
 """Longest wait for a node with free resources [s]."""
 GONE_S = 60.0
 """An actor that does not answer for so long counts as lost [s]."""
+CONNECT_S = 20.0
+"""Longest wait for a connection to the cluster's head [s]."""
+AGENTS_WITHIN_MS = 120_000
+"""Longest start of a node's agents [ms]; with Ray's default, nodes of a busy machine end as soon as they start."""
 MISSING = (
     "the executor 'ray' needs Ray, which is not installed; install it on all machines with: pip install 'roboxim[ray]'"
 )
@@ -62,8 +68,24 @@ class RayExecutor:
             ConfigError: When Ray is not installed.
         """
         _import_ray()
+        self._connection = contextlib.ExitStack()
         self.workers, self.address, self.stall_s = workers, address, stall_s
         self.resources = dict(resources or {"CPU": 1.0})
+
+    def __enter__(self) -> RayExecutor:
+        """Stay connected until the block ends, so that several runs share one connection, or one cluster of their own.
+
+        Raises:
+            UnavailableError: When there is no cluster at the address.
+        """
+        self._connection.enter_context(_connected(self.address, self.workers))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Disconnect."""
+        self._connection.close()
 
     def run(
         self,
@@ -73,6 +95,7 @@ class RayExecutor:
         on_note: Callable[[Note], None] = lambda _: None,
         before_retry: Callable[[str], None] = lambda _: None,
         cancellation: Cancellation | None = None,
+        prepare: Prepare = unchanged,
     ) -> Iterator[Done | Lost]:
         """Run jobs; see `Executor.run`.
 
@@ -83,7 +106,9 @@ class RayExecutor:
         """
         with _connected(self.address, self.workers) as ray:
             pool = Pool(
-                lambda number, closing: _RayPlace(ray, work, number, self.resources, self.stall_s, closing),
+                lambda number, closing: _RayPlace(
+                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing
+                ),
                 jobs, self.workers, before_retry,
             )  # fmt: skip
             yield from pool.run(on_note, cancellation)
@@ -107,7 +132,8 @@ def _connected(address: str, workers: int) -> Iterator[Any]:
         yield ray
         return
     try:
-        own = {} if address else {"num_cpus": max(workers, os.cpu_count() or 1), "include_dashboard": False}
+        _require_listening(address)
+        own = {} if address else _own_cluster(workers)
         ray.init(address=address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
     except (ConnectionError, OSError, RuntimeError, ValueError) as error:
         raise UnavailableError(
@@ -118,6 +144,25 @@ def _connected(address: str, workers: int) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _require_listening(address: str) -> None:
+    """Refuse an address at which nobody listens at once; Ray itself tries for minutes.
+
+    Raises:
+        OSError: When there is no connection.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+
+
+def _own_cluster(workers: int) -> dict[str, Any]:
+    """Return the arguments of a cluster on this machine for one run."""
+    return {
+        "num_cpus": max(workers, os.cpu_count() or 1), "include_dashboard": False,
+        "_system_config": {"agent_register_timeout_ms": AGENTS_WITHIN_MS},
+    }  # fmt: skip
 
 
 class _RayPlace:
@@ -131,7 +176,7 @@ class _RayPlace:
         self._ray, self._work, self._number, self._stall_s, self._closing = ray, work, number, stall_s, closing
         self._resources = dict(resources)
         self._actor: Any = None
-        self._lost = self._killed = False
+        self._placed = self._lost = self._killed = False
 
     def start(self) -> None:
         from roboxim_bringup.executors.ray_worker import RayWorker, software
@@ -143,6 +188,7 @@ class _RayPlace:
         )  # fmt: skip
         self._actor = remote.remote(asdict(self._work), self._number, self._stall_s, os.getcwd())
         facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
+        self._placed = True
         ours = software()
         if facts["software"] != ours:
             changes = [f"{n}: {v} there, {ours[n]} here" for n, v in facts["software"].items() if v != ours[n]]
@@ -176,7 +222,8 @@ class _RayPlace:
         actor, self._actor = self._actor, None
         if actor is not None and not self._lost:
             with contextlib.suppress(Exception):
-                self._ray.wait([actor.close.remote()], timeout=GONE_S)
+                if self._placed:
+                    self._ray.wait([actor.close.remote()], timeout=GONE_S)
             with contextlib.suppress(Exception):
                 self._ray.kill(actor)
         return self._lost or self._killed

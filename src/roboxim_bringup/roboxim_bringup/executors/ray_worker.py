@@ -7,6 +7,7 @@ what the worker reports. Only plain data goes through Ray: jobs, results and pro
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
 import queue
@@ -27,6 +28,8 @@ from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_core.errors import ErrorCode, RoboximError
 from roboxim_ros.runs import free_domain, register_run, transport_environment
 
+NODE_ADDRESS = "ROBOXIM_NODE_ADDRESS"
+"""Environment variable of the worker: the address by which the cluster's other nodes reach this one."""
 PASSED_ON = (
     "CUDA_VISIBLE_DEVICES", "HOME", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "LOGNAME", "NVIDIA_DRIVER_CAPABILITIES",
     "NVIDIA_VISIBLE_DEVICES", "PATH", "SSL_CERT_FILE", "TMPDIR", "TZ", "USER", "XDG_RUNTIME_DIR",
@@ -105,7 +108,8 @@ class RayWorker:
                 logs = Path(tempfile.gettempdir()) / "roboxim-ray-logs" / run.id
                 logs.mkdir(parents=True, exist_ok=True)
                 ours = {**self._work.environment, **transport_environment(False)}
-                work = replace(self._work, environment={**ours, "ROS_DOMAIN_ID": str(domain), "ROBOXIM_RUN": run.id})
+                ours |= {"ROS_DOMAIN_ID": str(domain), "ROBOXIM_RUN": run.id, **_node_address()}
+                work = replace(self._work, environment=ours)
                 process = WorkerProcess(
                     work,
                     self._number,
@@ -129,6 +133,11 @@ class RayWorker:
             self._events.put(("failed", (int(error.code), str(error))))
         except BaseException as error:
             self._events.put(("failed", (int(ErrorCode.INTERNAL), f"{type(error).__name__}: {error}")))
+
+
+def _node_address() -> dict[str, str]:
+    ray: Any = importlib.import_module("ray")
+    return {NODE_ADDRESS: str(ray.util.get_node_ip_address())}
 
 
 def _environment() -> dict[str, str]:

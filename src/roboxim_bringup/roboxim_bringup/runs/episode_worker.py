@@ -36,8 +36,8 @@ class EpisodeWorker:
         """Start the graph; returns when it serves.
 
         Args:
-            settings: ``graph``, a `GraphConfig`, ``config``, a `RunConfig`, and ``staging``, see `Staging`, as plain
-                data.
+            settings: ``graph``, a `GraphConfig`, ``config``, a `RunConfig`, ``staging``, see `Staging`, and
+                ``served``, whether the policy is behind a server of the run, as plain data.
             number: The worker's number.
 
         Raises:
@@ -50,6 +50,7 @@ class EpisodeWorker:
             config = replace(config, output_dir=str(self._staging.folder))
             graph = self._staging.recording(graph)
         self._config = config
+        self._served = bool(settings.get("served"))
         self._heard = time.monotonic()
         self._host = NodeHost()
         try:
@@ -83,6 +84,8 @@ class EpisodeWorker:
                 raise WorkerBrokenError(str(error)) from None
             raise
         result: dict[str, Any] = to_plain(from_msg(answer.results[0], EpisodeResult))
+        if self._served and result["reason"] == ErrorCode.POLICY_DIED.name.lower():
+            raise WorkerBrokenError(f"its policy server was lost: {result['message']}")
         return result if self._staging is None else {"result": result, **self._staging.handed_over()}
 
     def _check(self) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
 from roboxim_bringup.executors import Job as ExecutorJob
+from roboxim_bringup.executors.protocol import Prepare, unchanged
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch
 from roboxim_bringup.runs.event_log import EVENTS_FILE, logged
 from roboxim_bringup.runs.events import (
@@ -311,6 +312,7 @@ def run_episodes(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
     repair: bool = False,
+    prepare: Prepare = unchanged,
 ) -> list[EpisodeResult]:
     """Run those episodes of a job that its folder lacks.
 
@@ -322,6 +324,7 @@ def run_episodes(
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
         repair: Repeat episodes that are lost or damaged.
+        prepare: See `Executor.run`.
 
     Returns:
         All results of the job's shard, in the order of their indices.
@@ -348,7 +351,7 @@ def run_episodes(
             tell(StageStarted(title=title, total=total, done=len(done)))
             tell(StageProgress(done=len(done), total=total, note="starting"))
             upload = RunUpload(folder.path, job.store, shard=str(job.shard))
-            for result in _results(executor, job, missing, environment, folder, tell, cancellation):
+            for result in _results(executor, job, missing, environment, folder, tell, cancellation, prepare):
                 folder.append(result)
                 upload.now_and_then()
                 done[result.index] = result
@@ -378,6 +381,7 @@ def _results(
     folder: RunFolder,
     on_event: OnEvent,
     cancellation: Cancellation | None,
+    prepare: Prepare,
 ) -> Iterator[EpisodeResult]:
     def hear(note: Note) -> None:
         if note.text:
@@ -386,7 +390,7 @@ def _results(
     staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
         job.work(environment, staged=staged), episode_jobs(indices), on_note=hear,
-        before_retry=lambda key: folder.discard(index_of(key)), cancellation=cancellation,
+        before_retry=lambda key: folder.discard(index_of(key)), cancellation=cancellation, prepare=prepare,
     )  # fmt: skip
     for outcome in outcomes:
         if staged and isinstance(outcome, Done):

@@ -6,15 +6,17 @@ policy's name or folder is refused before them.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roboxim_bringup.executors import Cancellation, Executor
+from roboxim_bringup.executors.protocol import unchanged
 from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
 from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder, require_bags
@@ -30,6 +32,7 @@ from roboxim_core.specs import SceneSpec
 from roboxim_policies.remote import SERVERS_OWN
 
 if TYPE_CHECKING:
+    from roboxim_bringup.runs.policy_servers import PolicyServers
     from roboxim_eval.report import PolicyRun
     from roboxim_eval.statistics import SuccessRate
     from roboxim_tasks.task_config import TaskConfig
@@ -209,6 +212,7 @@ def evaluate(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
+    servers: Sequence[Executor] = (),
 ) -> EvaluationResult:
     """Run policies in fresh scenes and write a report. Episodes that the folder has are not run again.
 
@@ -220,6 +224,9 @@ def evaluate(
         on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
+        servers: Run one process each that serves a policy to all workers; none: each worker has the policy itself.
+            Results are the same, but for policies that answer several workers together
+            (`roboxim_policies.BasePolicy.act_batch`).
 
     Raises:
         CancelledError: When the run was cancelled.
@@ -236,8 +243,7 @@ def evaluate(
     _require_cameras(chosen, cells)
     if not config.other_robot:
         _require_robots(chosen, cells)
-    servers = {policy.name: _server(config, policy) for policy in chosen}
-    jobs = {policy.name: _job(config, policy, text, servers[policy.name]) for policy in chosen}
+    jobs = {policy.name: _job(config, policy, text, _server(config, policy)) for policy in chosen}
     for policy in chosen:
         _require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
     found = {}
@@ -245,10 +251,12 @@ def evaluate(
         for policy in chosen:
             job = jobs[policy.name]
             there = _report_resume(policy.name, job, on_event, repair=config.repair)
-            results = run_episodes(
-                job, f"rollouts of {policy.name}", environment, on_event=on_event, cancellation=cancellation,
-                executor=executor, repair=config.repair,
-            )  # fmt: skip
+            with _served(policy, servers if there < len(job.indices) else ()) as served:
+                results = run_episodes(
+                    job, f"rollouts of {policy.name}", environment, cancellation=cancellation, executor=executor,
+                    on_event=served.telling(on_event) if served else on_event, repair=config.repair,
+                    prepare=served.prepared if served else unchanged,
+                )  # fmt: skip
             if there < len(job.indices) and policy.files(out) != job.policy_files:
                 raise EvaluationError(
                     f"the files of policy '{policy.name}' changed while it was evaluated, so its episodes may mix "
@@ -261,6 +269,18 @@ def evaluate(
         command=config.command or _call(config), stopped=config.stopped,
     )  # fmt: skip
     return _report(record, found, out, page=config.page)
+
+
+@contextlib.contextmanager
+def _served(policy: ChosenPolicy, executors: Sequence[Executor]) -> Iterator[PolicyServers | None]:
+    """Serve a policy while the block runs; none: the workers have it themselves, or it is behind a server anyway."""
+    if not executors or policy.launch is None or policy.is_remote:
+        yield None
+        return
+    from roboxim_bringup.runs.policy_servers import PolicyServers
+
+    with PolicyServers(policy.name, policy.launch, executors) as servers:
+        yield servers
 
 
 def report_of(out: Path, record: EvaluationRecord | None = None) -> EvaluationResult:

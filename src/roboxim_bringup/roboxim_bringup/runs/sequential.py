@@ -38,6 +38,7 @@ def evaluate_sequentially(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
+    servers: Sequence[Executor] = (),
 ) -> SequentialResult:
     """Evaluate two policies on the same scenes, and stop at the first look at which they differ.
 
@@ -47,6 +48,7 @@ def evaluate_sequentially(
         on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
+        servers: Serve the policies; see `evaluate`.
 
     Raises:
         ConfigError: When there are not two policies, or fewer scenes than looks, or only a shard is to be run.
@@ -68,7 +70,7 @@ def evaluate_sequentially(
     for number, scenes in enumerate(plan.looks, start=1):
         planned = f"Planned: at most {plan.looks[-1]} scenes, looks after {', '.join(map(str, plan.looks))}."
         step = replace(config, episodes=scenes, stopped=f"{planned} This is look {number}.", page=False)
-        evaluation = evaluate(step, on_event=on_event, cancellation=cancellation, executor=executor)
+        evaluation = evaluate(step, on_event=on_event, cancellation=cancellation, executor=executor, servers=servers)
         first, second = evaluation.policies.values()
         seen.append(_pairs(first, second))
         state = sequential_test(plan, seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -67,6 +68,12 @@ class BCPolicy(BasePolicy):
     def reset(self, start: EpisodeStart) -> None:
         """Read the instruction and forget the previous episode."""
         self._begin(start.instruction)
+
+    def another(self) -> BCPolicy:
+        """Return a policy with an episode of its own that shares the compiled network."""
+        shared = copy.copy(self)
+        shared._begin("")
+        return shared
 
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""

@@ -1,0 +1,192 @@
+"""A policy that one process serves to the simulators of a run: `roboxim_policies.served` is the other side.
+
+It speaks openpi's wire, but has no convention: observations arrive as the policy would get them in the simulator's
+process, and actions leave as it gave them. So an evaluation's results do not depend on where its policy runs.
+
+Non-obvious: answers of a *batch* may differ from single ones in the last bits, because a model may add up numbers in
+another order. Only a policy that has ``act_batch`` is asked in batches.
+"""
+
+from __future__ import annotations
+
+import hmac
+import http
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.errors import ConfigError, InvalidRequestError, UnavailableError
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, Policy
+from roboxim_core.policy_guard import GuardedPolicy
+from roboxim_core.proprioception import Proprioception
+from roboxim_policies.base import BasePolicy
+from roboxim_policies.serving.batches import Batched, Batcher
+from roboxim_policies.serving.websocket import WebSocketServer
+from roboxim_policies.wires import openpi
+from roboxim_policies.wires.openpi import OWN_SERVER
+
+MOST_SESSIONS = 256
+"""Largest number of simulators at the same time."""
+IMAGES = "images"
+"""Key of a request: camera to the pictures of the window, uint8, shape (window, height, width, 3)."""
+
+
+class SharedSessions:
+    """Episodes of many simulators with one model, as far as the policy shares it."""
+
+    def __init__(self, make: Callable[[], Policy], *, log: Callable[[str], None] = lambda text: None) -> None:
+        """Make the policy.
+
+        Args:
+            make: Makes an instance.
+            log: Receives the policy's tracebacks.
+
+        Raises:
+            ConfigError: When the policy is privileged.
+        """
+        self._make, self._log = make, log
+        self._first = make()
+        self.description = GuardedPolicy(self._first).description
+        if self.description.privileged:
+            raise ConfigError(
+                f"policy '{self.description.name}' is privileged: it reads the task, the scene and the state, which no "
+                "wire carries; leave --policy-servers out"
+            )
+        self.batcher = Batcher(type(self._first)) if answers_batches(type(self._first)) else None
+        self._free = [self._first]
+        self._open = 0
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def session(self) -> Iterator[GuardedPolicy]:
+        """Yield a policy with an episode of its own.
+
+        Raises:
+            UnavailableError: When there are too many.
+        """
+        with self._lock:
+            if self._open >= MOST_SESSIONS:
+                raise UnavailableError(f"the server has {MOST_SESSIONS} sessions already")
+            self._open += 1
+            policy = self._free.pop() if self._free else None
+        try:
+            policy = policy or self._another()
+            if self.batcher is None:
+                yield GuardedPolicy(policy, log=self._log)
+                return
+            self.batcher.join()
+            try:
+                yield GuardedPolicy(Batched(policy, self.batcher), log=self._log)
+            finally:
+                self.batcher.leave()
+        finally:
+            with self._lock:
+                self._open -= 1
+                if policy is not None:
+                    self._free.append(policy)
+
+    def _another(self) -> Policy:
+        """Return one more instance, with the first one's model if the policy can share it."""
+        another = getattr(self._first, "another", None)
+        return (another() if callable(another) else None) or self._make()
+
+    def close(self) -> None:
+        """End the batches, and forget the instances."""
+        if self.batcher is not None:
+            self.batcher.close()
+        with self._lock:
+            self._free.clear()
+
+
+def answers_batches(kind: type[Any]) -> bool:
+    """Return whether a policy's class has an ``act_batch`` of its own."""
+    own = getattr(kind, "act_batch", None)
+    return callable(own) and getattr(own, "__func__", own) is not vars(BasePolicy)["act_batch"].__func__
+
+
+class SharedServer(WebSocketServer):
+    """The server; each connection is one simulator."""
+
+    sessions: SharedSessions  # type: ignore[assignment]
+
+    def __init__(self, sessions: SharedSessions, *, key: str, **options: Any) -> None:
+        """Prepare a server.
+
+        Args:
+            sessions: The policy's sessions.
+            key: What clients must send as ``Authorization: Api-Key``; others are refused.
+            **options: Arguments of `PolicyServer`.
+        """
+        super().__init__(sessions, **options)  # type: ignore[arg-type]
+        self._key = key
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What the server declares of itself."""
+        return {OWN_SERVER: {"description": to_plain(self.sessions.description), "shared": True}}
+
+    def _health(self, connection: Any, request: Any) -> Any:
+        given = request.headers.get("Authorization", "")
+        if not hmac.compare_digest(given.encode(), f"Api-Key {self._key}".encode()):
+            return connection.respond(http.HTTPStatus.UNAUTHORIZED, "the key is wrong\n")
+        return super()._health(connection, request)
+
+    def _talk(self, connection: Any, session: Any) -> None:
+        connection.send(openpi.encode(self.metadata))
+        for message in connection:
+            try:
+                reply = self._reply(session, openpi.decode(message) if isinstance(message, bytes) else None)
+            except Exception as error:  # a policy may raise anything
+                connection.send(self._describe_error(error))
+                connection.close(1011, "Internal server error. The error is in the previous frame.")
+                return
+            connection.send(reply)
+
+    def _reply(self, policy: GuardedPolicy, request: Any) -> bytes | str:
+        if not isinstance(request, dict) or not isinstance(request.get("prompt"), str):
+            raise InvalidRequestError("a request must be a binary MessagePack map with a prompt")
+        if request.get("endpoint") == "reset":
+            policy.reset(
+                EpisodeStart(
+                    episode_id=str(request.get("session_id", "")), instruction=request["prompt"],
+                    seed=int(request.get("seed", 0)),
+                )
+            )  # fmt: skip
+            return "reset successful"
+        return openpi.encode(_plain(policy.act(window_of(request))))
+
+
+def window_of(request: Mapping[str, Any]) -> ObservationWindow:
+    """Return the observation window of a request, as `roboxim_policies.served.request_of` made it.
+
+    Raises:
+        InvalidRequestError: When it is damaged.
+    """
+    own, images = request.get(OWN_SERVER), request.get(IMAGES)
+    if not isinstance(own, dict) or not isinstance(images, dict) or not isinstance(own.get("observations"), list):
+        raise InvalidRequestError(f"a request needs '{IMAGES}' and '{OWN_SERVER}' with observations")
+    seen = own["observations"]
+    for camera, frames in images.items():
+        if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.shape[:1] != (len(seen),):
+            raise InvalidRequestError(f"'{IMAGES}' must have {len(seen)} uint8 pictures of camera '{camera}'")
+    observations = [
+        Observation(
+            seq=int(item["seq"]), stamp_ns=int(item["stamp_ns"]),
+            images={camera: frames[number] for camera, frames in images.items()},
+            proprio=from_plain(item["proprio"], Proprioception, source="the request"),
+        )
+        for number, item in enumerate(seen)
+    ]  # fmt: skip
+    return ObservationWindow(
+        instruction=request["prompt"], observations=observations,
+        pad_mask=tuple(bool(real) for real in own.get("pad_mask", ())),
+        episode_id=str(own.get("episode_id", "")), seq=int(own.get("seq", 0)),
+    )  # fmt: skip
+
+
+def _plain(chunk: ActionChunk) -> dict[str, Any]:
+    return {"actions": np.asarray(chunk.actions), "done": chunk.done, "phases": list(chunk.phases)}
