@@ -45,6 +45,13 @@ def executor_options() -> list[Decorator]:
     ]  # fmt: skip
 
 
+def with_executor(command: Any) -> Any:
+    """Add the options that choose what runs the episodes; a decorator."""
+    for option in reversed(executor_options()):
+        command = option(command)
+    return command
+
+
 def parse_resources(option: str, text: str) -> dict[str, float]:
     """Parse ``CPU=2,GPU=0.25``; ``cpu`` and ``gpu`` may be written in small letters.
 

@@ -64,10 +64,10 @@ def ray_cluster(nodes: int = 2) -> Any:
     """Return a `ray.cluster_utils.Cluster` of so many nodes on this machine, each with one CPU; the caller ends it."""
     from ray.cluster_utils import Cluster
 
-    from roboxim_bringup.executors.ray_cluster import AGENTS_WITHIN_MS
+    from roboxim_bringup.executors.ray_cluster import OWN_CLUSTER
 
-    patient = {"agent_register_timeout_ms": AGENTS_WITHIN_MS}  # nodes that join the cluster take it from the head
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "_system_config": patient, **_agent_ports()})
+    head = {"num_cpus": 1, "_system_config": OWN_CLUSTER, **_agent_ports()}  # further nodes take the settings from it
+    cluster = Cluster(initialize_head=True, head_node_args=head)
     for _ in range(nodes - 1):
         add_ray_node(cluster)
     return cluster

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
@@ -85,9 +86,7 @@ class Pool:
             before_retry: See `Executor.run`.
         """
         self.make_place, self.before_retry = make_place, before_retry
-        self.jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
-        for job in jobs:
-            self.jobs.put(job)
+        self.jobs = deque((job, 0) for job in jobs)
         self.events: queue.Queue[_Event] = queue.Queue()
         self.closing = threading.Event()
         self.numbers = itertools.count()
@@ -138,9 +137,10 @@ class _Slot(threading.Thread):
 
     def run(self) -> None:
         try:
-            self._start()
-            while (job := self._next()) is not None:
-                self.pool.events.put(self._do(job))
+            while self.pool.jobs:
+                place = self.place or self._start()
+                if (task := self._next()) is not None:
+                    self._do(place, *task)
         except ClosingError:
             pass
         except BaseException as error:  # raised in the thread that iterates over the results
@@ -148,31 +148,35 @@ class _Slot(threading.Thread):
         finally:
             self._end()
 
-    def _next(self) -> Job | None:
+    def _next(self) -> tuple[Job, int] | None:
+        """Return the next job and the number of workers that have died at it."""
         if self.pool.closing.is_set():
             raise ClosingError
         try:
-            return self.pool.jobs.get_nowait()
-        except queue.Empty:
+            return self.pool.jobs.popleft()
+        except IndexError:
             return None
 
-    def _do(self, job: Job) -> Done | Lost:
-        for attempt in range(1, MAX_TRIES + 1):
-            place = self.place or self._start()
-            try:
-                value = place.run(
-                    job.data,
-                    lambda data: self.pool.events.put(Note(worker=self.slot, key=job.key, data=data)),
-                )
-                return Done(key=job.key, value=value)
-            except WorkerDiedError as death:
-                message = f"{MAX_TRIES} workers died at it; the last one (its log: {place.log}): {death}"
-                self._end()
-                again = "starting it again" if attempt < MAX_TRIES else "giving the job up"
-                text = f"worker {self.slot} died at {job.key} ({death}); {again}"
-                self.pool.events.put(Note(worker=self.slot, key=job.key, text=text))
-                self.pool.before_retry(job.key)
-        return Lost(key=job.key, message=message)
+    def _do(self, place: Place, job: Job, deaths: int) -> None:
+        """Run a job; when the worker dies, give the job back, since another worker may be ready before a new one is."""
+        try:
+            value = place.run(
+                job.data,
+                lambda data: self.pool.events.put(Note(worker=self.slot, key=job.key, data=data)),
+            )
+            self.pool.events.put(Done(key=job.key, value=value))
+        except WorkerDiedError as death:
+            deaths += 1
+            message = f"{MAX_TRIES} workers died at it; the last one (its log: {place.log}): {death}"
+            self._end()
+            again = "starting it again" if deaths < MAX_TRIES else "giving the job up"
+            text = f"worker {self.slot} died at {job.key} ({death}); {again}"
+            self.pool.events.put(Note(worker=self.slot, key=job.key, text=text))
+            self.pool.before_retry(job.key)
+            if deaths < MAX_TRIES:
+                self.pool.jobs.appendleft((job, deaths))
+            else:
+                self.pool.events.put(Lost(key=job.key, message=message))
 
     def _start(self) -> Place:
         """Start a worker. Retry when something from outside ends it, but not when it reports an error."""

@@ -34,8 +34,9 @@ GONE_S = 60.0
 """An actor that does not answer for so long counts as lost [s]."""
 CONNECT_S = 20.0
 """Longest wait for a connection to the cluster's head [s]."""
-AGENTS_WITHIN_MS = 120_000
-"""Longest start of a node's agents [ms]; with Ray's default, nodes of a busy machine end as soon as they start."""
+OWN_CLUSTER = {"agent_register_timeout_ms": 120_000, "worker_niceness": 0}
+"""Settings of clusters on this machine. With Ray's defaults, a busy machine's nodes end when their agents do not start
+within 15 s, and workers run at niceness 15, so that any other program delays them."""
 MISSING = (
     "the executor 'ray' needs Ray, which is not installed; install it on all machines with: pip install 'roboxim[ray]'"
 )
@@ -104,10 +105,11 @@ class RayExecutor:
             UnavailableError: When there is no cluster at the address, no node has the resources, or a worker cannot
                 start, with the end of its log.
         """
+        crew = _Crew()
         with _connected(self.address, self.workers) as ray:
             pool = Pool(
                 lambda number, closing: _RayPlace(
-                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing
+                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing, crew
                 ),
                 jobs, self.workers, before_retry,
             )  # fmt: skip
@@ -161,8 +163,23 @@ def _own_cluster(workers: int) -> dict[str, Any]:
     """Return the arguments of a cluster on this machine for one run."""
     return {
         "num_cpus": max(workers, os.cpu_count() or 1), "include_dashboard": False,
-        "_system_config": {"agent_register_timeout_ms": AGENTS_WITHIN_MS},
+        "_system_config": OWN_CLUSTER,
     }  # fmt: skip
+
+
+class _Crew:
+    """The workers of a run that have a node. While there are some, further ones may wait for a node."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._placed = 0
+
+    def change(self, by: int) -> None:
+        with self._lock:
+            self._placed += by
+
+    def __bool__(self) -> bool:
+        return self._placed > 0
 
 
 class _RayPlace:
@@ -170,11 +187,11 @@ class _RayPlace:
 
     def __init__(
         self, ray: Any, work: Work, number: int, resources: Mapping[str, float], stall_s: float,
-        closing: threading.Event,
+        closing: threading.Event, crew: _Crew,
     ) -> None:  # fmt: skip
         self.log = "not started"
         self._ray, self._work, self._number, self._stall_s, self._closing = ray, work, number, stall_s, closing
-        self._resources = dict(resources)
+        self._resources, self._crew = dict(resources), crew
         self._actor: Any = None
         self._placed = self._lost = self._killed = False
 
@@ -189,6 +206,7 @@ class _RayPlace:
         self._actor = remote.remote(asdict(self._work), self._number, self._stall_s, os.getcwd())
         facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
         self._placed = True
+        self._crew.change(1)
         ours = software()
         if facts["software"] != ours:
             changes = [f"{n}: {v} there, {ours[n]} here" for n, v in facts["software"].items() if v != ours[n]]
@@ -220,9 +238,11 @@ class _RayPlace:
 
     def end(self) -> bool:
         actor, self._actor = self._actor, None
+        placed, self._placed = self._placed, False
+        self._crew.change(-int(placed))
         if actor is not None and not self._lost:
             with contextlib.suppress(Exception):
-                if self._placed:
+                if placed:
                     self._ray.wait([actor.close.remote()], timeout=GONE_S)
             with contextlib.suppress(Exception):
                 self._ray.kill(actor)
@@ -239,6 +259,8 @@ class _RayPlace:
             while not self._ray.wait([reference], timeout=0.2)[0]:
                 if self._closing.is_set():
                     raise ClosingError
+                if waiting_for and self._crew:
+                    deadline = time.monotonic() + within_s
                 if time.monotonic() > deadline:
                     if waiting_for:
                         raise UnavailableError(
