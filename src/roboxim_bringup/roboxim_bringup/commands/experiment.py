@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roboxim_bringup.named import Named
+from roboxim_bringup.options import with_executor
 
 if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig, Rates
@@ -139,9 +140,19 @@ def plan(
 @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
 @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer of the images.")
+@click.option(
+    "--shard", default="", metavar="I/N",
+    help="Run only the I-th of N parts of the episodes; with --only generate or --only evaluate.",
+)  # fmt: skip
+@click.option(
+    "--trained", type=click.Path(path_type=Path, exists=True), metavar="WHOLE",
+    help="Folder of the whole experiment, whose trainings a shard evaluates.",
+)  # fmt: skip
+@with_executor
 def run(
     name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
-    only: str, workers: int | None, renderer: str,
+    only: str, workers: int | None, renderer: str, shard: str, trained: Path | None, executor: str, address: str,
+    resources: str,
 ) -> None:  # fmt: skip
     r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
 
@@ -152,7 +163,19 @@ def run(
 
     Ctrl-C stops; the same command continues. A stage whose inputs have changed is refused by name. When all evaluations
     are there, OUT/card.json has the counts, scores and sentences.
+
+    \b
+    On several machines, here two, each with a folder of its own:
+    roboxim experiment run skill_object --only generate --shard 1/2 --out runs/so-1      # and 2/2 to runs/so-2
+    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim experiment run skill_object --only export,train --out runs/so
+    roboxim experiment run skill_object --only evaluate --shard 1/2 --trained runs/so --out runs/so-1
+    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim experiment run skill_object --out runs/so                                    # proofs and results
     """
+    from contextlib import nullcontext
+
+    from roboxim_bringup.options import make_executor
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, named_policies, run_experiment
 
@@ -160,10 +183,15 @@ def run(
     config = ExperimentRunConfig(
         experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
         only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
-        **given,
+        shard=shard, trained=trained or "", **given,
     )  # fmt: skip
-    with EventPrinter() as printer:
-        result = run_experiment(config, on_event=printer)
+    runs_on = make_executor(executor, address, resources, config.workers)
+    with EventPrinter() as printer, runs_on or nullcontext():
+        result = run_experiment(config, on_event=printer, executor=runs_on)
+    if shard:
+        click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
+        click.echo(f"next, when all shards are there: roboxim merge {trained or 'WHOLE'} {out} ...")
+        return
     click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
     if result.card is None:
         click.echo(f"missing: {', '.join(result.missing)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -341,12 +342,12 @@ def run_episodes(
         missing = [index for index in job.indices if index not in done]
         if not missing:
             return [done[index] for index in sorted(done)]
-        for index in missing:
-            folder.discard(index)
+        folder.discard(missing)
         clear_staging(folder)
         executor = executor or LocalExecutor(job.workers, log_dir=folder.path / "logs")
         total = len(job.indices)
         facts = {"title": title, "executor": type(executor).__name__.removesuffix("Executor").lower()}
+        outcomes = Counter(result.outcome for result in done.values())
         with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as tell:
             tell(StageStarted(title=title, total=total, done=len(done)))
             tell(StageProgress(done=len(done), total=total, note="starting"))
@@ -355,7 +356,8 @@ def run_episodes(
                 folder.append(result)
                 upload.now_and_then()
                 done[result.index] = result
-                tell(StageProgress(done=len(done), total=total, note=_tally(done.values())))
+                outcomes[result.outcome] += 1
+                tell(StageProgress(done=len(done), total=total, note=_tally(outcomes)))
                 tell(EpisodeFinished(folder=folder.path, result=result))
             upload.all()
             tell(StageFinished())
@@ -390,7 +392,7 @@ def _results(
     staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
         job.work(environment, staged=staged), episode_jobs(indices), on_note=hear,
-        before_retry=lambda key: folder.discard(index_of(key)), cancellation=cancellation, prepare=prepare,
+        before_retry=lambda key: folder.discard([index_of(key)]), cancellation=cancellation, prepare=prepare,
     )  # fmt: skip
     for outcome in outcomes:
         if staged and isinstance(outcome, Done):
@@ -433,9 +435,8 @@ def _describe_progress(folder: RunFolder) -> str:
     )
 
 
-def _tally(results: Iterable[EpisodeResult]) -> str:
-    outcomes = [result.outcome for result in results]
-    return f"{outcomes.count('success')} of {len(outcomes)} succeeded"
+def _tally(outcomes: Counter[str]) -> str:
+    return f"{outcomes['success']} of {outcomes.total()} succeeded"
 
 
 def failures(results: Iterable[EpisodeResult], most: int = 10) -> list[str]:

@@ -37,6 +37,7 @@ from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
+from roboxim_bringup.runs.shards import Shard
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_json_object, read_text
@@ -44,9 +45,13 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 
+SHARDED = ("generate", "evaluate")
+"""Parts that consist of episodes, so that several machines can share each of their stages."""
 KINDS = ("generate", "export", "train", "evaluate")
 """Parts of an experiment that may run alone; the proofs of training data are part of the export, those of rollouts of
 the evaluation."""
+
+STAGES_FILE = "stages.jsonl"
 
 __all__ = ["KINDS", "ExperimentResult", "ExperimentRunConfig", "named_policies", "run_experiment"]
 
@@ -73,16 +78,28 @@ class ExperimentRunConfig:
     """Processes that run episodes."""
     renderer: str = "raster"
     """Renderer of the images."""
+    shard: str = ""
+    """``I/N``: run only the I-th of N parts of the episodes of each generation and evaluation; empty: everything."""
+    trained: Path | str = ""
+    """Folder of the whole experiment, whose trainings a shard evaluates; empty: ``out``."""
 
     def __post_init__(self) -> None:
         """Check the names.
 
         Raises:
-            ConfigError: When a kind of stage is unknown.
+            ConfigError: When a kind of stage is unknown, or a shard is to run stages that have no episodes.
         """
         for kind in self.only:
             if kind not in KINDS:
                 raise ConfigError(f"only: no stages of kind '{kind}'; {one_of(KINDS, kind)}")
+        Shard.parse(self.shard)
+        if self.shard and not set(self.only) <= set(SHARDED):
+            raise ConfigError(
+                "a shard runs episodes, and the other stages need all of them: run --only generate in shards, merge "
+                "them, run --only export,train on the whole, then --only evaluate in shards with --trained WHOLE"
+            )
+        if self.trained and not self.shard:
+            raise ConfigError("--trained is for --shard: without it the experiment's folder has the trainings")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,12 +146,12 @@ def run_experiment(
         run = _Run(config, design, on_event, cancellation, executor, kept)
         run.open()
         for stage in run.stages:
-            if stage.part in config.only and run.ready(stage):
+            if run.wanted(stage) and run.ready(stage):
                 run.finish(stage)
     done = run.done
     missing = tuple(stage.name for stage in run.stages if stage.name not in done)
     card = None
-    if not any(name.startswith(("evaluate/", "prove/")) for name in missing):
+    if not config.shard and not any(name.startswith(("evaluate/", "prove/")) for name in missing):
         name = Path(config.experiment).stem
         run.collect_proofs()
         card = collect_card(
@@ -163,21 +180,22 @@ class _Run:
     ) -> None:
         self.config, self.design = config, design
         self.out = checked_path(config.out)
-        self.log = ResultsLog(self.out / "stages.jsonl")
+        self.log = ResultsLog(self.out / STAGES_FILE)
+        self.trained = checked_path(config.trained) if config.trained else self.out
         trained = bool(design.trainer.command)
         self.stages = tuple(stage for stage in stages_of(design) if stage.kind != "train" or trained)
         self._ran = False
         self._by_name = {stage.name: stage for stage in self.stages}
         require_known(design, config.policies)
         self.policies = {
-            stage.name: policy_of(design, stage, config.policies, self.out)
+            stage.name: policy_of(design, stage, config.policies, self.trained)
             for stage in self.stages
             if stage.kind == "evaluate" and "evaluate" in config.only
         }
         require_found(self.policies.values())
         self._runner = Stages(
             design=design, out=self.out, policies=self.policies, workers=config.workers, renderer=config.renderer,
-            on_event=on_event, cancellation=cancellation, executor=executor, kept=kept,
+            on_event=on_event, cancellation=cancellation, executor=executor, kept=kept, shard=config.shard,
         )  # fmt: skip
 
     # -------------------------------------------------------------- state
@@ -226,7 +244,9 @@ class _Run:
         policy = self.policies.get(stage.name)
         if policy is None and stage.kind == "evaluate":  # not to be run now: what it ran with is unknown
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
-        return digest({"sha": stage.sha, "name": stage.name, "policy": plain(to_plain(policy)) if policy else None})
+        part = {"shard": self.config.shard} if self.config.shard else {}
+        policy_data = plain(to_plain(policy)) if policy else None
+        return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **part})
 
     def collect_proofs(self) -> None:
         """Write what the proofs of all stages found, for the card."""
@@ -268,9 +288,19 @@ class _Run:
         """Return whether a stage is an evaluation whose policy is not named yet."""
         return name in self.policies and self.policies[name] is None
 
+    def wanted(self, stage: Stage) -> bool:
+        """Return whether this call is to run a stage. The proofs of a shard's episodes are those of the whole."""
+        return stage.part in self.config.only and not (self.config.shard and stage.kind == "prove")
+
     def ready(self, stage: Stage) -> bool:
         """Return whether a stage can run; it cannot while a policy that it needs is trained elsewhere."""
         return not any(map(self.waits_for_policy, (stage.name, *stage.needs)))
+
+    def _done_in_whole(self) -> set[str]:
+        """Names of the stages that are finished in the folder of the whole experiment; not those of evaluations."""
+        keys = {entry.key for entry in ResultsLog(self.trained / STAGES_FILE).read()}
+        whole = {stage.name: digest({"sha": stage.sha, "name": stage.name, "policy": None}) for stage in self.stages}
+        return {name for name, key in whole.items() if key in keys}
 
     def finish(self, stage: Stage) -> None:
         """Run a stage unless it is finished."""
@@ -278,6 +308,13 @@ class _Run:
         if stage.name in done:
             return
         absent = [need for need in stage.needs if need not in done and need in self._by_name]
+        if self.config.shard:
+            absent = [need for need in absent if need not in self._done_in_whole()]
+        if absent and self.config.shard:
+            raise ConfigError(
+                f"stage '{stage.name}' needs {', '.join(absent)}, not finished in {self.trained}; merge the shards of "
+                "the demonstrations, run --only export,train there, and name that folder with --trained"
+            )
         if absent:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")
         started, continued = time.monotonic(), (self.out / stage.name).exists()

@@ -38,6 +38,7 @@ from roboxim_bringup.runs.proving import (
     prove_training,
 )
 from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_bringup.runs.shards import Shard
 from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, RoboximError
@@ -75,6 +76,8 @@ class Stages:
     """Runs episodes and reads bags; none: processes of this machine."""
     kept: KeptProcesses
     """Processes of this machine that run the episodes of one stage after the other."""
+    shard: str = ""
+    """``I/N``: the part of the episodes to run; empty: all."""
 
     def run(self, stage: Stage, stages: Mapping[str, Stage]) -> dict[str, Any]:
         """Run a stage.
@@ -94,6 +97,8 @@ class Stages:
             prove = self._prove_training if stage.part == "export" else self._prove_evaluation
             prove(stage, stages)
             return {}
+        if self.shard and not Shard.parse(self.shard).indices(stage.inputs["episodes"]):
+            return {}  # more shards than episodes
         made: dict[str, Any] | None = getattr(self, f"_{stage.kind}")(stage)
         return made or {}
 
@@ -127,7 +132,7 @@ class Stages:
             GenerationConfig(
                 task=self._mix(stage), out=self._folder(stage.name), episodes=stage.inputs["episodes"],
                 seed=stage.inputs["seed"], size=self._size, first_try=True, workers=self.workers,
-                renderer=self.renderer,
+                renderer=self.renderer, shard=self.shard,
             ),
             executor=self._episodes(self._folder(stage.name)), **self._options,
         )  # fmt: skip
@@ -212,7 +217,7 @@ class Stages:
             EvaluationConfig(
                 policies=policy, task=self._mix(stage), out=self._folder(stage.name),
                 episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
-                size=self._size, workers=self.workers, renderer=self.renderer, page=False,
+                size=self._size, workers=self.workers, renderer=self.renderer, page=False, shard=self.shard,
             ),
             executor=self._episodes(evaluation_folder(self.out, stage.name)), **self._options,
         )  # fmt: skip

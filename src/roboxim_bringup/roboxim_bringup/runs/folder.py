@@ -181,11 +181,13 @@ class RunFolder:
             if result.bag and result.bag not in stored and not (self.path / result.bag).exists()
         ]
 
-    def discard(self, index: int) -> None:
-        """Remove all bags of an index without a result; a crash left them."""
+    def discard(self, indices: Iterable[int]) -> None:
+        """Remove all bags of indices without a result; a crash left them."""
+        wanted = {f"{index:05d}" for index in indices}
         for place in (*PLACES.values(), PARTIAL):
-            for bag in (self.path / place).glob(f"*-{index:05d}-*"):
-                shutil.rmtree(bag)
+            for bag in (self.path / place).glob("*-*-*"):  # one listing, since a run may have very many bags
+                if not wanted.isdisjoint(bag.name.split("-")[1:-1]):
+                    shutil.rmtree(bag)
 
     def discard_episode(self, episode_id: str) -> None:
         """Remove all bags of an episode without a result; a crash left them."""

@@ -189,6 +189,17 @@ class _Episode:
     stored: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Bags of the folder that are in its store, with the facts of their files."""
 
+    def same_bag(self, other: _Episode) -> bool:
+        """Return whether another folder's bag of the episode has the same content."""
+        mine, theirs = self.run.path / self.result.bag, other.run.path / other.result.bag
+        if self.result.bag and mine.is_dir() and theirs.is_dir():
+            files = sorted(file.name for file in mine.iterdir())
+            if files == sorted(file.name for file in theirs.iterdir()) and all(
+                (mine / name).samefile(theirs / name) for name in files
+            ):
+                return True  # linked by an earlier merge
+        return self.content() == other.content()
+
     def content(self) -> dict[str, str]:
         """Return the hashes of the bag's files."""
         if not self.result.bag:
@@ -247,7 +258,7 @@ class _Merge:
         if other is None:
             self.chosen[place] = episode
             return
-        if other.lasting != episode.lasting or other.content() != episode.content():
+        if other.lasting != episode.lasting or not other.same_bag(episode):
             raise RecorderError(
                 f"{other.run.path} and {episode.run.path} have different recordings of episode "
                 f"{episode.result.episode_id}, so one of them comes from other code, another kind of machine or a "

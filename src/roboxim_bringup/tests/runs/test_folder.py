@@ -128,7 +128,7 @@ def test_bags_of_an_unfinished_index_are_discarded(tmp_path):
         for place in ("episodes/demo-0-00003-0", "set_apart/demo-0-00003-1", ".partial/demo-0-00003-2"):
             (folder.path / place).mkdir(parents=True)
         (folder.path / "episodes" / "demo-0-00004-0").mkdir()
-        folder.discard(3)
+        folder.discard([3])
         assert [path.name for path in folder.path.glob("*/demo-*")] == ["demo-0-00004-0"]
 
 
