@@ -69,7 +69,7 @@ def test_an_experiment_in_two_shards_has_the_bags_and_the_card_of_one_run(experi
     for number, shard in enumerate(shards, start=1):
         experiment(shard, "--only", "generate", "--shard", f"{number}/2")
     command(["merge", out, *shards])
-    experiment(out, "--only", "export,train")
+    experiment(out, "--only", "generate,export,train")
     for number, shard in enumerate(shards, start=1):
         experiment(shard, "--only", "evaluate", "--shard", f"{number}/2", "--trained", out)
     command(["merge", out, *shards])

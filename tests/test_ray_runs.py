@@ -107,3 +107,43 @@ def test_bags_of_a_cluster_can_go_to_a_store(cluster, tmp_path):
     generate(GenerationConfig(out=tmp_path / "local", episodes=2, workers=2, **SMALL))
     with local_sources([url]) as [folder]:
         assert recordings(folder) == recordings(tmp_path / "local")
+
+
+LOOKING = """
+from roboxim_policies import BasePolicy
+
+
+class Looking(BasePolicy):
+    cameras = ("workspace",)
+
+    def act(self, window):
+        return [0.001 * window.newest.images["workspace"].mean() / 255] * 6 + [1.0]
+"""
+
+
+def test_a_policy_server_is_placed_by_resources_and_moves_when_its_node_is_lost(cluster, tmp_path):
+    (tmp_path / "looking.py").write_text(LOOKING)
+
+    def run(out, **options):
+        config = EvaluationConfig(
+            policies=f"looking={tmp_path}/looking.py:Looking", out=out, episodes=EPISODES, max_steps=10, workers=2,
+            **SMALL,
+        )  # fmt: skip
+        evaluate(config, **options)
+        return out / "looking"
+
+    doomed, told = [add_ray_node(cluster, resources={"model": 1})], []
+
+    def lose(event):
+        if isinstance(event, EpisodeFinished) and doomed:
+            cluster.remove_node(doomed.pop(), allow_graceful=False)
+            add_ray_node(cluster, resources={"model": 1})
+        if isinstance(event, Notice):
+            told.append(event.text)
+
+    server = RayExecutor(1, address=cluster.address, resources={"CPU": 0, "model": 1})
+    workers = RayExecutor(2, address=cluster.address)
+    made = run(tmp_path / "ray", executor=workers, servers=[server], on_event=lose)
+    assert not doomed
+    assert any("the server of policy 'looking'" in text for text in told), told
+    same(made, run(tmp_path / "local"))

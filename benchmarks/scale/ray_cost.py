@@ -1,4 +1,4 @@
-"""The cost of Ray: wall time of a demonstration on a Ray cluster of this machine, over that on processes of this machine.
+"""The cost of Ray: wall time of a demonstration on a Ray cluster of this machine, over that on local workers.
 
 Both sides run the same episodes with 2 workers, in turns. The start of workers and of the cluster is shown, but not
 counted. Needs ``make scale``, and a machine without other work: at a load, other programs decide the ratio.

@@ -168,7 +168,7 @@ def run(
     On several machines, here two, each with a folder of its own:
     roboxim experiment run skill_object --only generate --shard 1/2 --out runs/so-1      # and 2/2 to runs/so-2
     roboxim merge runs/so runs/so-1 runs/so-2
-    roboxim experiment run skill_object --only export,train --out runs/so
+    roboxim experiment run skill_object --only generate,export,train --out runs/so
     roboxim experiment run skill_object --only evaluate --shard 1/2 --trained runs/so --out runs/so-1
     roboxim merge runs/so runs/so-1 runs/so-2
     roboxim experiment run skill_object --out runs/so                                    # proofs and results

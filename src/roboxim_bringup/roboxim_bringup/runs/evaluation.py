@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 RECORD_FILE = "evaluation.json"
 """File beside a report, by which `roboxim merge` writes it again."""
+REPORT_FILE = "report.html"
+"""The report's file."""
 SHOWN = 12
 """Films of each policy in the report."""
 
@@ -274,7 +276,7 @@ def evaluate(
 @contextlib.contextmanager
 def _served(policy: ChosenPolicy, executors: Sequence[Executor]) -> Iterator[PolicyServers | None]:
     """Serve a policy while the block runs; none: the workers have it themselves, or it is behind a server anyway."""
-    if not executors or policy.launch is None or policy.is_remote:
+    if not executors or policy.launch is None or policy.acting.is_remote:
         yield None
         return
     from roboxim_bringup.runs.policy_servers import PolicyServers
@@ -283,12 +285,13 @@ def _served(policy: ChosenPolicy, executors: Sequence[Executor]) -> Iterator[Pol
         yield servers
 
 
-def report_of(out: Path, record: EvaluationRecord | None = None) -> EvaluationResult:
+def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool = True) -> EvaluationResult:
     """Write the report of the finished episodes in an evaluation's folder.
 
     Args:
         out: The evaluation's folder, with a run for each policy.
         record: What the report says about the evaluation; none: as stored in the folder.
+        page: Whether to write its page, or only the record.
 
     Raises:
         ConfigError: When the folder has no record, or its files are damaged.
@@ -301,7 +304,7 @@ def report_of(out: Path, record: EvaluationRecord | None = None) -> EvaluationRe
         name: PolicyResult(name=name, results=tuple(RunFolder(out / name).results()), folder=out / name)
         for name in record.policies
     }
-    return _report(record, found, out, page=True)
+    return _report(record, found, out, page=page)
 
 
 def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:

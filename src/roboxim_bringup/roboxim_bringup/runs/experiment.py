@@ -95,8 +95,9 @@ class ExperimentRunConfig:
         Shard.parse(self.shard)
         if self.shard and not set(self.only) <= set(SHARDED):
             raise ConfigError(
-                "a shard runs episodes, and the other stages need all of them: run --only generate in shards, merge "
-                "them, run --only export,train on the whole, then --only evaluate in shards with --trained WHOLE"
+                "a shard runs episodes, and the other stages need all of them: run --only generate in shards and "
+                "merge them, run --only generate,export,train on the whole, then --only evaluate in shards with "
+                "--trained WHOLE"
             )
         if self.trained and not self.shard:
             raise ConfigError("--trained is for --shard: without it the experiment's folder has the trainings")
@@ -313,7 +314,7 @@ class _Run:
         if absent and self.config.shard:
             raise ConfigError(
                 f"stage '{stage.name}' needs {', '.join(absent)}, not finished in {self.trained}; merge the shards of "
-                "the demonstrations, run --only export,train there, and name that folder with --trained"
+                "the demonstrations, run --only generate,export,train there, and name that folder with --trained"
             )
         if absent:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.runs.episodes import WORKER_DIED
-from roboxim_bringup.runs.evaluation import RECORD_FILE, EvaluationRecord, report_of
+from roboxim_bringup.runs.evaluation import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of
 from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
 from roboxim_bringup.runs.generation import write_first_demonstrations
@@ -100,23 +100,25 @@ def merge_shards(
                 on_event(StageProgress(done=done, total=total))
             merge.decorate(stage / merge.name)
         if new:
-            _write_reports(stage, records)
+            _write_reports(stage, records, sources)
             with disk_errors(target):
                 stage.rename(target)
         else:
             with disk_errors(target):
                 for merge in merges:
                     merge.put(stage / merge.name, target / merge.name)
-            _write_reports(target, records)
+            _write_reports(target, records, sources)
     for merge in merges:
         RunUpload(target / merge.name, str(merge.config.get("store", ""))).all()
     on_event(StageFinished())
     return [merge.summary for merge in merges]
 
 
-def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord]) -> None:
+def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord], shards: Sequence[Path]) -> None:
+    """Write the evaluations' records, and pages where a shard has one; an experiment's evaluations have none."""
     for name, record in records.items():
-        report_of(folder / name, record)
+        page = any((shard / name / REPORT_FILE).exists() for shard in shards)
+        report_of(folder / name, record, page=page)
 
 
 # ------------------------------------------------------------------ what there is
