@@ -38,9 +38,17 @@ class Named(click.ParamType[str]):
         if not text or is_path(text) or ":" in text or "=" in text or text.endswith(".py"):
             return text
         known = self._known()
-        if known and text not in known:
+        if known and text not in known and not self._is_refused(text):
             raise ConfigError(f"unknown {self.kind} '{text}'; {one_of(known, text)}")
         return text
+
+    def _is_refused(self, text: str) -> bool:
+        """Tell whether the name is a policy server's that RoboXim refuses; whoever finds the policy says why."""
+        if self.kind != "policy":
+            return False
+        from roboxim_policies.wires import REFUSED
+
+        return text.replace("-", "_") in REFUSED
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the names that begin with the typed text; in a list or after ``ROLE=``, with its last part."""

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from roboxim_bringup.named import Named
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import PolicySpec, choose_policies, find_policies
 from roboxim_bringup.runs.servers import server_record
@@ -58,6 +59,17 @@ def test_remote_policy_with_other_words_is_recognised_as_well(tmp_path):
         evaluate(EvaluationConfig(policies=[spec], out=tmp_path / "out", episodes=1, workers=1))
     with pytest.raises(ConfigError, match="did you mean 'libero'"):
         find_policies([PolicySpec(spec="reworded", options={**options, "convention": "libreo"})])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("lerobot", "pickles.*LeRobot model server"), ("groot-n1", "pickles.*update Isaac-GR00T")]
+)
+def test_server_that_exchanges_pickles_is_refused_with_the_way_round(name, words, monkeypatch):
+    monkeypatch.setattr("roboxim_bringup.named.fresh_catalog", lambda: {"policies": {"openpi": {}, "groot": {}}})
+    with pytest.raises(ConfigError, match=words):
+        choose_policies([Named("policy").convert(name, None, None)])
+    with pytest.raises(ConfigError, match="unknown policy 'lerobto'"):
+        Named("policy").convert("lerobto", None, None)
 
 
 def test_mistake_in_the_options_is_found_without_a_server():
