@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -150,7 +151,11 @@ def test_check_of_a_server_that_plays_the_expert_passes_in_every_convention(name
     found = checked(load_convention(name), lambda raw: raw)
     assert found.suspicions == ()
     assert found.round_trip.is_exact, str(found.round_trip)
-    assert sum("opening" in line for line in found.lines) == ASKED
+    compared = [line.partition(": ")[2].split("; the expert: ") for line in found.lines if "; the expert: " in line]
+    assert len(compared) == ASKED
+    for answered, expert in compared:  # in the same units, so that a user can compare them
+        np.testing.assert_allclose(numbers(answered), numbers(expert), atol=0.0011)
+        assert re.sub(NUMBER, "", answered) == re.sub(NUMBER, "", expert)
     save_sheet(found, tmp_path / "sheet.png")
     assert (tmp_path / "sheet.png").stat().st_size > 1000
 
@@ -160,6 +165,13 @@ def test_check_of_a_server_with_an_inverted_gripper_names_it():
     found = checked(load_convention("roboxim"), lambda raw: np.column_stack([raw[:, :6], 1 - raw[:, 6]]))
     assert [text[:17] for text in found.suspicions] == ["inverted gripper?"]
     assert not found.passed
+
+
+NUMBER = r"[-+]?\d+\.\d+"
+
+
+def numbers(text):
+    return [float(number) for number in re.findall(NUMBER, text)]
 
 
 def checked(convention, changed):

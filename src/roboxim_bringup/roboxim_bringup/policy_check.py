@@ -10,8 +10,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.expert_episode import ExpertEpisode, expert_episode
-from roboxim_core.conventions import Convention, Layout, decode_actions
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.conventions import Convention, Layout, decode_actions, from_actions
 from roboxim_core.conventions.images import Picture
+from roboxim_core.errors import RoboximError
 from roboxim_core.policies import EpisodeStart
 from roboxim_core.rotations import Floats
 from roboxim_policies.dry_run import Answers, RoundTrip, round_trip, suspicions
@@ -117,14 +119,21 @@ def _sent(request: Mapping[str, object]) -> list[str]:
 
 def _received(convention: Convention, episode: ExpertEpisode, ticks: list[int], raw: list[Floats]) -> list[str]:
     lines = [f"received ({', '.join(str(len(rows)) for rows in raw)} actions); the first action of each answer:"]
+    experts = _experts(convention, episode)
     for tick, rows in zip(ticks, raw, strict=True):
         action = decode_actions(convention, rows[:1])[0]
-        meant = _in_units(convention, action)
-        expert = episode.actions[tick]
-        lines.append(
-            f"  tick {tick:>3}: {meant}; the expert: {_motion(expert[:3], expert[3:6])}, {_opening(expert[6])}"
-        )
+        lines.append(f"  tick {tick:>3}: {_in_units(convention, action)}; the expert: {experts[tick]}")
     return lines
+
+
+def _experts(convention: Convention, episode: ExpertEpisode) -> list[str]:
+    """Return the expert's actions in the convention's meaning; in RoboXim's own where it cannot express them."""
+    source = ActionSemantics(rate_hz=convention.rate_hz)
+    try:
+        raw = from_actions(convention, episode.actions, episode.track, source=source)
+        return [_in_units(convention, row) for row in decode_actions(convention, raw)]
+    except RoboximError:  # the round trip says why
+        return [f"{_motion(row[:3], row[3:6])}, {_opening(row[6])}" for row in episode.actions]
 
 
 def _in_units(convention: Convention, action: Floats) -> str:
