@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]  # a busy machine is slow; waits are limited by LONGEST_S
 
 TEXT = """
 about: Does a policy reach for an object that it never saw?

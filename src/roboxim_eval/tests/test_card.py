@@ -108,6 +108,17 @@ def test_the_page_of_a_card_says_what_it_concludes(card):
     assert 'id="episode-data"' not in page, "a card has no episodes"
 
 
+def test_a_page_without_a_primary_comparison_shows_all_of_them_together(card):
+    many = experiment_page(ExperimentPage(card=planted_card(shipped("robustness", replicates=3), lambda *_: 0.8)))
+    assert many.index("All comparisons, points") < many.index("<details><summary>light - nominal, points")
+    assert "(primary)" not in many
+    assert 'href="#cells"' not in many, "one cell has no heat map"
+    one = experiment_page(ExperimentPage(card=card))
+    assert "All comparisons" not in one
+    assert "(primary)" in one
+    assert 'href="#cells"' in one
+
+
 def test_a_benchmarks_card_is_checked_through_its_experiments(card):
     other = planted_card(shipped("camera_object", replicates=3), rate)
     whole = concluded_benchmark(

@@ -107,12 +107,12 @@ def test_verdicts_are_sentences():
     assert "points are compatible with 3 trainings each" in unclear.sentence
     one = said(exactly(0.8, replicates=1), exactly(0.1, replicates=1))
     assert one.kind == "cannot_tell"
-    assert "at least 3 are needed" in one.sentence
+    assert "1 training each does not show how much trainings differ; at least 3 are needed" in one.sentence
     assert (one.difference.low, one.p_value) == (-math.inf, 1.0)
     assert "within the margin" in said(exactly(0.9, each=2000), exactly(0.95, each=2000)).sentence
     adjusted = said(exactly(0.4), exactly(0.8), p_value=0.3)
     assert adjusted.kind == "cannot_tell", "Holm's adjustment counts"
-    assert "p is 0.3 after adjustment for several comparisons" in adjusted.sentence
+    assert "the difference is -40 points, but p is 0.3 after adjustment for several" in adjusted.sentence
     assert "compatible" not in adjusted.sentence, "the interval alone excludes 0"
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from roboxim_eval.experiments.card import Card, CardVerdict
@@ -89,7 +89,8 @@ def experiment_page(page: ExperimentPage) -> str:
         substitutions=_substitutions(card),
         rates=_rates(arms),
         heat=_heat_maps(card, design, arms),
-        forests=[_forest(verdict, design, arms) for verdict in card.verdicts],
+        forests=_forests(card, design, arms),
+        emphasised=_has_primary(card),
         curve=_curve(card),
         map=map_view(page.episodes, list(arms)),
         effects=effects_of(page.episodes),
@@ -126,7 +127,7 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"
         size = f"{trainings} x {design.compared_scenes} rollouts"
         facts["planned to find"] = (
-            f"{size}: no drop from 80 %, with a chance of 80 %" if drop is None
+            f"{size}: too few to find any drop from 80 % with a chance of 80 %" if drop is None
             else f"{size}: a drop of {100 * drop:.0f} points from 80 %, with a chance of 80 %"
         )  # fmt: skip
     decide = config.decide
@@ -201,6 +202,22 @@ def _heat_maps(card: Card, design: Design, arms: Mapping[str, Arm]) -> list[Heat
     return maps
 
 
+def _forests(card: Card, design: Design, arms: Mapping[str, Arm]) -> list[dict[str, Any]]:
+    """Return the rows of each comparison; if none of several is the primary one, first a row for each of them."""
+    forests = [_forest(verdict, design, arms) for verdict in card.verdicts]
+    signed = [one for one in forests if one["signed"]]
+    if _has_primary(card) or not signed:
+        return forests
+    rows = [replace(one["rows"][-1], label=one["heading"].removesuffix(", points"), kind="cell") for one in signed]
+    heading = "All comparisons, points; intervals are not adjusted for their number"
+    return [{"heading": heading, "rows": rows, "scale": difference_scale(rows), "signed": True}, *forests]
+
+
+def _has_primary(card: Card) -> bool:
+    """Return whether the file names a primary comparison, or has no other."""
+    return len(card.verdicts) == 1 or any(one.primary for one in card.experiment.config.compare)
+
+
 def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> dict[str, Any]:
     """Return the rows of a comparison: its cells, and the total with the replicates as dots."""
     keys = [cell.key for cell in chosen(design.cells, verdict.where)]
@@ -216,7 +233,7 @@ def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> di
         heading = (
             f"{verdict.first} in {verdict.where} cells and {verdict.second} in {verdict.against} cells, success in %"
         )
-        return {"heading": heading, "rows": rows, "scale": RATES, "signed": False, "primary": verdict.primary}
+        return {"heading": heading, "rows": rows, "scale": RATES, "signed": False}
     second = arms[verdict.second].within(keys)
     rows = [_difference_row(verdict, key, first.by_cell[key], second.by_cell[key], key in unseen) for key in keys]
     value, low, high = (math.nan if x is None else x for x in verdict.difference)
@@ -229,7 +246,7 @@ def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> di
     ))  # fmt: skip
     scale: Scale = difference_scale(rows)
     heading = f"{verdict.first} - {verdict.second}{where}, points"
-    return {"heading": heading, "rows": rows, "scale": scale, "signed": True, "primary": verdict.primary}
+    return {"heading": heading, "rows": rows, "scale": scale, "signed": True}
 
 
 def _difference_row(verdict: CardVerdict, cell: str, one: Count, two: Count, unseen: bool) -> ForestRow:

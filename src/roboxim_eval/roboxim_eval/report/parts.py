@@ -74,6 +74,8 @@ def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
     """Return how many of how many films are shown, in words."""
     failed = [number for number, e in enumerate(episodes) if not e.success]
     solved = len(episodes) - len(failed)
+    if len(films) == len(episodes):
+        return f"All {len(episodes)} episodes are shown: {len(failed)} that did not succeed, {solved} that did."
     shown_failed = sum(number in films for number in failed)
     return (
         f"{len(films)} of {len(episodes)} episodes are shown: {shown_failed} of {len(failed)} that did not succeed, "

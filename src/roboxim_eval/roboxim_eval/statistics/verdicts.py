@@ -47,11 +47,12 @@ def condition_verdict(
     """
     interval = difference.interval()
     own = difference.p_value if p_value is None else p_value
-    many = f"{difference.replicates} trainings each"
+    one = difference.replicates == 1
+    many = f"{difference.replicates} training{'' if one else 's'} each"
     if difference.replicates < LEAST_REPLICATES:
         sentence = (
-            f"Cannot tell whether {first} is better or worse than {second} as a way to train: {many} do not show how "
-            f"much trainings differ; at least {LEAST_REPLICATES} are needed."
+            f"Cannot tell whether {first} is better or worse than {second} as a way to train: {many} do{'es' * one} "
+            f"not show how much trainings differ; at least {LEAST_REPLICATES} are needed."
         )
         return Verdict(kind="cannot_tell", question="condition", difference=interval, p_value=1.0, sentence=sentence)
     narrow = difference.interval(confidence=0.90)
@@ -71,11 +72,12 @@ def condition_verdict(
         kind = "cannot_tell"
         more = more_trainings(difference, margin)
         needed = {None: "", 0: "; more scenes for each training would decide"}.get(
-            more, f"; about {more} more trainings each would decide {100 * margin:.0f} points"
+            more, f"; about {more} more training{'' if more == 1 else 's'} each would decide {100 * margin:.0f} points"
         )
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible with {many}"
         if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
-            unclear = f"p is {own:.2g} after adjustment for several comparisons, over {many}"
+            adjusted = f"p is {own:.2g} after adjustment for several comparisons"
+            unclear = f"the difference is {_number(interval.value)} points, but {adjusted}, over {many}"
         sentence = f"Cannot tell whether {first} differs from {second}: {unclear}{needed}."
     return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
 
