@@ -13,14 +13,21 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.cli import group
 from roboxim_bringup.executors import CancelledError, Done, Job, LocalExecutor, Lost, Work
 from roboxim_bringup.executors.ray_cluster import RayExecutor
+from roboxim_bringup.graph import PolicyLaunch
+from roboxim_bringup.runs.policy_server_worker import POLICY_KEY
+from roboxim_bringup.runs.policy_servers import PolicyServers
 from roboxim_bringup.testing import add_ray_node, ray_cluster
+from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_policies.served import ServedPolicy
 
 WORKER = """
 import os
@@ -242,6 +249,40 @@ def test_faults_cancellation_and_lost_jobs_are_as_on_this_machine(cluster, work,
     with pytest.raises(RoboximError, match="unknown"):
         list(executor.run(Work(**{**vars(work), "worker": "unknown_module:Worker"}), jobs(1)))
     assert all(gone(int(path.name.removeprefix("pid-"))) for path in tmp_path.glob("pid-*"))
+
+
+def served(servers, work, *, before):
+    """Return a worker's work and its policy's options when there is another server than before."""
+    waiting = threading.Event()
+    while True:
+        made = servers.prepared(work, 0, waiting)
+        options = made.settings["graph"]["policies"][0]["options"]
+        if options["url"] != before:
+            return made, options
+        waiting.wait(0.1)
+
+
+def test_a_policy_server_on_a_cluster_serves_and_is_started_again_when_it_dies(cluster, monkeypatch):
+    launch, url = PolicyLaunch(spec="random"), ""
+    settings = {"graph": {"policies": [to_plain(launch)]}, "config": {"policy_timeout_s": 60.0}}
+    work = Work(worker="unused:Unused", settings=settings)
+    window = ObservationWindow(
+        instruction="", observations=[Observation(seq=0, stamp_ns=0)], pad_mask=(True,), episode_id="e", seq=0
+    )
+    executor = RayExecutor(1, address=cluster.address, resources={"CPU": 0.0})
+    with PolicyServers("mine", launch, [executor]) as servers:
+        for _ in range(2):
+            made, options = served(servers, work, before=url)
+            monkeypatch.setenv(POLICY_KEY, made.environment[POLICY_KEY])
+            policy = ServedPolicy(**options)
+            policy.reset(EpisodeStart(episode_id="e", instruction="", seed=1))
+            assert policy.act(window).actions.shape == (1, 7)
+            policy.close()
+            url = options["url"]
+            listening = [c for c in psutil.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+            [pid] = {c.pid for c in listening if c.laddr.port == int(url.rpartition(":")[2])}
+            os.kill(pid, signal.SIGKILL)
+    assert gone(pid)
 
 
 @pytest.mark.slow
