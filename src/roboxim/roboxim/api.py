@@ -237,6 +237,7 @@ def evaluate(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
+    servers: Sequence[Executor] = (),
     **fields: Any,
 ) -> EvaluationResult:
     """Run policies in fresh scenes and write a report; see `roboxim_bringup.runs.evaluation.evaluate`.
@@ -246,14 +247,16 @@ def evaluate(
         on_event: Receives the run's events.
         cancellation: Ends the run when it is set.
         executor: Runs the episodes; none: processes of this machine.
+        servers: Run one process each that serves a policy to all workers; none: each worker has the policy itself.
         **fields: Fields of `EvaluationConfig`, above all ``policies``.
 
     Raises:
         RoboximError: As the run raises it.
     """
     return evaluation.evaluate(
-        _configured(EvaluationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
-    )
+        _configured(EvaluationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor,
+        servers=servers,
+    )  # fmt: skip
 
 
 @_with_fields_of(RerenderConfig)
