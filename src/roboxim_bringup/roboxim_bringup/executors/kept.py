@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
@@ -26,6 +27,8 @@ Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
 GRACE_S = 3.0
 """Longest time for the processes to end [s]."""
+MOST_WORKS = 8
+"""Works that a process serves before it ends: what libraries keep of each, e.g. compiled policies, adds up."""
 
 
 class KeptProcesses:
@@ -37,6 +40,7 @@ class KeptProcesses:
         self._lock = threading.Lock()
         self._idle: list[Spawned] = []
         self._all: list[subprocess.Popen[bytes]] = []
+        self._works: Counter[int] = Counter()
 
     def spawned(self, make: Callable[[], Spawned]) -> Spawned:
         """Start a process that may outlive the calling thread.
@@ -48,6 +52,7 @@ class KeptProcesses:
         with self._lock:
             self._all = [process for process in self._all if process.poll() is None]
             self._all.append(found[0])
+            self._works[found[0].pid] = 1
         return found
 
     def take(self) -> Spawned | None:
@@ -56,13 +61,17 @@ class KeptProcesses:
             while self._idle:
                 process, connection = self._idle.pop()
                 if process.poll() is None:
+                    self._works[process.pid] += 1
                     return process, connection
                 connection.close()
         return None
 
     def give(self, process: subprocess.Popen[bytes], connection: Connection[Any, Any]) -> None:
-        """Keep a process whose worker is closed."""
+        """Keep a process whose worker is closed, unless it has served `MOST_WORKS`."""
         with self._lock:
+            if self._works[process.pid] >= MOST_WORKS:
+                connection.close()  # which ends it
+                return
             self._idle.append((process, connection))
 
     def pids(self) -> list[int]:

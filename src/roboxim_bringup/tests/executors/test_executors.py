@@ -23,6 +23,7 @@ from roboxim_bringup.executors import (
     Lost,
     Work,
 )
+from roboxim_bringup.executors import kept as kept_module
 from roboxim_bringup.executors.pool import ClosingError
 from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
@@ -151,6 +152,14 @@ def test_a_kept_process_that_ends_when_it_is_needed_is_replaced(work):
         [done] = LocalExecutor(1, kept=kept).run(replace(work(), leaves_nothing=True), jobs("say"))
     assert process.returncode == 3
     assert done.value["pid"] != process.pid
+
+
+def test_a_kept_process_ends_after_a_number_of_works(work, monkeypatch):
+    monkeypatch.setattr(kept_module, "MOST_WORKS", 2)
+    given = replace(work(), leaves_nothing=True)
+    with KeptProcesses() as kept:
+        pids = [done.value["pid"] for _ in range(3) for done in LocalExecutor(1, kept=kept).run(given, jobs("say"))]
+    assert pids[0] == pids[1] != pids[2]
 
 
 def test_a_cancelled_run_leaves_no_kept_process_at_work(work):
