@@ -168,7 +168,9 @@ def test_a_cancelled_run_leaves_no_kept_process_at_work(work):
         executor = LocalExecutor(2, kept=kept)
         with pytest.raises(CancelledError):
             list(executor.run(given, jobs("hang", "hang"), on_note=lambda _: stop.set(), cancellation=stop))
-        assert kept.pids() == []
+        resting = {process.pid for process, _ in kept._idle}  # a worker that had no job yet when the run was cancelled
+        assert set(kept.pids()) == resting
+        assert len(resting) < 2
 
 
 @pytest.mark.parametrize("fault", ["kill once", "broken once"])
