@@ -1,7 +1,7 @@
 """Reads and encodes the episodes of an export in several processes.
 
-One process reads a bag, converts its states and waits for the interpreter's lock most of the time that its threads
-decompress and encode. Processes share nothing, so two of them are nearly twice as fast.
+The threads of one process that decompress, convert and encode wait for the interpreter's lock. Processes do not share
+it. `make bench-export` compares both.
 """
 
 from __future__ import annotations

@@ -29,11 +29,11 @@ from roboxim_recorder.run_bags import run_bags
 Progress = Callable[[int, int], None]
 SWITCH_INTERVAL_S = 0.5e-3
 """Time after which a thread that decompresses or encodes gets the interpreter from the one that converts [s]. Python's
-default, 5 ms, is longer than most of their steps; exports are an eighth faster with a shorter one."""
+default, 5 ms, is longer than most of their steps."""
 
 
 MANY_EPISODES = 100
-"""Episodes from which on an export with several processes is faster, although each takes seconds to start."""
+"""Number of episodes from which an export starts several processes; each takes seconds to start."""
 
 
 @dataclass(frozen=True, kw_only=True)
