@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from roboxim_core.actions import ActionArray
+from roboxim_core.config import from_json, to_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.images import resized
 from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
+from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import CLOSED_BELOW, Images
 from roboxim_policies.bc.features import Floats, GraspMemory, proprio_features, tool_yaw, word_indices
 from roboxim_policies.bc.network import Inputs, Prediction, make_network
@@ -53,14 +58,16 @@ class BCPolicy(BasePolicy):
         )
         self.semantics = said.semantics
         self.version = f"step {said.step}, {said.digest}"
-        weights, network_of = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
+        weights, _ = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
         averaged = said.arrays[-1]
         if weights.shape != averaged.shape:
             raise ConfigError(
                 f"{checkpoint}: its weights do not fit its configuration; another version of RoboXim wrote it"
             )
-        network = network_of(jnp.asarray(averaged))
-        self._predict = jax.jit(lambda inputs: network(inputs))
+        self._weights = jnp.asarray(averaged)
+        self._predict = _compiled(
+            to_json(replace(said.config, seed=0)), tuple(sorted(said.camera_sizes)), len(said.vocabulary)
+        )
         self._begin("")
         blank = {name: np.zeros((side, side, 3), np.uint8) for name, side in said.input_sizes.items()}
         self._infer(blank, Proprioception().vector())
@@ -100,5 +107,12 @@ class BCPolicy(BasePolicy):
             images=pixels, state=jnp.asarray(self._said.stats.normalize_state(state))[None],
             heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=self._words,
         )  # fmt: skip
-        prediction: Prediction = self._predict(inputs)
+        prediction: Prediction = self._predict(self._weights, inputs)
         return prediction
+
+
+@lru_cache(maxsize=4)
+def _compiled(config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[[Array, Inputs], Prediction]:
+    """Return the compiled network, compiled once per process for all checkpoints of the same form."""
+    _, network_of = make_network(from_json(config_json, BCConfig), cameras, vocabulary, seed=0)
+    return jax.jit(lambda weights, inputs: network_of(weights)(inputs))
