@@ -1,7 +1,7 @@
 """Blocking service calls from any thread, callbacks included.
 
-`Clients.call` takes its answer from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients'
-node needs an executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own
+`Clients.call` hands the request to a server of the same process directly (`roboxim_ros.local_calls`); otherwise it takes
+the answer from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients' node needs an executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own
 executor, it would wait forever. A separate thread therefore spins this node.
 """
 
@@ -18,10 +18,13 @@ from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
+from rclpy.validate_topic_name import validate_topic_name
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
+from roboxim_ros import local_calls
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
+from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
@@ -38,6 +41,16 @@ def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
             return False
         time.sleep(0.01)
     return True
+
+
+def _late(service: str, timeout_s: float) -> RequestTimeoutError:
+    return RequestTimeoutError(
+        f"service '{service}' did not answer within {timeout_s:g} s; its node hangs or has died"
+    )
+
+
+def _disappeared(service: str) -> UnavailableError:
+    return UnavailableError(f"service '{service}' disappeared during the call; its node has died")
 
 
 class Clients:
@@ -64,6 +77,8 @@ class Clients:
         )
         self._clients: dict[tuple[Any, str], Client] = {}
         self._idle: defaultdict[tuple[Any, str], list[DirectClient]] = defaultdict(list)
+        self._full_names: dict[str, str] = {}
+        self._closed = False
         self._lock = threading.Lock()
         self._executor = LockstepExecutor(context=context)
         self._executor.add_node(self.node)
@@ -115,19 +130,58 @@ class Clients:
             RequestTimeoutError: When the answer does not come in time.
             RoboximError: As the response's ``error_code`` and ``error_msg`` state, when it has them.
         """
-        direct = self._borrow(srv_type, name)
-        try:
-            response = self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
-        except rclpy_implementation.InvalidHandle:
-            raise UnavailableError(
-                f"the clients '{self.node.get_name()}' were closed during a call of '{name}'"
-            ) from None
-        finally:
-            with self._lock:
-                self._idle[srv_type, name].append(direct)
+        local = local_calls.find(self.node.context, srv_type, self._full_name(name))
+        if local is not None and (call := local.send(request)) is not None:
+            response = self._local_answer(call, name, timeout_s)
+        else:
+            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s)
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
+
+    def _full_name(self, name: str) -> str:
+        """Return a service's full name.
+
+        Raises:
+            InvalidRequestError: When the name is not a valid service name.
+        """
+        if name not in self._full_names:
+            try:
+                validate_topic_name(name, is_service=True)
+            except InvalidServiceNameException as error:
+                raise InvalidRequestError(str(error)) from None
+            self._full_names[name] = self.node.resolve_service_name(name)
+        return self._full_names[name]
+
+    def _local_answer(self, call: LocalCall, name: str, timeout_s: float) -> Any:
+        """Return the answer of a server of this process."""
+        deadline = time.monotonic() + timeout_s
+        while not call.wait(min(1.0, deadline - time.monotonic())):
+            if self._closed:
+                raise self._closed_during(name)
+            if not call.possible:
+                break
+            if time.monotonic() >= deadline:
+                raise _late(self._full_name(name), timeout_s)
+        if call.response is None:
+            raise _disappeared(self._full_name(name))
+        return call.response
+
+    def _answer_of_middleware(
+        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None
+    ) -> Any:
+        """Return the answer of any server."""
+        direct = self._borrow(srv_type, name)
+        try:
+            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
+        except rclpy_implementation.InvalidHandle:
+            raise self._closed_during(name) from None
+        finally:
+            with self._lock:
+                self._idle[srv_type, name].append(direct)
+
+    def _closed_during(self, name: str) -> UnavailableError:
+        return UnavailableError(f"the clients '{self.node.get_name()}' were closed during a call of '{name}'")
 
     def _borrow(self, srv_type: Any, name: str) -> DirectClient:
         """Return a client that no other thread uses."""
@@ -150,13 +204,9 @@ class Clients:
         deadline = time.monotonic() + timeout_s
         while (answer := direct.receive(number, min(1.0, deadline - time.monotonic()))) is None:
             if time.monotonic() >= deadline:
-                raise RequestTimeoutError(
-                    f"service '{client.service_name}' did not answer within {timeout_s:g} s; its node hangs or has died"
-                )
+                raise _late(client.service_name, timeout_s)
             if not client.service_is_ready():  # its lease expired
-                raise UnavailableError(
-                    f"service '{client.service_name}' disappeared during the call; its node has died"
-                )
+                raise _disappeared(client.service_name)
         return answer
 
     def in_thread(self, function: Callable[[], T]) -> T:
@@ -196,6 +246,7 @@ class Clients:
 
     def close(self) -> None:
         """Stop the thread and destroy the node, so that peers notice at once."""
+        self._closed = True
         self._executor.shutdown()
         self._thread.join(timeout=5.0)
         self.node.destroy_node()

@@ -30,6 +30,7 @@ from rclpy.serialization import serialize_message
 
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
+from roboxim_ros import local_calls
 from roboxim_ros.bounds import check_message
 from roboxim_ros.shared_memory import private_files, seal
 
@@ -198,12 +199,37 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         return super().create_publisher(msg_type, topic, qos_profile, **kwargs)
 
-    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **kwargs: Any) -> Any:
-        """Offer a service as rclpy does; an exception of its callback becomes the answer."""
+    def create_service(
+        self,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *args: Any,
+        lockstep: bool = False,
+        **kwargs: Any,
+    ) -> Any:
+        """Offer a service as rclpy does; an exception of its callback becomes the answer.
+
+        Args:
+            srv_type: Service class.
+            srv_name: Name, relative to the namespace.
+            callback: The handler.
+            *args: Passed to rclpy.
+            lockstep: Whether it is called every tick: callers of this process then need no middleware, see
+                `roboxim_ros.local_calls`. The handler must not be a coroutine function.
+            **kwargs: Passed to rclpy.
+        """
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
-        service = super().create_service(srv_type, srv_name, guarded, **kwargs)
+        service = super().create_service(srv_type, srv_name, guarded, *args, **kwargs)
         guard_sending(self.get_logger(), service, srv_type.Response)
+        if lockstep:
+            local_calls.offer(self, srv_type, service.service_name, guarded)
         return service
+
+    def destroy_node(self) -> None:
+        """Destroy the node and end its offers to this process."""
+        local_calls.withdraw(self)
+        super().destroy_node()
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any

@@ -164,7 +164,7 @@ class PolicyService:
         prefix = f"{namespace}/" if namespace else ""
         node.serve(DescribePolicy, f"{prefix}describe_policy", self._on_describe)
         node.serve(ResetPolicy, f"{prefix}reset_policy", self._on_reset)
-        node.serve(Act, f"{prefix}act", self._on_act)
+        node.serve(Act, f"{prefix}act", self._on_act, lockstep=True)
 
     def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
         response.description = to_msg(self.guard.description, PolicyDescriptionMsg)

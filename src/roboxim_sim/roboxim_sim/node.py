@@ -75,7 +75,7 @@ class SimNode(SimServer):
             self._publisher(topic, kind)
 
         self.serve(LoadScene, "sim/load_scene", self._on_load_scene)
-        self.serve(Tick, "sim/tick", self._on_tick)
+        self.serve(Tick, "sim/tick", self._on_tick, lockstep=True)
         self.serve(ReleaseEpisode, "sim/release_episode", self._on_release)
         self.serve(GetState, "sim/get_state", self._on_get_state)
         self.serve(TakeSnapshot, "sim/take_snapshot", self._on_take_snapshot)

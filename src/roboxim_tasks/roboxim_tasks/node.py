@@ -107,7 +107,7 @@ class TaskNode(RoboximNode):
         self._generator = EpisodeGenerator(self._library, solvability if self.config.solvable else None, visibility)
         self._expert = Expert(self._library, planner, speeds, direct=self.config.direct, solvability=solvability)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
-        self.serve(Judge, "tasks/judge", self._on_judge)
+        self.serve(Judge, "tasks/judge", self._on_judge, lockstep=True)
         guard = GuardedPolicy(
             self._expert, log=lambda text: self.get_logger().error(text), named_errors=(RoboximError,)
         )
