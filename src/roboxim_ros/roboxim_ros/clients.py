@@ -1,8 +1,9 @@
 """Blocking service calls from any thread, callbacks included.
 
-`Clients.call` hands the request to a server of the same process directly (`roboxim_ros.local_calls`); otherwise it takes
-the answer from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients' node needs an executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own
-executor, it would wait forever. A separate thread therefore spins this node.
+`Clients.call` hands the request of a tick to a server of the same process directly (`roboxim_ros.local_calls`). Other
+answers it takes from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients' node needs an
+executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own executor, it
+would wait forever. A separate thread therefore spins this node.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, Unavai
 from roboxim_ros import local_calls
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
-from roboxim_ros.local_calls import LocalCall
+from roboxim_ros.local_calls import LocalCall, LocalService
 from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
@@ -44,9 +45,7 @@ def wait_until(ready: Callable[[], bool], timeout_s: float) -> bool:
 
 
 def _late(service: str, timeout_s: float) -> RequestTimeoutError:
-    return RequestTimeoutError(
-        f"service '{service}' did not answer within {timeout_s:g} s; its node hangs or has died"
-    )
+    return RequestTimeoutError(f"service '{service}' did not answer within {timeout_s:g} s; its node hangs or has died")
 
 
 def _disappeared(service: str) -> UnavailableError:
@@ -134,7 +133,7 @@ class Clients:
         if local is not None and (call := local.send(request)) is not None:
             response = self._local_answer(call, name, timeout_s)
         else:
-            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s)
+            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, local)
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
@@ -168,12 +167,12 @@ class Clients:
         return call.response
 
     def _answer_of_middleware(
-        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None
+        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None, local: LocalService | None
     ) -> Any:
-        """Return the answer of any server."""
+        """Return the answer of any server; ``local`` if it is in this process."""
         direct = self._borrow(srv_type, name)
         try:
-            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
+            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s, local)
         except rclpy_implementation.InvalidHandle:
             raise self._closed_during(name) from None
         finally:
@@ -193,7 +192,9 @@ class Clients:
             except InvalidServiceNameException as error:
                 raise InvalidRequestError(str(error)) from None
 
-    def _answer(self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float) -> Any:
+    def _answer(
+        self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float, local: LocalService | None
+    ) -> Any:
         """Send a request and return its answer."""
         client = direct.client
         if not wait_until(client.service_is_ready, wait_s):
@@ -201,6 +202,8 @@ class Clients:
                 f"service '{client.service_name}' is not available after {wait_s:g} s; is its node running?"
             )
         number = direct.send(request)
+        if local is not None:
+            local.look()
         deadline = time.monotonic() + timeout_s
         while (answer := direct.receive(number, min(1.0, deadline - time.monotonic()))) is None:
             if time.monotonic() >= deadline:

@@ -222,8 +222,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
         service = super().create_service(srv_type, srv_name, guarded, *args, **kwargs)
         guard_sending(self.get_logger(), service, srv_type.Response)
-        if lockstep:
-            local_calls.offer(self, srv_type, service.service_name, guarded)
+        local_calls.offer(self, srv_type, service.service_name, guarded, lockstep=lockstep)
         return service
 
     def destroy_node(self) -> None:

@@ -3,9 +3,10 @@
 A service that is created with ``lockstep=True`` is offered to the middleware and here. A caller of the same process
 gives the request object to the thread that spins the server, and gets the response object. Nothing is serialised, and
 no wait set is built. Neither side may change a message that it has handed over, and handlers must set only values that
-could be serialised: nothing else checks them on this way.
+could be serialised: nothing else checks them on this way. The server needs a `LockstepExecutor`.
 
-Only servers with a `LockstepExecutor` are called in this way.
+Other services are registered here too: the server may be waiting for the next tick, so a caller of the same process
+makes it look at the middleware.
 """
 
 from __future__ import annotations
@@ -27,34 +28,45 @@ _lock = threading.Lock()
 class LocalService:
     """A service of a node of this process."""
 
-    def __init__(self, node: Node, srv_type: Any, handler: Callable[[Any, Any], Any]) -> None:
+    def __init__(self, node: Node, srv_type: Any, handler: Callable[[Any, Any], Any], *, lockstep: bool) -> None:
         """Describe it.
 
         Args:
             node: The node that serves.
             srv_type: Service class.
             handler: Called with (request, response) in the node's thread; returns the response and raises nothing. Not
-                a coroutine function.
+                a coroutine function, if the service is called in lockstep.
+            lockstep: Whether it is called without the middleware.
         """
-        self._node = weakref.ref(node)
+        self._node, self._lockstep = weakref.ref(node), lockstep
         self.srv_type, self.handler = srv_type, handler
         self.open = True
         """Whether the node still serves."""
 
     def send(self, request: Any) -> LocalCall | None:
-        """Hand a request over; None when no `LockstepExecutor` spins the node.
+        """Hand a request over; None when the service must be called through the middleware.
 
         Raises:
             TypeError: If the request belongs to another service.
         """
         if not isinstance(request, self.srv_type.Request):
             raise TypeError(f"expected a {self.srv_type.Request}, got a {type(request)}")
-        node = self._node()
-        executor = node.executor if self.open and node is not None else None
-        if not isinstance(executor, LockstepExecutor):
+        executor = self._executor() if self._lockstep else None
+        if executor is None:
             return None
         call = LocalCall(self, request)
         return call if executor.post(call) else None
+
+    def look(self) -> None:
+        """Make the server look at the middleware, where a request has been sent to."""
+        executor = self._executor()
+        if executor is not None:
+            executor.look()
+
+    def _executor(self) -> LockstepExecutor | None:
+        node = self._node()
+        executor = node.executor if self.open and node is not None else None
+        return executor if isinstance(executor, LockstepExecutor) else None
 
 
 class LocalCall:
@@ -91,21 +103,22 @@ class LocalCall:
         return self._service.open
 
 
-def offer(node: Node, srv_type: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:
-    """Offer a service to the callers of this process; see `LocalService`.
+def offer(node: Node, srv_type: Any, name: str, handler: Callable[[Any, Any], Any], *, lockstep: bool) -> None:
+    """Register a service for the callers of this process; see `LocalService`.
 
     Args:
         node: The node that serves.
         srv_type: Service class.
         name: Full name of the service.
         handler: See `LocalService`.
+        lockstep: See `LocalService`.
     """
     with _lock:
-        _services.setdefault(node.context, {})[name] = LocalService(node, srv_type, handler)
+        _services.setdefault(node.context, {})[name] = LocalService(node, srv_type, handler, lockstep=lockstep)
 
 
 def withdraw(node: Node) -> None:
-    """End the offers of a node."""
+    """Remove the services of a node."""
     with _lock:
         offered = _services.get(node.context, {})
         for name in [name for name, service in offered.items() if service._node() is node]:
@@ -113,7 +126,7 @@ def withdraw(node: Node) -> None:
 
 
 def find(context: Context, srv_type: Any, name: str) -> LocalService | None:
-    """Return a service that this process offers; None when there is none.
+    """Return a service of this process; None when there is none.
 
     Args:
         context: Context of the caller.

@@ -68,11 +68,15 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._trigger()
         return True
 
-    def wake(self) -> None:
-        """Make the executor look at the middleware and at its tasks; may be used by any thread."""
+    def look(self) -> None:
+        """Make the executor wait at the middleware instead of for the next post; may be used by any thread."""
         with self._changed:
             self._look_by = 0.0
             self._changed.notify()
+
+    def wake(self) -> None:
+        """Make the executor look for new entities and at its tasks; may be used by any thread."""
+        self.look()
         super().wake()
 
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Task:
