@@ -24,7 +24,7 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.conventions import Convention, from_actions
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.errors import EvaluationError
-from roboxim_core.rotations import IDENTITY_ROTATION, Floats, encode
+from roboxim_core.rotations import Floats, encode, identity_rotation
 from roboxim_policies.remote import RemotePolicy
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
@@ -93,7 +93,7 @@ def in_convention(convention: Convention, episode: ExpertEpisode) -> Floats:
     raw = from_actions(convention, episode.actions, episode.track, source=source)
     if convention.semantics.control.is_joint_space or convention.semantics.control == "end_effector_absolute":
         return raw
-    identity = encode(IDENTITY_ROTATION, convention.semantics.rotation)
+    identity = encode(identity_rotation(), convention.semantics.rotation)
     still = np.concatenate([np.zeros(3), identity, episode.actions[-1, 6:]])
     return np.concatenate([raw, convention.action.encode(still[None], convention.frames)])
 

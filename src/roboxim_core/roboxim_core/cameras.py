@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -23,8 +22,6 @@ from roboxim_core.specs import CameraNoise, CameraSpec
 
 MAX_ERROR_PX = 0.01
 """Largest distance between a pixel and the projection of its ray [px]; above it, the distortion cannot be inverted."""
-_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-9)
-"""Termination criteria of `cv2.undistortPoints`: iterations, error [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +139,8 @@ def project(camera: CameraSpec, points: npt.ArrayLike) -> Array:
     Returns:
         u, v of each point [px], shape (N, 2); pixel centres are at integers.
     """
+    import cv2
+
     xyz = np.asarray(points, dtype=float).reshape(-1, 1, 3)
     pixels, _ = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), *_calibration(camera))
     return np.asarray(pixels, dtype=float).reshape(-1, 2)
@@ -153,9 +152,12 @@ def rays_of_pixels(camera: CameraSpec) -> Array:
     Raises:
         InvalidRequestError: When the distortion folds the image, so that a pixel shows no point or several points.
     """
+    import cv2
+
     u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     pixels = np.stack([u, v], axis=-1)
-    found = cv2.undistortPoints(pixels.reshape(-1, 1, 2), *_calibration(camera), criteria=_UNTIL)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-9)  # iterations, error [px]
+    found = cv2.undistortPoints(pixels.reshape(-1, 1, 2), *_calibration(camera), criteria=until)
     rays: Array = np.asarray(found, dtype=float).reshape(-1, 2)
     error = project(camera, np.column_stack([rays, np.ones(len(rays))])) - pixels.reshape(-1, 2)
     if not np.abs(error).max() < MAX_ERROR_PX or (_radial_derivative(camera, rays) <= 0).any():

@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -27,6 +28,7 @@ from roboxim_core.config_folders import config_dir, config_dirs, named_config
 from roboxim_core.documents import parse_json, parse_yaml, read_text
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.poses import Pose
+from roboxim_core.quaternions import quat_from_euler
 
 T = TypeVar("T")
 
@@ -135,11 +137,9 @@ def _with_quaternion(pose: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError("a pose has rpy_deg or quat_xyzw, not both")
     if not isinstance(angles, list | tuple) or len(angles) != 3 or not all(isinstance(a, int | float) for a in angles):
         raise ValueError(f"rpy_deg must be roll, pitch and yaw in degrees, got {angles!r}")
-    from scipy.spatial.transform import Rotation  # heavy, and most documents have no angles
-
-    quat = Rotation.from_euler("xyz", np.asarray(angles, dtype=float), degrees=True).as_quat(canonical=True)
+    quat = quat_from_euler(*(math.radians(angle) for angle in angles))
     rest = {name: pose[name] for name in pose if name != "rpy_deg"}
-    return {**rest, "quat_xyzw": [round(float(q), 12) for q in quat]}
+    return {**rest, "quat_xyzw": [round(q, 12) for q in quat]}
 
 
 def _scalar(value: Any, kind: Any) -> Any:

@@ -6,7 +6,8 @@ It does not use OpenCV, whose interpolation aliases when it shrinks an image.
 
 from __future__ import annotations
 
-import cv2
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
@@ -17,17 +18,8 @@ RgbImage = npt.NDArray[np.uint8]
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 3
-ENCODINGS: dict[str, tuple[str, list[int]]] = {
-    "jpeg": (
-        ".jpg",
-        [
-            *(cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY),
-            *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
-        ],
-    ),
-    "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]),
-}
-"""Name of an encoding to OpenCV's file suffix and parameters for it."""
+ENCODINGS = {"jpeg": ".jpg", "png": ".png"}
+"""Name of an encoding to OpenCV's file suffix."""
 
 
 def resized(image: RgbImage, height: int, width: int) -> RgbImage:
@@ -54,15 +46,16 @@ def encode_image(image: RgbImage, encoding: str, size: tuple[int, int] | None = 
     Raises:
         InvalidRequestError: On an unknown encoding, or an array that is not an RGB image.
     """
+    import cv2
+
     if encoding not in ENCODINGS:
         raise InvalidRequestError(f"unknown image encoding '{encoding}'; {one_of(ENCODINGS, encoding)}")
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise InvalidRequestError(
             f"an image must be uint8 of shape (height, width, 3), got {image.dtype} of shape {image.shape}"
         )
-    suffix, parameters = ENCODINGS[encoding]
     bgr = cv2.cvtColor(image if size is None else resized(image, *size), cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(suffix, bgr, parameters)
+    done, data = cv2.imencode(ENCODINGS[encoding], bgr, _parameters(encoding))
     if not done:
         raise InvalidRequestError(f"OpenCV cannot encode an image of shape {image.shape} as {encoding}")
     return bytes(data)
@@ -74,7 +67,20 @@ def decode_image(data: bytes) -> RgbImage:
     Raises:
         InvalidRequestError: When the bytes are not an image.
     """
+    import cv2
+
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
     if image is None:
         raise InvalidRequestError(f"{len(data)} bytes that are not a JPEG or PNG image")
     return np.asarray(image, np.uint8)
+
+
+@cache
+def _parameters(encoding: str) -> list[int]:
+    """Return OpenCV's parameters of an encoding."""
+    import cv2
+
+    if encoding == "png":
+        return [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]
+    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    return [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *sampling]

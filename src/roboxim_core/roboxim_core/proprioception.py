@@ -13,15 +13,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import IDENTITY, Pose, Vec3
-from roboxim_core.rotations import GRIPPER_DOWN, RotationRepresentation, decode, encode
+from roboxim_core.rotations import RotationRepresentation, decode, encode, gripper_down
 from roboxim_core.state import StateRecord
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Vec6 = tuple[float, float, float, float, float, float]
 
@@ -151,7 +154,7 @@ class Proprioception:
 
     def _values(self, field: ProprioField) -> npt.NDArray[np.float64]:
         if field in (ProprioField.TCP_QUATERNION_XYZW, ProprioField.TCP_EULER_XYZ):
-            return encode(self.tcp_rotation, _ROTATIONS[field], GRIPPER_DOWN)
+            return encode(self.tcp_rotation, _ROTATIONS[field], gripper_down())
         return np.atleast_1d(np.asarray(getattr(self, field.value), dtype=np.float64))
 
 

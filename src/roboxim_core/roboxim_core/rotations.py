@@ -8,25 +8,26 @@ rotation. `encode` takes a rotation, ``near``, that the seam is kept away from:
 - each Euler angle lies within pi of the same angle of ``near``. At a pitch of +-90 degrees Euler angles jump anyway;
 - ``rotation_6d`` is the first two columns of the rotation matrix. It has no seam.
 
-For a rotation delta ``near`` is the identity, for an absolute pose of the tool it is `GRIPPER_DOWN`.
+For a rotation delta ``near`` is the identity, for an absolute pose of the tool it is `gripper_down`.
 """
 
 from __future__ import annotations
 
 import math
 from enum import StrEnum
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, one_of
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
 Floats = npt.NDArray[np.float64]
 
-IDENTITY_ROTATION = Rotation.identity()
-GRIPPER_DOWN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])
-"""The working pose: the tool's z axis points down, its x axis forwards."""
 _SMALLEST = 1e-6
 
 
@@ -74,17 +75,34 @@ _NAMES: dict[RotationRepresentation, tuple[str, ...]] = {
 }
 
 
-def encode(rotation: Rotation, representation: RotationRepresentation, near: Rotation = IDENTITY_ROTATION) -> Floats:
+@cache
+def identity_rotation() -> Rotation:
+    """Return the rotation that turns nothing."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.identity()
+
+
+@cache
+def gripper_down() -> Rotation:
+    """Return the working pose's rotation: the tool's z axis points down, its x axis forwards."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat([1.0, 0.0, 0.0, 0.0])
+
+
+def encode(rotation: Rotation, representation: RotationRepresentation, near: Rotation | None = None) -> Floats:
     """Encode a rotation as numbers.
 
     Args:
         rotation: One rotation.
         representation: The representation of the result.
-        near: The rotation that the seam is kept away from; see the module.
+        near: The rotation that the seam is kept away from (None: the identity); see the module.
 
     Returns:
         float64, shape (`RotationRepresentation.size`,).
     """
+    near = identity_rotation() if near is None else near
     kind = RotationRepresentation
     match representation:
         case kind.ROTATION_6D:
@@ -117,6 +135,8 @@ def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rot
         InvalidRequestError: With code ``INVALID_ACTION`` on numbers that do not describe a rotation, e.g. a quaternion
             of zeros.
     """
+    from scipy.spatial.transform import Rotation
+
     numbers = np.asarray(values, dtype=float)
     if numbers.shape != (representation.size,) or not np.isfinite(numbers).all():
         raise _no_rotation(representation, f"it takes {representation.size} finite numbers", numbers)
@@ -135,22 +155,21 @@ def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rot
         case kind.EULER_XYZ_INTRINSIC:
             return Rotation.from_euler("XYZ", numbers)
         case kind.NONE:
-            return IDENTITY_ROTATION
+            return identity_rotation()
 
 
-def encode_rows(
-    rotations: Rotation, representation: RotationRepresentation, near: Rotation = IDENTITY_ROTATION
-) -> Floats:
+def encode_rows(rotations: Rotation, representation: RotationRepresentation, near: Rotation | None = None) -> Floats:
     """Encode many rotations as numbers; row by row the same as `encode`, up to rounding.
 
     Args:
         rotations: n rotations.
         representation: The representation of the result.
-        near: The rotation that the seam is kept away from; see the module.
+        near: The rotation that the seam is kept away from (None: the identity); see the module.
 
     Returns:
         float64, shape (n, `RotationRepresentation.size`).
     """
+    near = identity_rotation() if near is None else near
     kind = RotationRepresentation
     match representation:
         case kind.ROTATION_6D:
@@ -183,6 +202,8 @@ def decode_rows(values: npt.ArrayLike, representation: RotationRepresentation) -
     Raises:
         InvalidRequestError: With code ``INVALID_ACTION`` on numbers that do not describe a rotation.
     """
+    from scipy.spatial.transform import Rotation
+
     rows = np.asarray(values, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != representation.size:
         raise _no_rotation(representation, f"it takes rows of {representation.size} numbers", rows)

@@ -10,12 +10,12 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, distance
 from roboxim_core.proprioception import STATE_NAMES, Proprioception, ProprioField
 from roboxim_core.rotations import (
-    GRIPPER_DOWN,
     RotationRepresentation,
     continued_angles,
     continued_quaternions,
     decode,
     encode,
+    gripper_down,
 )
 from roboxim_core.state import RobotState, StateRecord
 
@@ -71,7 +71,7 @@ tilts = st.floats(-1.4, 1.4)
 def test_around_the_working_pose_no_representation_jumps(roll, pitch, yaw, turn, field):
     """The gripper points down, tilted by up to 80 degrees, at any yaw within a quarter turn."""
     tilt = Rotation.from_euler("zyx", [yaw, 0.0, 0.0]) * Rotation.from_rotvec(np.array([roll, pitch, 0.0]) / 2)
-    before = tilt * GRIPPER_DOWN
+    before = tilt * gripper_down()
     after = Rotation.from_rotvec(turn) * before
     a, b = (Proprioception.of(state(Pose.from_arrays([0, 0, 0], r))).vector([field]) for r in (before, after))
     assert np.abs(a - b).max() <= 4.0 * np.linalg.norm(turn) + 1e-5
@@ -80,7 +80,7 @@ def test_around_the_working_pose_no_representation_jumps(roll, pitch, yaw, turn,
 def test_a_quaternion_with_positive_w_jumps_where_this_one_does_not():
     before, after = (Rotation.from_euler("xyz", [np.pi + a, 0, 0.3]) for a in (-0.01, 0.01))
     old = [rotation.as_quat(canonical=True) for rotation in (before, after)]
-    new = [encode(r, RotationRepresentation.QUATERNION_XYZW, GRIPPER_DOWN) for r in (before, after)]
+    new = [encode(r, RotationRepresentation.QUATERNION_XYZW, gripper_down()) for r in (before, after)]
     assert np.abs(old[0] - old[1]).max() > 1.9
     assert np.abs(new[0] - new[1]).max() < 0.02
 
@@ -89,7 +89,7 @@ def test_a_quaternion_with_positive_w_jumps_where_this_one_does_not():
 @given(
     st.tuples(*[st.floats(-np.pi, np.pi)] * 3),
     st.sampled_from([r for r in RotationRepresentation if r != "none"]),
-    st.sampled_from([Rotation.identity(), GRIPPER_DOWN]),
+    st.sampled_from([Rotation.identity(), gripper_down()]),
 )
 def test_a_rotation_is_read_back_as_written(angles, representation, near):
     rotation = Rotation.from_euler("xyz", angles)
@@ -111,8 +111,8 @@ def test_a_horizontal_gripper_loses_no_accuracy_in_euler_angles(pitch, represent
 
 def test_an_episode_s_quaternions_and_angles_are_continued():
     turns = np.linspace(0.0, 4 * np.pi, 60)
-    rotations = Rotation.from_euler("z", turns[:, None]) * GRIPPER_DOWN
-    rows = np.stack([encode(r, RotationRepresentation.QUATERNION_XYZW, GRIPPER_DOWN) for r in rotations])
+    rotations = Rotation.from_euler("z", turns[:, None]) * gripper_down()
+    rows = np.stack([encode(r, RotationRepresentation.QUATERNION_XYZW, gripper_down()) for r in rotations])
     assert np.abs(np.diff(rows, axis=0)).max() > 1.0
     whole = continued_quaternions(rows)
     assert np.abs(np.diff(whole, axis=0)).max() < 0.12

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image, ImageDraw
 
 from roboxim_datasets.episode import Episode, Floats, RGBImage
@@ -76,6 +75,8 @@ def encoded(picture: RGBImage, kind: str) -> bytes:
 
 def page(episode: Episode, action_names: Sequence[str], frames: int = 12) -> str:
     """Return a page with an episode's pictures, actions and observed vectors; it needs no other file."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     steps = list(episode.steps(()))
     actions = np.stack([step.action for step in steps])
     curves = {"action": actions}

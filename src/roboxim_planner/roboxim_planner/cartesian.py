@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PPoly, make_interp_spline
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import Pose, distance
 from roboxim_planner.collision import CollisionWorld
@@ -180,6 +178,8 @@ def _matrices(poses: list[Pose]) -> Array:
 
 def line_poses(begin: Pose, end: Pose, count: int) -> list[Pose]:
     """Return evenly spaced poses of a straight line, both ends included."""
+    from scipy.spatial.transform import Rotation
+
     turn = (end.rotation * begin.rotation.inv()).as_rotvec()
     a, b = np.array(begin.position), np.array(end.position)
     places = np.linspace(0.0, 1.0, count)
@@ -212,6 +212,8 @@ class LineMotion:
         Raises:
             PlannerError: ``TRAJECTORY_INVALID`` when the motion would take too long.
         """
+        from scipy.interpolate import make_interp_spline
+
         if len(joints) < 4:  # the same line or parabola by four places, because its third derivative is needed
             few = make_interp_spline(np.linspace(0.0, 1.0, len(joints)), joints, k=len(joints) - 1)
             joints = few(np.linspace(0.0, 1.0, 4))
@@ -234,6 +236,8 @@ class LineMotion:
             speed, acceleration, jerk = speed / factor, acceleration / factor**2, jerk / factor**3
 
     def _set_law(self, durations: Array, coefficients: Array) -> None:
+        from scipy.interpolate import PPoly
+
         law = PPoly(coefficients, np.concatenate([[0.0], np.cumsum(durations)]))
         require_duration(float(law.x[-1]))
         self._law = [law, *(law.derivative(k) for k in (1, 2, 3))]

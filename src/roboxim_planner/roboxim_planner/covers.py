@@ -10,7 +10,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull
 
 Array = npt.NDArray[np.float64]
 SPHERES = 8
@@ -93,6 +92,8 @@ def cover_round(radius: float, length: float, *, capped: bool) -> Array:
 
 
 def _corners(points: Array) -> Array:
+    from scipy.spatial import ConvexHull
+
     return points[ConvexHull(points, qhull_options="QJ").vertices] if len(points) > 4 else points
 
 
@@ -111,6 +112,8 @@ def _ball(points: Array) -> Array:
 
 def _halve(points: Array) -> list[Array]:
     """Cut a polytope across its longest extent; return the corners of each half, both with those of the cut."""
+    from scipy.spatial import ConvexHull
+
     middle = points.mean(axis=0)
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     height = (points - middle) @ axis

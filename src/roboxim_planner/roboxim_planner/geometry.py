@@ -8,7 +8,6 @@ from functools import lru_cache
 import coal
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull, QhullError
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
@@ -79,6 +78,8 @@ def convex_hull(points: npt.ArrayLike) -> coal.ConvexBase:
     Raises:
         InvalidRequestError: When the points do not span a volume. (coal itself would crash the process.)
     """
+    from scipy.spatial import ConvexHull, QhullError
+
     array = np.asarray(points, dtype=float)
     try:
         corners = array[ConvexHull(array).vertices]

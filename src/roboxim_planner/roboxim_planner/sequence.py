@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.poses import Pose
@@ -41,6 +40,8 @@ class StageGoal:
 
     def resolve(self, pose_tcp: Pose) -> Pose:
         """Return the goal in the world for a stage that begins with the TCP at a pose in the world."""
+        from scipy.spatial.transform import Rotation
+
         if self.frame == "tcp":
             return pose_tcp @ self.pose
         if not self.relative:

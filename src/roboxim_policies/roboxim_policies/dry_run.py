@@ -16,7 +16,7 @@ from roboxim_core.actions.rows import ArmTrack, convert_rows
 from roboxim_core.conventions import Convention, decode_actions, from_actions
 from roboxim_core.conventions.images import Picture
 from roboxim_core.errors import RoboximError
-from roboxim_core.rotations import IDENTITY_ROTATION, Floats, encode
+from roboxim_core.rotations import Floats, encode, identity_rotation
 
 SATURATED = 0.5
 """Share of numbers at a bound from which on answers count as saturated."""
@@ -171,7 +171,7 @@ def _of_motion(convention: Convention, decoded: Floats, answers: Answers) -> lis
         ]
     else:
         found = _of_speed(mean, meaning.rate_hz, answers.expert_speed, "m/s")
-    identity = encode(IDENTITY_ROTATION, meaning.rotation)
+    identity = encode(identity_rotation(), meaning.rotation)
     if float(np.abs(decoded[:, 3:-1] - identity).max()) == 0.0:
         found.append("all rotations are exactly zero: are they left out, or at other places of the action?")
     return found

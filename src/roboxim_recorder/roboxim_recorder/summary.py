@@ -23,9 +23,9 @@ def bag_info(path: Path | str) -> str:
     Raises:
         ConfigError: When the path is not a bag.
     """
-    if _is_damaged(path):
+    reader = _whole(path)
+    if reader is None:
         return f"{path} is damaged: {survey_bag(path).text}; 'roboxim bag repair' saves what it can"
-    reader = BagReader(path)
     info = reader.info
     seconds = (len(reader) - 1) * info.scene.tick_ns / 1e9
     lines = [
@@ -51,16 +51,19 @@ def bag_info(path: Path | str) -> str:
     return "\n".join(lines)
 
 
-def _is_damaged(path: Path | str) -> bool:
-    """Whether a bag's checksums are wrong, or its info or result is lost; its ticks are not decoded."""
+def _whole(path: Path | str) -> BagReader | None:
+    """Return the reader of a bag; None if its checksums are wrong, or its info or result is lost.
+
+    Its ticks are not decoded.
+    """
     try:
         if checksum_problems(mcap_file(path)):
-            return True
+            return None
         reader = BagReader(path)
         _ = reader.info, reader.result
-        return False
+        return reader
     except RecorderError:
-        return True
+        return None
 
 
 def _outcome(reader: BagReader) -> str:
@@ -135,9 +138,12 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
     robots: Counter[str] = Counter()
     semantics: dict[ActionSemantics, None] = {}
     ticks = size = 0
-    damaged = tuple(bag for bag in bags if _is_damaged(bag))
-    for bag in (bag for bag in bags if bag not in damaged):
-        reader = BagReader(bag)
+    damaged = []
+    for bag in bags:
+        reader = _whole(bag)
+        if reader is None:
+            damaged.append(bag)
+            continue
         outcomes[_named(reader.result)] += 1
         instructions[reader.info.task.instruction] += 1
         robots[reader.info.scene.robot.model] += 1
@@ -159,7 +165,7 @@ def dataset_summary(path: Path | str) -> DatasetSummary:
         instructions=dict(instructions.most_common()),
         robots=dict(robots.most_common()),
         semantics=tuple(semantics),
-        damaged=damaged,
+        damaged=tuple(damaged),
     )
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BPoly, CubicHermiteSpline, make_interp_spline
 
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError
@@ -57,6 +56,8 @@ class JointTrajectory:
     @cached_property
     def _curve(self) -> Any:
         """Interpolation between the points, a function of the times and the order of the derivative."""
+        from scipy.interpolate import BPoly, CubicHermiteSpline, make_interp_spline
+
         if self.velocities is None:
             return make_interp_spline(self.times_s, self.positions, k=1)
         if self.accelerations is None:

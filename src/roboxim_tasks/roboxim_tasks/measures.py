@@ -12,15 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.episode.start import SPEED_M_S, SPIN_RAD_S
 from roboxim_core.poses import Array, distance
 from roboxim_core.state import StateRecord
 from roboxim_tasks.motion import ROBOT, TABLE
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FALLEN_M = 0.1
 """Drop in height since tick 0 beyond which an object has fallen off the table [m]."""

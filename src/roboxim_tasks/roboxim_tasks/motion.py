@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
@@ -157,6 +155,8 @@ def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[P
 
 @lru_cache(maxsize=64)
 def _symmetric_grasps(model: ObjectModel) -> tuple[Pose, ...]:
+    from scipy.spatial.transform import Rotation
+
     found: list[Pose] = []
     for grasp in model.grasps:
         seen: list[Pose] = []

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
@@ -69,6 +68,8 @@ def follows(arm: ArmKinematics, *poses: Pose) -> bool:
 
 def reaches_in_lines(context: ResetContext, *poses: Pose) -> bool:
     """Return whether the arm follows straight lines from its home through poses, as the delta controller does."""
+    from scipy.spatial.transform import Rotation
+
     here, way = context.arm.fk(context.arm.model.home), []
     for pose in poses:
         shift_m, angle_rad = distance(here, pose)
@@ -107,6 +108,8 @@ def _boxes(model: ObjectModel, entity: EntitySpec) -> list[tuple[Pose, Array]]:
 
 def downward_reachable(context: ResetContext, position: Sequence[float]) -> bool:
     """Return whether the tool, pointing down, reaches a position in the base from above at some yaw [m]."""
+    from scipy.spatial.transform import Rotation
+
     x, y, z = position
     for yaw in YAWS:
         rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", math.pi)

@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import Stage
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _SHARE_OF_LIMIT = 0.99
 """Share of the action limits per tick that the expert uses, so that rounding errors never clip an action."""
@@ -111,6 +114,8 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
 
 def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> tuple[list[Pose], list[int]]:
     """Sample adjoining legs that all move, or one leg that stays; return a pose and the leg's index per tick."""
+    from scipy.spatial.transform import Rotation
+
     if legs[0].stage.pose is None:
         stay = round(legs[0].stage.duration_s * rate_hz)
         return [start] * stay, [0] * stay
@@ -148,6 +153,8 @@ def _coordinates(poses: Sequence[Pose]) -> tuple[Array, Rotation]:
 
     In these coordinates the shortest arc to the last pose is a straight line.
     """
+    from scipy.spatial.transform import Rotation
+
     anchor = poses[-1].rotation
     positions = np.array([pose.position for pose in poses])
     vectors = (Rotation.from_quat([pose.quat_xyzw for pose in poses]) * anchor.inv()).as_rotvec()

@@ -16,12 +16,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions.chunks import ActionArray
 from roboxim_core.actions.semantics import ActionSemantics, ClosedEnum, ControlMode
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.rotations import GRIPPER_DOWN, RotationRepresentation, decode, encode
+from roboxim_core.rotations import RotationRepresentation, decode, encode, gripper_down
 
 
 class Ensemble(ClosedEnum):
@@ -200,10 +199,12 @@ def weighted_mean(rows: ActionArray, weights: np.ndarray, semantics: ActionSeman
     Returns:
         float32, shape (D,).
     """
+    from scipy.spatial.transform import Rotation
+
     mean = np.average(np.asarray(rows, dtype=float), axis=0, weights=weights)
     if not semantics.control.is_joint_space and not _is_linear(semantics):
         turns = Rotation.concatenate([decode(row[3:-1], semantics.rotation) for row in np.asarray(rows, dtype=float)])
-        mean[3:-1] = encode(turns.mean(weights), semantics.rotation, GRIPPER_DOWN)
+        mean[3:-1] = encode(turns.mean(weights), semantics.rotation, gripper_down())
     return mean.astype(np.float32)
 
 

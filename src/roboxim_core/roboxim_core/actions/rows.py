@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions.semantics import ActionSemantics, ControlMode, DeltaBase, ReferenceFrame
 from roboxim_core.actions.transforms import ActionContext, ActionTransform, Kinematics
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.rotations import GRIPPER_DOWN, IDENTITY_ROTATION, Floats, decode_rows, encode_rows
+from roboxim_core.rotations import Floats, decode_rows, encode_rows, gripper_down, identity_rotation
 from roboxim_core.state import StateRecord
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 T = TypeVar("T")
 Rows = TypeVar("Rows", Floats, "PoseRows")
@@ -37,6 +39,8 @@ class PoseRows:
     @staticmethod
     def of(poses: Sequence[Pose]) -> PoseRows:
         """Return poses as arrays."""
+        from scipy.spatial.transform import Rotation
+
         return PoseRows(
             positions=np.array([pose.position for pose in poses], dtype=float).reshape(-1, 3),
             rotations=Rotation.from_quat(np.array([pose.quat_xyzw for pose in poses], dtype=float).reshape(-1, 4)),
@@ -186,7 +190,7 @@ def action_rows(targets: TargetRows, semantics: ActionSemantics, track: ArmTrack
         return np.column_stack([joints, numbers])
     poses = _present(targets.poses, "poses of the targets")
     if not semantics.control.is_relative:
-        turned = encode_rows(poses.rotations, semantics.rotation, GRIPPER_DOWN)
+        turned = encode_rows(poses.rotations, semantics.rotation, gripper_down())
         return np.column_stack([poses.positions, turned, numbers])
     base = _pose_base(semantics, track, len(poses))
     shifts = poses.positions - base.positions
@@ -194,7 +198,7 @@ def action_rows(targets: TargetRows, semantics: ActionSemantics, track: ArmTrack
         shifts, turns = base.rotations.inv().apply(shifts), base.rotations.inv() * poses.rotations
     else:
         turns = poses.rotations * base.rotations.inv()
-    return np.column_stack([shifts, encode_rows(turns, semantics.rotation, IDENTITY_ROTATION), numbers])
+    return np.column_stack([shifts, encode_rows(turns, semantics.rotation, identity_rotation()), numbers])
 
 
 def _joint_base(semantics: ActionSemantics, track: ArmTrack, count: int) -> Floats:

@@ -23,18 +23,20 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions.semantics import ActionSemantics, ControlMode, DeltaBase, ReferenceFrame
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.rates import ANY_RATE
-from roboxim_core.rotations import GRIPPER_DOWN, IDENTITY_ROTATION, Floats, decode, encode
+from roboxim_core.rotations import Floats, decode, encode, gripper_down, identity_rotation
 from roboxim_core.state import StateRecord
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Joints = tuple[float, ...]
 T = TypeVar("T")
@@ -296,14 +298,14 @@ def action_of(target: Target, semantics: ActionSemantics, context: ActionContext
         return np.array([*joints, gripper])
     pose = _present(target.pose, "pose of the target")
     if base_pose is None:
-        return np.array([*pose.position, *encode(pose.rotation, semantics.rotation, GRIPPER_DOWN), gripper])
+        return np.array([*pose.position, *encode(pose.rotation, semantics.rotation, gripper_down()), gripper])
     turned = base_pose.rotation
     translation = np.subtract(pose.position, base_pose.position)
     if semantics.frame == ReferenceFrame.TOOL:
         translation, rotation = turned.inv().apply(translation), turned.inv() * pose.rotation
     else:
         rotation = pose.rotation * turned.inv()
-    return np.array([*translation, *encode(rotation, semantics.rotation, IDENTITY_ROTATION), gripper])
+    return np.array([*translation, *encode(rotation, semantics.rotation, identity_rotation()), gripper])
 
 
 def _bases(semantics: ActionSemantics, context: ActionContext) -> tuple[Joints | None, Pose | None]:

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Vec3
 from roboxim_core.rotations import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Axes = tuple[str, str, str]
 _UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -89,22 +92,30 @@ class Frames:
 
     def turns_in(self, rotations: Rotation, *, tool: bool = False) -> Rotation:
         """Convert rotation deltas from the convention's axes to RoboXim's base, or tool, axes."""
+        from scipy.spatial.transform import Rotation
+
         matrix = self.tool_matrix if tool else self.base_matrix
         return rotations if self.is_plain else Rotation.from_matrix(matrix @ rotations.as_matrix() @ matrix.T)
 
     def turns_out(self, rotations: Rotation, *, tool: bool = False) -> Rotation:
         """Convert rotation deltas from RoboXim's base, or tool, axes to the convention's."""
+        from scipy.spatial.transform import Rotation
+
         matrix = self.tool_matrix if tool else self.base_matrix
         return rotations if self.is_plain else Rotation.from_matrix(matrix.T @ rotations.as_matrix() @ matrix)
 
     def orientations_in(self, rotations: Rotation) -> Rotation:
         """Convert rotations of the tool in the base from the convention's frames to RoboXim's."""
+        from scipy.spatial.transform import Rotation
+
         if self.is_plain:
             return rotations
         return Rotation.from_matrix(self.base_matrix @ rotations.as_matrix() @ self.tool_matrix.T)
 
     def orientations_out(self, rotations: Rotation) -> Rotation:
         """Convert rotations of the tool in the base from RoboXim's frames to the convention's."""
+        from scipy.spatial.transform import Rotation
+
         if self.is_plain:
             return rotations
         return Rotation.from_matrix(self.base_matrix.T @ rotations.as_matrix() @ self.tool_matrix)

@@ -17,12 +17,12 @@ from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.normalisation import Normalisation
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.rotations import (
-    GRIPPER_DOWN,
-    IDENTITY_ROTATION,
     Floats,
     RotationRepresentation,
     decode_rows,
     encode_rows,
+    gripper_down,
+    identity_rotation,
 )
 
 _SCALABLE = (
@@ -208,11 +208,11 @@ class ActionOutput:
             positions = frames.positions_in(positions)
             if not frames.is_plain:
                 turned = frames.orientations_in(decode_rows(rotations, self.rotation))
-                rotations = encode_rows(turned, self.rotation, GRIPPER_DOWN)
+                rotations = encode_rows(turned, self.rotation, gripper_down())
         elif not frames.is_plain:
             positions = frames.vectors_in(positions, tool=self._in_tool)
             turned = frames.turns_in(decode_rows(rotations, self.rotation), tool=self._in_tool)
-            rotations = encode_rows(turned, self.rotation, IDENTITY_ROTATION)
+            rotations = encode_rows(turned, self.rotation, identity_rotation())
         return np.concatenate([positions, rotations], axis=1)
 
     def _turned_out(self, motion: Floats, frames: Frames) -> Floats:
@@ -222,12 +222,12 @@ class ActionOutput:
             positions = frames.positions_out(positions)
             if not frames.is_plain:
                 turned = frames.orientations_out(decode_rows(rotations, self.rotation))
-                near = frames.orientations_out(GRIPPER_DOWN)
+                near = frames.orientations_out(gripper_down())
                 rotations = encode_rows(turned, self.rotation, near)
         elif not frames.is_plain:
             positions = frames.vectors_out(positions, tool=self._in_tool)
             turned = frames.turns_out(decode_rows(rotations, self.rotation), tool=self._in_tool)
-            rotations = encode_rows(turned, self.rotation, IDENTITY_ROTATION)
+            rotations = encode_rows(turned, self.rotation, identity_rotation())
         return np.concatenate([positions, rotations], axis=1)
 
 

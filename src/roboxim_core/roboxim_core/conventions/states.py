@@ -8,16 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core import limits
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rotations import GRIPPER_DOWN, Floats, RotationRepresentation, decode_rows, encode_rows
+from roboxim_core.rotations import Floats, RotationRepresentation, decode_rows, encode_rows, gripper_down
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 class StateField(StrEnum):
@@ -199,6 +202,8 @@ class StateInput:
             Measurements; those that the vector does not state completely are NaN (positions), the identity (rotations)
             or empty (joints).
         """
+        from scipy.spatial.transform import Rotation
+
         values = np.asarray(rows, dtype=float)
         count = len(values)
         known = ArmReadings(
@@ -230,11 +235,13 @@ class StateInput:
 
 def _values(part: StatePart, readings: ArmReadings, frames: Frames) -> Floats:
     """Return all components of a part at every tick, shape (n, full size)."""
+    from scipy.spatial.transform import Rotation
+
     match part.field:
         case StateField.TCP_POSITION:
             return frames.positions_out(readings.tcp_positions) * part.scale
         case StateField.TCP_ROTATION:
-            near = frames.orientations_out(Rotation.from_quat(GRIPPER_DOWN.as_quat()[None]))[0]
+            near = frames.orientations_out(Rotation.from_quat(gripper_down().as_quat()[None]))[0]
             rotations = frames.orientations_out(readings.tcp_rotations)
             return encode_rows(rotations, part.rotation, near) * part.scale
         case StateField.GRIPPER:

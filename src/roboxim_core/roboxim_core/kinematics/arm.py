@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Array, Pose
 from roboxim_planner_native import Arm
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 POSITION_TOLERANCE_M = 1e-7
 ROTATION_TOLERANCE_RAD = 1e-6
@@ -50,6 +53,8 @@ class ArmKinematics:
         Raises:
             ConfigError: When the URDF lacks a joint or link that the model names.
         """
+        import pinocchio as pin
+
         self.model = model
         self._pin = pin.buildModelFromUrdf(str(model.urdf))
         self._data = self._pin.createData()
@@ -93,6 +98,8 @@ class ArmKinematics:
             joints: Arm joint positions, shape (n,) [rad].
             fingers: Finger joint positions [m]; empty: closed.
         """
+        import pinocchio as pin
+
         self._q[self._fingers] = fingers if len(fingers) else 0.0
         self._q[self._arm] = joints
         pin.framesForwardKinematics(self._pin, self._data, self._q)
@@ -100,6 +107,8 @@ class ArmKinematics:
 
     def jacobian(self, joints: npt.ArrayLike) -> Array:
         """Return the Jacobian of the tool centre point, base-aligned axes, shape (6, n): linear rows first [m/rad]."""
+        import pinocchio as pin
+
         self._q[self._arm] = joints
         full = pin.computeFrameJacobian(
             self._pin, self._data, self._q, self._tcp, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -178,12 +187,16 @@ class ArmKinematics:
         )
 
     def _place(self, joints: npt.ArrayLike) -> pin.SE3:
+        import pinocchio as pin
+
         self._q[self._arm] = joints
         pin.forwardKinematics(self._pin, self._data, self._q)
         return pin.updateFramePlacement(self._pin, self._data, self._tcp)
 
     def _native_arm(self) -> Arm:
         """Return the native kernel's model of the arm, with joints ordered from the base to the tip."""
+        import pinocchio as pin
+
         ids = [self._pin.getJointId(self.model.joint_names[k]) for k in self._order]
         pin.computeJointJacobians(self._pin, self._data, pin.neutral(self._pin))
         pin.updateFramePlacements(self._pin, self._data)
@@ -216,4 +229,6 @@ class ArmKinematics:
 
 
 def _pose(placement: pin.SE3) -> Pose:
+    import pinocchio as pin
+
     return Pose.from_quaternion(placement.translation, pin.Quaternion(placement.rotation))

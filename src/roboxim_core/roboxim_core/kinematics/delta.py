@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.errors import ErrorCode, InvalidRequestError
@@ -121,6 +120,8 @@ class DeltaController:
         return tuple(steps)
 
     def _clip(self, action: ActionArray) -> tuple[ActionArray, bool]:
+        from scipy.spatial.transform import Rotation
+
         executed = action.copy()
         clipped = False
         *shift, roll, pitch, yaw, gripper = action.tolist()

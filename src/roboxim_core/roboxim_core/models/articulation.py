@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import JointModel, ObjectModel
@@ -42,6 +41,8 @@ def link_poses(base: str, joints: tuple[JointModel, ...], joint_positions: dict[
 
 def joint_motion(joint: JointModel, position: float) -> Pose:
     """Return the pose of a joint's child in the joint's frame at a position [m or rad]."""
+    from scipy.spatial.transform import Rotation
+
     axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
     if joint.kind == "prismatic":
         return Pose.from_arrays(axis * position)

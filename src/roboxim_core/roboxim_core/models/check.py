@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from roboxim_core.config import load_config
 from roboxim_core.errors import ConfigError
@@ -287,6 +286,8 @@ def _grasp(grasp: GraspAnnotation, model: ObjectModel, points: Array, max_openin
 
 def _likeness(model: ObjectModel, solid: Array) -> list[Finding]:
     """Compare the visual with the collision surface at points sampled on both."""
+    from scipy.spatial import KDTree
+
     seen, _ = _samples(model, seen=True)
     poses = object_link_poses(model, {})
     loose = np.ones(len(seen), dtype=bool)
@@ -365,6 +366,8 @@ def _on_surface(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Arr
 
 def _planes(shape: Shape) -> tuple[Array, float]:
     """Return the half-spaces of a convex shape in its own frame, shape (M, 4), and its volume [m^3]."""
+    from scipy.spatial import ConvexHull, QhullError
+
     bare = Visual(kind=shape.kind, size=shape.size, mesh=shape.mesh, scale=(shape.scale,) * 3)
     points = np.concatenate([part.mesh.vertices for part in visual_parts(bare)]).astype(float)
     try:

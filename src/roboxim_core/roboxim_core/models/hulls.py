@@ -12,12 +12,15 @@ import re
 import tempfile
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Array
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def load_mesh(path: Path | str) -> trimesh.Trimesh:
@@ -26,6 +29,8 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     Raises:
         ConfigError: When it is missing, cannot be read or is empty.
     """
+    import trimesh
+
     try:
         mesh = trimesh.load_scene(path, process=False).to_mesh()
     except Exception as error:  # trimesh's readers raise exceptions of any class
@@ -102,6 +107,8 @@ def hull_vertices(path: str) -> Array:
     Raises:
         ConfigError: See `hull_file`.
     """
+    import trimesh
+
     return np.asarray(trimesh.load_mesh(hull_file(path), process=False).vertices, dtype=float)
 
 

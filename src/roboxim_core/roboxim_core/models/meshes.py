@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 
 from roboxim_core.poses import Array
 from roboxim_core.registry import Registry
 from roboxim_core.rendering import TriangleMesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 visual_generators: Registry[Callable[[tuple[float, ...]], TriangleMesh]] = Registry("visual generator")
 """Visual generators: functions from a visual's ``size`` to its mesh in the visual's frame."""
@@ -66,18 +69,24 @@ def box_mesh(size: tuple[float, ...]) -> TriangleMesh:
 @visual_generators.register("sphere")
 def sphere_mesh(size: tuple[float, ...]) -> TriangleMesh:
     """Return a sphere: (radius,) [m]."""
+    import trimesh
+
     return from_trimesh(trimesh.creation.icosphere(subdivisions=3, radius=size[0]))
 
 
 @visual_generators.register("cylinder")
 def cylinder_mesh(size: tuple[float, ...]) -> TriangleMesh:
     """Return a cylinder along z: (radius, length) [m]."""
+    import trimesh
+
     return from_trimesh(trimesh.creation.cylinder(radius=size[0], height=size[1], sections=40))
 
 
 @visual_generators.register("capsule")
 def capsule_mesh(size: tuple[float, ...]) -> TriangleMesh:
     """Return a capsule along z, centred: (radius, length of the cylinder) [m]."""
+    import trimesh
+
     mesh = trimesh.creation.capsule(radius=size[0], height=size[1], count=[24, 24])
     mesh.vertices -= mesh.bounds.mean(axis=0)
     return from_trimesh(mesh)
@@ -95,5 +104,7 @@ def triangles(vertices: Array, normals: Array, faces: npt.ArrayLike, uv: Array |
 
 def from_trimesh(mesh: trimesh.Trimesh) -> TriangleMesh:
     """Return a mesh with normals that are smooth where faces meet at less than 40 degrees."""
+    import trimesh
+
     smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(40.0))
     return triangles(smooth.vertices, smooth.vertex_normals, smooth.faces)

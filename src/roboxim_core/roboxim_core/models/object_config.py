@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.bounds import links_bounds
@@ -273,6 +272,8 @@ def convex_parts(shape: Shape) -> tuple[Shape, ...]:
     """Split a shape into convex ones: a ring becomes boxes whose outer faces touch its cone; others stay."""
     if shape.kind != "ring":
         return (shape,)
+    from scipy.spatial.transform import Rotation
+
     low, high, height, thick = shape.size
     slant = float(np.hypot(high - low, height))
     width = 2 * max(low, high) * float(np.tan(np.pi / shape.segments))

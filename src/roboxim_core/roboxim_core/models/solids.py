@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from roboxim_core.models.meshes import triangles, visual_generators
 from roboxim_core.poses import Array
@@ -62,6 +61,8 @@ def convex(size: tuple[float, ...]) -> TriangleMesh:
     Raises:
         ValueError: When the points span no volume.
     """
+    from scipy.spatial import ConvexHull, QhullError
+
     points = np.asarray(size, dtype=float)
     if len(points) % 3 or len(points) < 12:
         raise ValueError("needs x, y, z of at least four points")

@@ -7,7 +7,6 @@ coordinates: u around the axis, v along the profile or path, both from 0 to 1.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from roboxim_core.models.meshes import triangles, visual_generators
 from roboxim_core.poses import Array
@@ -108,6 +107,8 @@ def _pairs(size: tuple[float, ...]) -> Array:
 
 def _spline(points: Array) -> Array:
     """Sample a curve through points that does not overshoot, in 4 to 22 pieces, at least one for each span."""
+    from scipy.interpolate import PchipInterpolator
+
     place = points[:, : max(2, points.shape[1] - 1)]
     knots = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-6))])
     pieces = int(np.clip(round(knots[-1] / ALONG_M), 4, 22))

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import JointModel, LinkModel, Shape, Visual
@@ -162,6 +161,8 @@ def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[floa
 
 
 def _origin(element: ElementTree.Element) -> Pose:
+    from scipy.spatial.transform import Rotation
+
     origin = element.find("origin")
     if origin is None:
         return IDENTITY

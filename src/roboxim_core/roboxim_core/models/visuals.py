@@ -10,11 +10,10 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
-from scipy.spatial.transform import Rotation
 
 import roboxim_core.models.solids
 import roboxim_core.models.turned  # noqa: F401  (both register generators)
@@ -29,6 +28,9 @@ from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, Visual
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.textures import base_color_image
+
+if TYPE_CHECKING:
+    import trimesh
 
 FLOOR_Z = -0.75
 """Height of the floor in the world [m]; the table's top is at 0."""
@@ -256,6 +258,8 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
 
 @lru_cache(maxsize=128)
 def _load_mesh(path: str) -> tuple[VisualPart, ...]:
+    import trimesh
+
     try:
         scene = trimesh.load_scene(path, process=False)
     except Exception as error:  # the readers of trimesh raise whatever they like
@@ -276,6 +280,8 @@ def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 def _material_of(mesh: trimesh.Trimesh, name: str) -> MaterialSpec:
     """Return a mesh's own material; `roboxim_core.textures.pixels` finds its image by ``name``."""
+    import trimesh
+
     material = getattr(mesh.visual, "material", None)
     texture = name if base_color_image(mesh) is not None and getattr(mesh.visual, "uv", None) is not None else ""
     if isinstance(material, trimesh.visual.material.PBRMaterial):
@@ -315,6 +321,8 @@ def _placed(part: VisualPart, pose: Pose) -> VisualPart:
 
 
 def _urdf_origin(element: ElementTree.Element | None) -> Pose:
+    from scipy.spatial.transform import Rotation
+
     if element is None:
         return IDENTITY
     xyz = [float(v) for v in element.get("xyz", "0 0 0").split()]

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from roboxim_datasets.audit.values import AuditResult, CheckResult, Finding
@@ -153,6 +152,8 @@ def write_audit(report: AuditReport, folder: Path) -> Path:
     Returns:
         The HTML file.
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(
         loader=PackageLoader("roboxim_datasets.audit", "templates"), autoescape=True, undefined=StrictUndefined
     )

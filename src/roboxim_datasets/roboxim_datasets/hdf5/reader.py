@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from roboxim_core.documents import read_json_object
@@ -62,6 +61,8 @@ class Hdf5Dataset(Dataset):
             self._shapes = {key: tuple(first[key].shape[1:]) for key in self._keys(first)}
 
     def _open(self) -> Any:
+        import h5py
+
         try:
             return h5py.File(self.file, "r")
         except OSError as error:

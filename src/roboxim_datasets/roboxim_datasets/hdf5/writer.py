@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
@@ -58,6 +57,8 @@ class Hdf5Writer:
             RecorderError: When it cannot be read.
             OSError: When the disk is full.
         """
+        import h5py
+
         number = self._counts.setdefault(split, self.resumed(split))
         self._counts[split] += 1
         piece = self._build.piece(split, number, "demo.hdf5")
@@ -127,6 +128,8 @@ class Hdf5Writer:
             RecorderError: ``EXPORT_REFUSED`` when there is no episode.
             OSError: When the disk is full.
         """
+        import h5py
+
         build = self._build
         splits = build.split_entries()
         build.staged.mkdir()
@@ -160,6 +163,8 @@ def _add_next_observations(demo: Any) -> None:
 
     Non-obvious: h5py's own function for views stores the time of writing, which differs between two exports.
     """
+    import h5py
+
     views = demo.create_group("next_obs")
     for name, values in demo["obs"].items():
         count, shape = len(values), values.shape

@@ -10,10 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
-
-import pyarrow as pa
-import pyarrow.parquet as pq
+from typing import TYPE_CHECKING, Any
 
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_datasets.build import Facts, ResumableBuild, write_files
@@ -31,6 +28,10 @@ from roboxim_datasets.lerobot.layout import (
 from roboxim_datasets.lerobot.pieces import Array, Piece, complete_table, index_arrays
 from roboxim_datasets.lerobot.stats import DatasetStatistics, Stats, episode_stats
 from roboxim_datasets.video.client import VideoFile, VideoWriters
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 _EPISODES_TOGETHER = 64  # rows of the episodes' table that are written at once
 
@@ -169,6 +170,8 @@ class _Version30:
             self._write_rows()
 
     def _write_rows(self) -> None:
+        import pyarrow as pa
+
         if self._rows:
             chunk, file = self._episodes.place
             place = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
@@ -179,6 +182,9 @@ class _Version30:
 
     def tasks(self, tasks: list[str]) -> None:
         """Write the instructions; row k is task k, with the instruction as pandas' index."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
         column = {"field_name": "task", "name": "task", "pandas_type": "unicode", "numpy_type": "object"}
         number = {"field_name": "task_index", "name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
@@ -220,6 +226,8 @@ class _Version21:
 
     def add(self, episode: _Numbered, stats: Stats) -> None:
         """Append an episode."""
+        import pyarrow.parquet as pq
+
         index = episode.index
         path = self._root / DATA_PATH["2.1"].format(episode_chunk=index // CHUNK, episode_index=index)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -260,6 +268,8 @@ class _Files:
 
         A file is closed after the rows with which it reaches the size, so `place` is known before.
         """
+        import pyarrow.parquet as pq
+
         chunk, file = self.place
         if self._writer is None:
             path = self._root / self._pattern.format(chunk_index=chunk, file_index=file)

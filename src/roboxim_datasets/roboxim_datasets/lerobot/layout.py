@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
-
-import pyarrow as pa
+from typing import TYPE_CHECKING, Any, Literal
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.episode import ImageSize
 from roboxim_datasets.video.codecs import CODECS, video_codec
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Version = Literal["3.0", "2.1"]
 Info = dict[str, Any]
@@ -87,6 +88,8 @@ class Column:
     @property
     def arrow(self) -> pa.DataType:
         """Type in Parquet."""
+        import pyarrow as pa
+
         kind = pa.bool_() if self.dtype == "bool" else pa.type_for_alias(self.dtype)
         return kind if self.names is None else pa.list_(kind, self.size)
 
@@ -99,7 +102,13 @@ INDEX_COLUMNS: Mapping[str, Column] = {
     "task_index": Column(dtype="int64"),
 }
 """Columns of every dataset."""
-IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+
+
+def image_type() -> pa.DataType:
+    """Return the type of an image column in Parquet."""
+    import pyarrow as pa
+
+    return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,9 +216,11 @@ class LeRobotLayout:
 
     def schema(self) -> pa.Schema:
         """Return the schema of the data files, with the types as the library ``datasets`` wants them."""
+        import pyarrow as pa
+
         images = [*self.depth, *(() if self.codec else self.cameras)]
         columns = {**self.columns, **INDEX_COLUMNS}
-        fields = [*((key, IMAGE_TYPE) for key in images), *((key, column.arrow) for key, column in columns.items())]
+        fields = [*((key, image_type()) for key in images), *((key, column.arrow) for key, column in columns.items())]
         types = {key: {"_type": "Image"} for key in images} | {
             key: self._dataset_type(column) for key, column in columns.items()
         }

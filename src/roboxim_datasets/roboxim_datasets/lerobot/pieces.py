@@ -6,14 +6,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_datasets.lerobot.layout import IMAGE_TYPE, INDEX_COLUMNS, LeRobotLayout
+from roboxim_datasets.lerobot.layout import INDEX_COLUMNS, LeRobotLayout, image_type
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Array = npt.NDArray[Any]
 SAMPLE = "sample:"
@@ -40,6 +42,8 @@ class Piece:
         Raises:
             OSError: When the disk is full.
         """
+        import pyarrow as pa
+
         table = self.table.replace_schema_metadata({"facts": json.dumps(self.facts)})
         scratch = path.with_suffix(".tmp")
         with pa.OSFile(str(scratch), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
@@ -49,6 +53,8 @@ class Piece:
     @staticmethod
     def read(path: Path) -> Piece:
         """Read a piece."""
+        import pyarrow as pa
+
         with pa.OSFile(str(path), "rb") as file:
             table = pa.ipc.open_file(file).read_all()
         return Piece(table=table, facts=json.loads(table.schema.metadata[b"facts"]))
@@ -60,6 +66,8 @@ class Piece:
 
 def column_array(column: pa.ChunkedArray) -> Array:
     """Return a column of numbers or of lists of numbers of equal length, shape (T,) or (T, size)."""
+    import pyarrow as pa
+
     flat = column.combine_chunks()
     if pa.types.is_list(flat.type) or pa.types.is_large_list(flat.type) or pa.types.is_fixed_size_list(flat.type):
         values = np.asarray(flat.flatten().to_numpy(zero_copy_only=False))
@@ -77,6 +85,8 @@ def numbers_table(layout: LeRobotLayout, rows: Mapping[str, Array]) -> pa.Table:
     Raises:
         InvalidRequestError: When a column is missing, unknown, of another shape, or not finite.
     """
+    import pyarrow as pa
+
     if set(rows) != set(layout.columns):
         raise InvalidRequestError(f"an episode needs the columns {sorted(layout.columns)}, got {sorted(rows)}")
     count = {len(values) for values in rows.values()}
@@ -93,6 +103,8 @@ def numbers_table(layout: LeRobotLayout, rows: Mapping[str, Array]) -> pa.Table:
 
 
 def _arrow(values: Array, kind: pa.DataType) -> pa.Array:
+    import pyarrow as pa
+
     flat = np.ascontiguousarray(values).reshape(-1)
     if pa.types.is_fixed_size_list(kind):
         return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), type=kind)
@@ -101,13 +113,17 @@ def _arrow(values: Array, kind: pa.DataType) -> pa.Array:
 
 def image_column(images: list[bytes]) -> pa.Array:
     """Return a column of encoded images."""
+    import pyarrow as pa
+
     return pa.array(
-        [{"bytes": image, "path": f"frame-{index:06d}.png"} for index, image in enumerate(images)], IMAGE_TYPE
+        [{"bytes": image, "path": f"frame-{index:06d}.png"} for index, image in enumerate(images)], image_type()
     )
 
 
 def sample_column(samples: list[Array]) -> pa.Array:
     """Return a column of sampled pixels, one row for each image."""
+    import pyarrow as pa
+
     values = np.stack([np.asarray(sample, np.float32).reshape(-1) for sample in samples])
     return _arrow(values, pa.list_(pa.float32(), values.shape[1]))
 
@@ -134,6 +150,8 @@ def index_arrays(count: int, *, fps: int, episode: int, first: int, task: int) -
 
 def complete_table(layout: LeRobotLayout, piece: Piece, indices: Mapping[str, Array]) -> pa.Table:
     """Return the rows of the data files for a piece."""
+    import pyarrow as pa
+
     schema = layout.schema()
     own = {key: _arrow(values, INDEX_COLUMNS[key].arrow) for key, values in indices.items()}
     arrays = [own[name] if name in own else piece.table.column(name).combine_chunks() for name in schema.names]

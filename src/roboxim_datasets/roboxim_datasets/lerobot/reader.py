@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
@@ -39,6 +36,10 @@ from roboxim_datasets.lerobot.layout import (
 from roboxim_datasets.lerobot.pieces import column_array
 from roboxim_datasets.video.client import VideoDecoder
 from roboxim_datasets.video.codecs import CODECS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 _TIMESTAMP = "timestamp"
 _STATES = ("observation.state", "state")
@@ -305,6 +306,8 @@ class LeRobotDataset(Dataset):
         return (self.path / str(value.get("path"))).read_bytes()
 
     def _map(self, value: Mapping[str, Any]) -> Any:
+        import cv2
+
         picture = cv2.imdecode(np.frombuffer(self._image_bytes(value), np.uint8), cv2.IMREAD_UNCHANGED)
         if picture is None:
             raise RecorderError(f"{self.path}: an image of depth or segmentation is damaged", ErrorCode.BAG_DAMAGED)
@@ -312,6 +315,9 @@ class LeRobotDataset(Dataset):
 
     def _rows(self, place: _Place, columns: Sequence[str]) -> pa.Table:
         """Read the rows of an episode."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         try:
             if self._file is None or self._file[0] != place.data_file:
                 self._file = (place.data_file, pq.ParquetFile(self.path / place.data_file))
@@ -337,6 +343,9 @@ class LeRobotDataset(Dataset):
     # -- the table of episodes
 
     def _places_30(self) -> list[_Place]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         videos = self._video_keys()
         wanted = ["length", "tasks", "data/chunk_index", "data/file_index", "dataset_from_index"]
         for key in videos:
@@ -399,6 +408,8 @@ class LeRobotDataset(Dataset):
         Raises:
             RecorderError: When the file cannot be read.
         """
+        import pyarrow.parquet as pq
+
         if self.version == "3.0":
             table = pq.read_table(self.path / TASKS_FILE)
             texts = next(name for name in table.column_names if name != "task_index")

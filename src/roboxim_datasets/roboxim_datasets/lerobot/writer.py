@@ -12,7 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
@@ -186,6 +185,8 @@ class _Collected:
 
     def _map(self, key: str, values: Array) -> None:
         """Take an image of depth or segmentation, uint16; the nearest pixels are taken when the size differs."""
+        import cv2
+
         size = self._layout.depth[key]
         if values.shape != (size.height, size.width):
             resized = cv2.resize(values, (size.width, size.height), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from roboxim_eval.report.charts.forest import forest_axis, forest_bar, rate_bar
 
 
@@ -16,6 +14,8 @@ def render(template: str, **values: Any) -> str:
         template: Name of a template of this package.
         values: What the template shows; all texts are escaped.
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(
         loader=PackageLoader("roboxim_eval", "templates"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,

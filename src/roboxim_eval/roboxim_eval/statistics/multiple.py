@@ -7,8 +7,6 @@ import string
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import false_discovery_control
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
@@ -30,6 +28,8 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
 
 def benjamini_hochberg(p_values: Sequence[float]) -> tuple[float, ...]:
     """Return p values adjusted for the expected share of false alarms; for exploratory tables alone."""
+    from scipy.stats import false_discovery_control
+
     return tuple(float(p) for p in false_discovery_control(np.asarray(p_values, dtype=float))) if p_values else ()
 
 
@@ -77,6 +77,8 @@ def bradley_terry(wins: Mapping[tuple[str, str], int]) -> dict[str, float]:
     Source:
         Bradley and Terry (1952), Biometrika 39, 324-345.
     """
+    from scipy.optimize import minimize
+
     names = sorted({name for pair in wins for name in pair})
     place = {name: i for i, name in enumerate(names)}
     first = np.array([place[winner] for winner, _ in wins])

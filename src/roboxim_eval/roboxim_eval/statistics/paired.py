@@ -10,8 +10,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from scipy.stats import binomtest, boschloo_exact
-
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 
@@ -95,6 +93,8 @@ def paired_difference(pairs: Pairs) -> Difference:
         Newcombe (1998), Statistics in Medicine 17, 2635-2650, method 10 (score intervals, continuity-corrected
         correlation).
     """
+    from scipy.stats import binomtest
+
     if not pairs.scenes:
         raise InvalidRequestError("a comparison needs at least one scene that both policies met, got none")
     one, two = pairs.rates
@@ -135,6 +135,8 @@ def independent_difference(first: SuccessRate, second: SuccessRate) -> Differenc
         Boschloo (1970), as `scipy.stats.boschloo_exact` computes it; Newcombe (1998), Statistics in Medicine 17,
         873-890, method 10.
     """
+    from scipy.stats import boschloo_exact
+
     if not first.episodes or not second.episodes:
         raise InvalidRequestError("a comparison needs episodes of both policies, got none of one")
     table = [

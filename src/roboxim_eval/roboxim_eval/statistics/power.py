@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
@@ -60,6 +57,9 @@ def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -
         second: Success rate of the second one, 0..1.
         alpha: Probability of a false alarm, two-sided.
     """
+    from scipy.stats import norm
+    from scipy.stats import t as student
+
     rollouts = (_within(first) + _within(second)) / design.scenes
     if design.replicates < 3:
         apart = max(0.0, abs(first - second) - 1 / design.scenes)  # the exact test is discrete
@@ -84,6 +84,7 @@ def detectable(design: Design, rate: float = 0.8, *, chance: float = 0.8, alpha:
         chance: Chance to find the drop.
         alpha: Probability of a false alarm, two-sided.
     """
+    from scipy.optimize import brentq
 
     def missing(drop: float) -> float:
         return power(design, rate, rate - drop, alpha=alpha) - chance
@@ -99,6 +100,8 @@ def _logit_scale(rate: float) -> float:
 @lru_cache(maxsize=64)
 def _sample_spreads(freedom: int) -> Array:
     """Return equally likely standard deviations of a sample, relative to the true one."""
+    from scipy.stats import chi2
+
     spreads: Array = np.sqrt(chi2.ppf((np.arange(500) + 0.5) / 500, freedom) / freedom)
     return spreads
 
@@ -106,6 +109,8 @@ def _sample_spreads(freedom: int) -> Array:
 @lru_cache(maxsize=1024)
 def _within(rate: float) -> float:
     """Return the mean variance of one rollout given its scene: scenes differ in difficulty."""
+    from scipy.optimize import brentq
+
     if not 0 < rate < 1:
         return 0.0
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)

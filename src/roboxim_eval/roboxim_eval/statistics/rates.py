@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import binomtest
-
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
 
@@ -57,6 +55,8 @@ def success_rate(successes: int, episodes: int) -> SuccessRate:
     Source:
         Wilson (1927) and Clopper and Pearson (1934), as `scipy.stats.binomtest` computes them.
     """
+    from scipy.stats import binomtest
+
     if not 0 <= successes <= episodes:
         raise InvalidRequestError(f"needs 0 <= successes <= episodes, got {successes} of {episodes}")
     if episodes == 0:

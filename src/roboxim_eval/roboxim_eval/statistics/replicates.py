@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
@@ -28,7 +26,8 @@ from roboxim_eval.statistics.tables import Arm, require_same_replicates
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
-NORMAL = float(norm.ppf(0.975))
+NORMAL = 1.959963984540054
+"""The 97.5 % quantile of the normal distribution."""
 LEAST_REPLICATES = 3
 """Number of trainings below which nothing is said about a training condition."""
 
@@ -36,6 +35,8 @@ LEAST_REPLICATES = 3
 @lru_cache(maxsize=4096)
 def _t_limit(probability: float, freedom: int) -> float:
     """Return a quantile of Student's t, which SciPy takes a while to compute."""
+    from scipy.stats import t as student
+
     return float(student.ppf(probability, freedom))
 
 
@@ -109,6 +110,9 @@ class ConditionDifference:
         It is the error probability at which the interval begins to include 0: the larger one of the t test over
         replicates and of the rollouts' test.
         """
+        from scipy.stats import norm
+        from scipy.stats import t as student
+
         if self.replicates < 2 or not self.value:
             return 1.0
         error = self.spread / math.sqrt(self.replicates)

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom, norm
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.paired import Pairs
@@ -43,6 +42,8 @@ class SequentialPlan:
     @property
     def spent(self) -> tuple[float, ...]:
         """Error probability that may be spent up to each look (Lan and DeMets 1983, O'Brien-Fleming type)."""
+        from scipy.stats import norm
+
         limit = norm.ppf(1 - self.alpha / 2)
         shares = np.array(self.looks) / self.looks[-1]
         return tuple(float(p) for p in 2 * norm.sf(limit / np.sqrt(shares)))
@@ -102,6 +103,8 @@ def sequential_test(plan: SequentialPlan, looks: Sequence[Pairs]) -> SequentialS
 
 def _after(at: dict[int, float], tosses: int) -> dict[int, float]:
     """Return the distribution of the lead after some more tosses of a fair coin."""
+    from scipy.stats import binom
+
     moved: dict[int, float] = {}
     chances = binom.pmf(np.arange(tosses + 1), tosses, 0.5)
     for lead, probability in at.items():

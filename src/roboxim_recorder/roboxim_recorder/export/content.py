@@ -12,7 +12,6 @@ from enum import StrEnum
 from functools import cached_property
 from typing import TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -142,6 +141,8 @@ class Content:
 
     def flat(self, camera: str, image: Flat) -> Flat:
         """Return a depth or segmentation image at the size of its camera's images, by the nearest pixels."""
+        import cv2
+
         size = self.sizes[camera]
         if image.shape == (size.height, size.width):
             return image

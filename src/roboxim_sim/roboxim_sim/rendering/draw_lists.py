@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
@@ -199,6 +198,8 @@ class Frame:
 
 def _matrices(poses: Sequence[Pose]) -> Array:
     """Return homogeneous matrices, shape (N, 4, 4), vectorised: a scipy rotation per pose would take a millisecond."""
+    from scipy.spatial.transform import Rotation
+
     matrices = np.tile(np.eye(4), (len(poses), 1, 1))
     if poses:
         matrices[:, :3, :3] = Rotation.from_quat([pose.quat_xyzw for pose in poses]).as_matrix()

@@ -8,8 +8,6 @@ from weakref import WeakKeyDictionary
 import fast_simplification
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
 from roboxim_core.rendering import TriangleMesh
 
@@ -84,6 +82,8 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fi
 
     If the fine mesh has texture coordinates, each corner gets those of a nearby fine vertex.
     """
+    from scipy.sparse import csr_matrix
+
     corners = points[faces].astype(np.float64)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-12)
@@ -114,6 +114,8 @@ def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fi
 
 def _coordinates(corners: npt.NDArray[np.float64], fine: TriangleMesh) -> npt.NDArray[np.float64]:
     """Return texture coordinates of triangle corners, shape (M, 3, 2), such that no triangle crosses a seam."""
+    from scipy.spatial import cKDTree
+
     assert fine.uv is not None
     tree, count = cKDTree(fine.vertices), min(NEIGHBOURS, len(fine.vertices))
     uv = fine.uv.astype(np.float64)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.poses import Array, Pose
@@ -116,6 +115,8 @@ class BlockedWayReset(ResetComponent):
         self, scene: SceneSpec, row: Sequence[EntitySpec], way: tuple[str, str], context: ResetContext
     ) -> SceneSpec:
         """Add entities side by side across a path."""
+        from scipy.spatial.transform import Rotation
+
         rng, index, config = context.rng(self.name), context.index, self.config
         (begin, room_begin), (end, room_end) = (_end(name, scene, context) for name in way)
         length = float(np.linalg.norm(end - begin))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.cameras import load_camera, with_noise_seed
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.visuals import camera_parent
@@ -74,6 +72,8 @@ class CamerasReset(ResetComponent):
         return replace(scene, cameras=tuple(self._draw(name, context) for name in self.config.names))
 
     def _draw(self, name: str, context: ResetContext) -> CameraSpec:
+        from scipy.spatial.transform import Rotation
+
         config, index = self.config, context.index
         view = name
         if name in config.views:

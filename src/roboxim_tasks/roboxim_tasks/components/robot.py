@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec
@@ -54,6 +52,8 @@ class RobotReset(ResetComponent):
             RejectedError: When no draw is reachable.
             ConfigError: When configured joints do not fit the arm.
         """
+        from scipy.spatial.transform import Rotation
+
         rng, index, arm = context.rng(self.name), context.index, context.arm
         opening = self.config.gripper_opening.draw_number(rng, index)
         context.record("robot.gripper_opening", self.config.gripper_opening, opening)

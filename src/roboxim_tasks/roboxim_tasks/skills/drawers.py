@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.episode.start import SPEED_M_S
 from roboxim_core.errors import ConfigError, one_of
@@ -83,6 +82,8 @@ def opening_axis(model: ObjectModel, handle: Handle, base: Pose) -> Array:
 
 def handle_grasps(model: ObjectModel, handle: Handle, base: Pose, joints: Mapping[str, float]) -> Iterator[Pose]:
     """Yield tool poses that grasp a handle, best first: as annotated, then with slightly different pitches."""
+    from scipy.spatial.transform import Rotation
+
     link = link_pose(model, base, joints, handle.link)
     for pitch in PITCHES:
         for grasp in handle.grasps:

@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.description import ObjectModel
@@ -39,6 +38,9 @@ from roboxim_tasks.placement import Room
 from roboxim_tasks.reach import downward_reachable, graspable, start_clear
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, upright
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 VIEWPOINTS = ("robot", "facing")
 GAPS_M = (0.05, 0.08, 0.03, 0.12, 0.16)

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.articulation import object_link_poses
@@ -54,11 +53,15 @@ def fits(model: ObjectModel, region: Region) -> bool:
 
 def upright(pose: Pose, position: Sequence[float], yaw_rad: float) -> Pose:
     """Return a pose turned about the vertical by an angle and moved to a position."""
+    from scipy.spatial.transform import Rotation
+
     return Pose.from_arrays(position, Rotation.from_euler("z", yaw_rad) * pose.rotation)
 
 
 def levelled(pose: Pose) -> Pose:
     """Return a pose turned minimally until its most upright axis is vertical; corrects sag in the hand."""
+    from scipy.spatial.transform import Rotation
+
     axes = pose.quaternion.matrix().T
     up = max(axes, key=lambda axis: abs(axis[2]))
     up = up * np.sign(up[2])

@@ -18,8 +18,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel
@@ -141,6 +139,8 @@ def button_face(model: ObjectModel, base: Pose) -> Pose:
 
 def pressed_pose(face: Pose, yaw_rad: float) -> Pose:
     """Return the tool's pose at the pressed button, with its x axis at a heading in the base."""
+    from scipy.spatial.transform import Rotation
+
     x, y, z = face.apply((0.0, 0.0, -DEPTH_M)).tolist()
     return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))
 

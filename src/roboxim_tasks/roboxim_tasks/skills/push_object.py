@@ -20,7 +20,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.description import ObjectModel
@@ -222,6 +221,8 @@ def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[
         pose: Its pose in the base.
         direction: Horizontal unit vector in the base, shape (3,).
     """
+    from scipy.spatial.transform import Rotation
+
     across = np.array([-direction[1], direction[0], 0.0])
     behind, beside = extent(model, pose, -direction), min(extent(model, pose, across), extent(model, pose, -across))
     height = min(HEIGHT_M, model.size[2] / 2)

@@ -17,8 +17,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
@@ -174,4 +172,6 @@ def _steps(angle_rad: float) -> list[float]:
 
 def _turned(pose: Pose, angle_rad: float) -> Pose:
     """Return a pose turned about the vertical through its origin."""
+    from scipy.spatial.transform import Rotation
+
     return Pose.from_arrays(pose.position, Rotation.from_euler("z", angle_rad) * pose.rotation)

@@ -20,7 +20,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics import ArmKinematics
@@ -174,6 +173,8 @@ def leaning_grasps(model: ObjectModel, pose: Pose) -> list[Grasp]:
 
 @lru_cache(maxsize=64)
 def _leaning(model: ObjectModel, down: Vec3) -> tuple[Grasp, ...]:
+    from scipy.spatial.transform import Rotation
+
     found: dict[tuple[float, ...], tuple[float, Grasp]] = {}
     for annotation in model.grasps:
         opening = min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / OPENING_M)
@@ -202,6 +203,8 @@ def standing(model: ObjectModel, pose: Pose, grasp: Pose) -> list[Pose]:
         pose: Its pose in the base, lying.
         grasp: Pose of the tool in the object's frame.
     """
+    from scipy.spatial.transform import Rotation
+
     x, y, _ = pose.position
     lean = grasp.rotation.apply([0.0, 0.0, 1.0])
     outwards = math.atan2(y, x) - math.atan2(lean[1], lean[0])

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import Pose, distance
 from roboxim_tasks.motion import ExpertScene, Grasp, Stage
@@ -95,6 +94,8 @@ def displaced(pose: Pose, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pos
 
 def about_vertical(pose: Pose, angle_rad: float) -> Pose:
     """Return a pose turned about the vertical through its origin."""
+    from scipy.spatial.transform import Rotation
+
     return Pose.from_arrays(pose.position, Rotation.from_euler("z", angle_rad) * pose.rotation)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from scipy.spatial.transform import Rotation
-
 from roboxim_core.poses import Pose
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated, shifted
 from roboxim_tasks.script import Script
@@ -59,6 +57,8 @@ def other_button(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @cheat("push_button", reason="not_by_finger")
 def side_of_the_hand(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Lay the hand on its side and press with it."""
+    from scipy.spatial.transform import Rotation
+
     face = button_face(scene.model_of("target"), scene.pose_of("target"))
     back_m, half_m = 0.07, 0.032  # from the tool centre point to the middle of the hand; half of the hand's thickness
     for heading in (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5):
@@ -97,5 +97,7 @@ def off_the_middle(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("push_button")
 def leaning(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Press with the hand tilted by 15 degrees."""
+    from scipy.spatial.transform import Rotation
+
     for side in (1.0, -1.0):
         yield from presses(scene, "target", Pose.from_arrays((0.0, 0.0, 0.0), Rotation.from_euler("y", side * 0.26)))

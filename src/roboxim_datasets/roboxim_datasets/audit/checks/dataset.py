@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity
@@ -145,6 +144,8 @@ class Statistics(AuditCheck):
 
 def _neighbours(values: Floats) -> Floats:
     """Return the median of the five ticks around each one, component by component."""
+    from scipy.ndimage import median_filter
+
     return np.asarray(median_filter(values, size=(5, 1), mode="nearest"))
 
 
