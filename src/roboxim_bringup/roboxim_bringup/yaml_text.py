@@ -17,13 +17,13 @@ def parse(text: str, *, source: str) -> Any:
     Raises:
         ConfigError: When the text is not YAML; the message names the line.
     """
-    from roboxim_core.config import parse_yaml  # here: takes 0.25 s, which most commands avoid
+    from roboxim_core.config import parse_yaml  # here: imports numpy, which most commands avoid
 
     return plain(parse_yaml(text, source=source))
 
 
 def plain(value: Any) -> Any:
-    """Convert the parser's own types, which keep lines and spellings, to plain values."""
+    """Convert the parser's own types, which keep lines, to plain values."""
     if isinstance(value, dict):
         return {plain(key): plain(item) for key, item in value.items()}
     if isinstance(value, list):

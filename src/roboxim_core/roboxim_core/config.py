@@ -25,7 +25,7 @@ from cattrs.gen import make_dict_structure_fn
 
 from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
-from roboxim_core.documents import parse_json, parse_yaml, read_text
+from roboxim_core.documents import LocatedList, LocatedMap, line_of, parse_json, parse_yaml, read_text
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.poses import Pose
 from roboxim_core.quaternions import quat_from_euler
@@ -149,7 +149,7 @@ def _scalar(value: Any, kind: Any) -> Any:
         exact = float
     if exact in (int, float) and not -(2**63) <= value < 2**64:
         raise ValueError(f"expected a finite number of 64 bits, got {limits.echo(value)}")
-    if exact is not None and exact in kinds:  # ruamel's numbers and strings are subclasses that keep their spelling
+    if exact is not None and exact in kinds:
         return exact(value)
     raise ValueError(f"expected {' or '.join(k.__name__ for k in kinds)}, got {value!r}")
 
@@ -254,34 +254,6 @@ def _where(path: str, line: str) -> str:
     return f"{path} ({line}): " if line else f"{path}: "
 
 
-class LocatedMap(dict[Any, Any]):
-    """A mapping whose keys may come from several files and which knows the line of each key."""
-
-    def __init__(self, items: Mapping[Any, Any], lines: Mapping[Any, str]) -> None:
-        """Make a mapping.
-
-        Args:
-            items: Its content.
-            lines: Key to its line, in the format of `line_of`.
-        """
-        super().__init__(items)
-        self.lines: dict[Any, str] = dict(lines)
-
-
-class LocatedList(list[Any]):
-    """A list that knows the line of each item."""
-
-    def __init__(self, items: Iterable[Any], lines: Mapping[Any, str]) -> None:
-        """Make a list.
-
-        Args:
-            items: Its content.
-            lines: Index to the item's line, in the format of `line_of`.
-        """
-        super().__init__(items)
-        self.lines: dict[Any, str] = dict(lines)
-
-
 def located(data: Any, file: str) -> Any:
     """Return YAML data whose lines name their file, so that it can be combined with data of other files."""
 
@@ -293,14 +265,6 @@ def located(data: Any, file: str) -> Any:
     if isinstance(data, list | tuple):
         return LocatedList((located(value, file) for value in data), lines(range(len(data))))
     return data
-
-
-def line_of(data: Any, key: Any) -> str:
-    """Return the line of a mapping's key or a list's item, e.g. ``line 3``; empty if it is not known."""
-    if isinstance(data, LocatedMap | LocatedList):
-        return data.lines.get(key, "")
-    positions = getattr(getattr(data, "lc", None), "data", None)
-    return f"line {positions[key][0] + 1}" if positions and key in positions else ""
 
 
 def place(data: Any, path: Iterable[str | int]) -> str:

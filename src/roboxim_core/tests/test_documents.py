@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from roboxim_core import limits
-from roboxim_core.config import from_json, load_yaml
+from roboxim_core.config import from_json, line_of, load_yaml
 from roboxim_core.documents import parse_json, parse_yaml
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
@@ -43,6 +43,35 @@ def test_aliases_are_counted_by_what_they_repeat():
 )
 def test_bad_yaml_is_an_error_by_line(text, complaint):
     with pytest.raises(ConfigError, match=rf"^task:? ?{complaint}"):
+        parse_yaml(text, source="task")
+
+
+def test_plain_scalars_have_the_meaning_of_yaml_1_2():
+    text = "[017, 0o17, 0x1F, 1_000, 1e3, .5, -.INF, 1:30, yes, on, ~, '1', 08, 0.1_0, True, 1.2.3]"
+    expected = [17, 15, 31, 1000, 1000.0, 0.5, float("-inf"), "1:30", "yes", "on", None, "1", 8, 0.1, True, "1.2.3"]
+    data = parse_yaml(text)
+    assert data == expected
+    assert [type(value) for value in data] == [type(value) for value in expected]
+
+
+def test_merged_keys_follow_the_own_ones_and_know_their_lines():
+    data = parse_yaml("base: &base {x: 1, y: 2}\nother:\n  <<: *base\n  y: 3\nthird: {<<: [{x: 5}, *base]}")
+    assert list(data["other"].items()) == [("y", 3), ("x", 1)]
+    assert data["third"] == {"x": 5, "y": 2}
+    assert [line_of(data["other"], key) for key in ("x", "y")] == ["line 1", "line 4"]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("a: 1\nb: 2\na: 3", "line 3: not valid YAML: the key 'a' stands twice"),
+        ("x: 1\n[a]: 1", "line 2: not valid YAML: a key must be one value"),
+        ("x: 1\na: !thing 1", "line 2: not valid YAML: could not determine a constructor"),
+        ("a: 1\n---\nb: 2", "line 2: not valid YAML"),
+    ],
+)
+def test_what_configurations_do_not_hold_is_refused_by_line(text, complaint):
+    with pytest.raises(ConfigError, match=rf"^task {complaint}"):
         parse_yaml(text, source="task")
 
 

@@ -6,8 +6,6 @@ import dataclasses
 import io
 from typing import Any
 
-from ruamel.yaml import YAML
-
 from roboxim_core.config import to_plain
 from roboxim_core.conventions import Convention
 
@@ -16,6 +14,8 @@ CONVENTION_FILE = "convention.yaml"
 
 def convention_text(convention: Convention) -> str:
     """Return a convention as YAML, without the fields that have their default."""
+    from ruamel.yaml import YAML
+
     buffer = io.StringIO()
     yaml = YAML(typ="safe", pure=True)
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
