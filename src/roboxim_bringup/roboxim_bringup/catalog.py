@@ -1,10 +1,9 @@
 """Names for the command line: skills, tasks, objects, policies. Imports no heavy module.
 
-Listing skills with the objects that suit them, and checking every task, means importing numerics for seconds. The
-catalog is therefore cached in the user's cache folder with a fingerprint of its sources: RoboXim's modules, the YAML
-files and the installed distributions. `roboxim tasks list`, tab completion and the first check of an option read the
-cache, and renew it when it is stale. The catalog of experiments is one of its own: it also depends on the measured
-rates of this machine.
+Listing skills with the objects that suit them, and checking every task, means importing numerics. The catalog is
+therefore cached in the user's cache folder with a fingerprint of its sources: RoboXim's modules, the YAML files and the
+installed distributions. `roboxim tasks list`, tab completion and the first check of an option read the cache, and renew
+it when it is stale. It has four parts with a file each, so that a command makes only what it shows.
 """
 
 from __future__ import annotations
@@ -17,60 +16,51 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from roboxim_core.config_folders import config_dirs, config_names
 
 Catalog = dict[str, Any]
-"""Plain values: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task
-to the error in its file), ``policies`` (name to its first sentence and options), ``conventions`` (name to its line in a
-list and its whole description), ``broken_conventions``.
+"""A part of the catalog, as plain values:
 
-That of experiments: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
-empty text), ``benchmarks`` (name to chapter, description and experiments), ``broken`` (name to the error), ``measured``
-(whether this machine's rates are known)."""
+- ``tasks``: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task to
+  the error in its file);
+- ``policies``: ``policies`` (name to its first sentence and options);
+- ``conventions``: ``conventions`` (name to its line in a list and its whole description), ``broken``;
+- ``experiments``: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
+  empty text), ``benchmarks`` (name to chapter, description and experiments), ``broken``, ``measured`` (whether this
+  machine's rates are known)."""
+Part = Literal["tasks", "policies", "conventions", "experiments"]
+PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
+"""Kind of name to the part of the catalog that knows the names; names of other kinds are those of files."""
 
 _PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_eval", "roboxim_bringup")
 RATES_FILES = "rates-*.json"
 """This machine's measured rates in the user's cache folder; see `roboxim_bringup.runs.calibration`."""
 
 
-def catalog() -> Catalog:
-    """Return the catalog; renew it when it is stale.
+def catalog(part: Part) -> Catalog:
+    """Return a part of the catalog; renew it when it is stale.
 
     Raises:
         ConfigError: When a configuration folder is missing.
     """
+    fingerprint = _fingerprint(part)
+    kept = _fresh(part, fingerprint)
+    if kept is not None:
+        return kept
+    from roboxim_bringup.catalog_maker import make_catalog
 
-    def make() -> Catalog:
-        from roboxim_bringup.catalog_maker import make_catalog
-
-        return make_catalog()
-
-    return _cached("catalog", _fingerprint(), make)
-
-
-def experiment_catalog() -> Catalog:
-    """Return the catalog of experiments and benchmarks; renew it when it is stale.
-
-    Raises:
-        ConfigError: When a configuration folder is missing.
-    """
-    rates = [f"{path.name} {path.stat().st_mtime_ns}" for path in sorted(_cache_folder().glob(RATES_FILES))]
-
-    def make() -> Catalog:
-        from roboxim_bringup.catalog_maker import make_experiments
-
-        return make_experiments()
-
-    return _cached("experiments", "\n".join([_fingerprint(), *rates]), make)
+    made = make_catalog(part)
+    _write(_file(part), {"fingerprint": fingerprint, "catalog": made})
+    return made
 
 
-def fresh_catalog() -> Catalog | None:
-    """Return the cached catalog if its sources are unchanged, else None."""
-    return _fresh("catalog", _fingerprint())
+def fresh_catalog(part: Part) -> Catalog | None:
+    """Return the cached part if its sources are unchanged, else None."""
+    return _fresh(part, _fingerprint(part))
 
 
 def names_of(kind: str) -> list[str]:
@@ -84,28 +74,20 @@ def names_of(kind: str) -> list[str]:
     """
     if kind == "renderer":
         return []
-    if kind not in ("skill", "policy"):
+    if kind not in PART_OF:
         return config_names(f"{kind}s")
-    kept = _read(_file("catalog"))
-    if kept.get("fingerprint") != _fingerprint():
+    part = PART_OF[kind]
+    kept = _read(_file(part))
+    if kept.get("fingerprint") != _fingerprint(part):
         subprocess.Popen(
-            [sys.executable, "-m", "roboxim_bringup.catalog_maker"],
+            [sys.executable, "-m", "roboxim_bringup.catalog_maker", part],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
     return sorted(kept.get("catalog", {}).get("skills" if kind == "skill" else "policies", {}))
 
 
-def _cached(which: str, fingerprint: str, make: Callable[[], Catalog]) -> Catalog:
-    kept = _fresh(which, fingerprint)
-    if kept is not None:
-        return kept
-    made = make()
-    _write(_file(which), {"fingerprint": fingerprint, "catalog": made})
-    return made
-
-
-def _fresh(which: str, fingerprint: str) -> Catalog | None:
-    kept = _read(_file(which))
+def _fresh(part: Part, fingerprint: str) -> Catalog | None:
+    kept = _read(_file(part))
     return kept["catalog"] if kept.get("fingerprint") == fingerprint else None
 
 
@@ -113,10 +95,10 @@ def _cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roboxim"
 
 
-def _file(which: str) -> Path:
-    """Return the cache file for this installation and these configuration folders."""
+def _file(part: Part) -> Path:
+    """Return a part's cache file for this installation and these configuration folders."""
     place = "\n".join([sys.prefix, *map(str, _folders())])
-    return _cache_folder() / f"{which}-{hashlib.blake2b(place.encode(), digest_size=6).hexdigest()}.json"
+    return _cache_folder() / f"{part}-{hashlib.blake2b(place.encode(), digest_size=6).hexdigest()}.json"
 
 
 def _folders() -> Iterable[Path]:
@@ -126,8 +108,8 @@ def _folders() -> Iterable[Path]:
     yield from config_dirs()
 
 
-def _fingerprint() -> str:
-    """Return a hash of the names, sizes and times of the files that the catalog depends on."""
+def _fingerprint(part: Part) -> str:
+    """Return a hash of the names, sizes and times of the files that a part depends on."""
     digest = hashlib.blake2b(digest_size=16)
     for folder in _folders():
         for path in sorted(folder.rglob("*")):
@@ -138,6 +120,9 @@ def _fingerprint() -> str:
         if "site-packages" in place:
             with contextlib.suppress(OSError):
                 digest.update(f"{place} {os.stat(place).st_mtime_ns}\n".encode())
+    if part == "experiments":
+        for path in sorted(_cache_folder().glob(RATES_FILES)):
+            digest.update(f"{path.name} {path.stat().st_mtime_ns}\n".encode())
     return digest.hexdigest()
 
 
@@ -159,4 +144,4 @@ def _write(path: Path, data: dict[str, Any]) -> None:
         os.replace(name, path)
 
 
-__all__ = ["Catalog", "catalog", "experiment_catalog", "fresh_catalog", "names_of"]
+__all__ = ["PART_OF", "Catalog", "Part", "catalog", "fresh_catalog", "names_of"]

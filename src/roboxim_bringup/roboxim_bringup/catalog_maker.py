@@ -1,4 +1,4 @@
-"""Makes the catalog of `roboxim_bringup.catalog`; imports the rooms. Run as a program, it renews the cache."""
+"""Makes the parts of the catalog of `roboxim_bringup.catalog`; imports the rooms. As a program, it renews one part."""
 
 from __future__ import annotations
 
@@ -6,27 +6,55 @@ import importlib
 import inspect
 import itertools
 import re
-from typing import Any
+import sys
+from typing import Any, cast
 
-from roboxim_bringup.catalog import Catalog, catalog
+from roboxim_bringup.catalog import Catalog, Part, catalog
 from roboxim_core.config import named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.library import ModelLibrary
 
 
-def make_catalog() -> Catalog:
-    """Return skills, tasks, policies and conventions as plain values; see `roboxim_bringup.catalog.Catalog`.
+def make_catalog(part: Part) -> Catalog:
+    """Make a part of the catalog; see `roboxim_bringup.catalog.Catalog`.
 
     Raises:
         ConfigError: When an object's file is wrong.
     """
-    tasks, broken = _tasks()
-    conventions, broken_conventions = _conventions()
-    return {
-        "skills": _skills(), "tasks": tasks, "broken": broken, "policies": _policies(),
-        "conventions": conventions, "broken_conventions": broken_conventions,
-    }  # fmt: skip
+    match part:
+        case "tasks":
+            return make_tasks()
+        case "policies":
+            return {"policies": _policies()}
+        case "conventions":
+            return make_conventions()
+        case "experiments":
+            return make_experiments()
+
+
+def make_tasks() -> Catalog:
+    """Return the skills, the tasks and the errors of invalid task files."""
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_tasks.config import TaskMix, load_task_config
+    from roboxim_tasks.skills import SKILLS
+
+    library = ModelLibrary()
+    models = {name: library.object(name) for name in library.object_ids}
+    skills = {name: {"instruction": SKILLS[name].templates[0], "roles": SKILLS[name].suited(models)} for name in SKILLS}
+    tasks: dict[str, Any] = {}
+    broken: dict[str, str] = {}
+    for name in config_names("tasks"):
+        try:
+            config = load_task_config(name, library)
+        except ConfigError as error:
+            broken[name] = str(error)
+            continue
+        if isinstance(config, TaskMix):
+            about = {"skills": sorted({cell.skill for cell in config.cells}), "episodes": sum(config.counts)}
+        else:
+            about = {"skills": [config.skill], "episodes": None}
+        tasks[name] = {"about": _first_sentence(named_config("tasks", name).read_text()), **about}
+    return {"skills": skills, "tasks": tasks, "broken": broken}
 
 
 def make_experiments() -> Catalog:
@@ -62,34 +90,6 @@ def make_experiments() -> Catalog:
     return made
 
 
-def _skills() -> dict[str, Any]:
-    from roboxim_tasks.skills import SKILLS
-
-    library = ModelLibrary()
-    models = {name: library.object(name) for name in library.object_ids}
-    return {name: {"instruction": SKILLS[name].templates[0], "roles": SKILLS[name].suited(models)} for name in SKILLS}
-
-
-def _tasks() -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the tasks' descriptions, and the errors of invalid task files."""
-    from roboxim_tasks.config import TaskMix, load_task_config
-
-    tasks: dict[str, Any] = {}
-    broken: dict[str, str] = {}
-    for name in config_names("tasks"):
-        try:
-            config = load_task_config(name)
-        except ConfigError as error:
-            broken[name] = str(error)
-            continue
-        if isinstance(config, TaskMix):
-            about = {"skills": sorted({cell.skill for cell in config.cells}), "episodes": sum(config.counts)}
-        else:
-            about = {"skills": [config.skill], "episodes": None}
-        tasks[name] = {"about": _first_sentence(named_config("tasks", name).read_text()), **about}
-    return tasks, broken
-
-
 def _policies() -> dict[str, Any]:
     importlib.import_module("roboxim_policies.builtin")  # registers the built-in policies
     from roboxim_policies import POLICIES
@@ -107,7 +107,7 @@ def _policies() -> dict[str, Any]:
     }
 
 
-def _conventions() -> tuple[dict[str, Any], dict[str, str]]:
+def make_conventions() -> Catalog:
     """Return the conventions in words, and the errors of invalid files."""
     from roboxim_core.conventions import load_convention
     from roboxim_core.conventions.words import described
@@ -125,7 +125,7 @@ def _conventions() -> tuple[dict[str, Any], dict[str, str]]:
             "control": str(convention.action.control), "about": convention.description,
             "described": described(convention),
         }  # fmt: skip
-    return conventions, broken
+    return {"conventions": conventions, "broken": broken}
 
 
 def _first_sentence(text: str) -> str:
@@ -137,4 +137,4 @@ def _first_sentence(text: str) -> str:
 
 
 if __name__ == "__main__":
-    catalog()
+    catalog(cast(Part, sys.argv[1]))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import getpass
+import importlib
 import os
 import shutil
 import sys
 import sysconfig
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -45,12 +47,21 @@ class Finding:
 
 
 def examine() -> Iterator[Finding]:
-    """Check this machine; yield each finding as soon as it is available."""
-    for check in CHECKS:
-        try:
-            yield check()
-        except Exception as error:  # a broken check must not hide the others
-            yield Finding(name=check.__name__.strip("_"), state="warning", detail=f"{type(error).__name__}: {error}")
+    """Check this machine; yield each finding as soon as it is available.
+
+    The renderers are tested in other processes, meanwhile.
+    """
+    with ThreadPoolExecutor(max_workers=len(PROBES)) as pool:
+        probes = [pool.submit(_finding, check) for check in PROBES]
+        yield from map(_finding, CHECKS)
+        yield from (probe.result() for probe in probes)
+
+
+def _finding(check: Callable[[], Finding]) -> Finding:
+    try:
+        return check()
+    except Exception as error:  # a broken check must not hide the others
+        return Finding(name=check.__name__.strip("_"), state="warning", detail=f"{type(error).__name__}: {error}")
 
 
 def _python() -> Finding:
@@ -135,6 +146,7 @@ def _plugins() -> Finding:
     from roboxim_tasks.components import COMPONENTS
     from roboxim_tasks.skills import SKILLS
 
+    importlib.import_module("roboxim_policies.builtin")  # registers the policies of RoboXim
     registries: tuple[Registry[Any], ...] = (SKILLS, COMPONENTS, POLICIES, RENDERERS, RECORDED_PARAMETERS)
     broken = [f"{r.kind} '{name}': {what}" for r in registries for name, what in r.broken.items()]
     counts = ", ".join(f"{len(r)} of kind {r.kind}" for r in registries)
@@ -296,15 +308,16 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _interfaces,
     _libraries,
     _compiler,
-    _plugins,
-    _renderers,
-    _photo,
     _environment("verify-rlds", "verify-rlds DATASET=...", "reading an exported dataset with TensorFlow Datasets"),
     _shared_memory,
-    _graph,
     _network,
     _cores,
     _memory,
     _disk,
     _runs,
+    _plugins,
+    _graph,
 )
+"""Quick ones first."""
+PROBES: tuple[Callable[[], Finding], ...] = (_renderers, _photo)
+"""Checks that wait for other processes."""

@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from roboxim_bringup.catalog import fresh_catalog, names_of
+from roboxim_bringup.catalog import PART_OF, fresh_catalog, names_of
 from roboxim_core.config_folders import is_path
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 
@@ -62,9 +62,9 @@ class Named(click.ParamType[str]):
         """Return all valid names, or none when they are not certain."""
         if self.kind == "renderer":  # plug-ins may add renderers, which the catalog does not hold
             return []
-        if self.kind not in ("skill", "policy"):
+        if self.kind not in PART_OF:
             return names_of(self.kind)
-        kept = (fresh_catalog() or {}).get("skills" if self.kind == "skill" else "policies", {})
+        kept = (fresh_catalog(PART_OF[self.kind]) or {}).get("skills" if self.kind == "skill" else "policies", {})
         return sorted({*kept, *self._names}) if kept else []
 
 

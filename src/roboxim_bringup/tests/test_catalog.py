@@ -21,11 +21,12 @@ HEAVY = ("rclpy", "numpy", "scipy", "pinocchio", "trimesh", "jax", "cattrs", "ru
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """Return a cache folder with a fresh catalog."""
+    """Return a cache folder with a fresh catalog, without experiments."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
-        catalog.catalog()
+        for part in ("tasks", "policies", "conventions"):
+            catalog.catalog(part)
         yield folder
 
 
@@ -74,24 +75,24 @@ def test_an_unknown_name_is_refused_at_the_door(cache, words, message):
 
 
 def test_tasks_are_listed_from_the_kept_catalog_until_something_changes(cache, tmp_path, monkeypatch):
-    assert catalog.fresh_catalog() is not None
+    assert catalog.fresh_catalog("tasks") is not None
     own = tmp_path / "tasks"
     own.mkdir()
     monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
-    assert catalog.fresh_catalog() is None, "another configuration path has a catalog of its own"
+    assert catalog.fresh_catalog("tasks") is None, "another configuration path has a catalog of its own"
     (own / "mine.yaml").write_text("# Lift a cube.\nskill: pick_up\n")
     listed = json.loads(CliRunner().invoke(group, ["tasks", "list", "--json"]).stdout)
     assert listed["tasks"]["mine"] == {"about": "Lift a cube.", "skills": ["pick_up"], "episodes": None}
-    assert catalog.fresh_catalog() is not None
+    assert catalog.fresh_catalog("tasks") is not None
     (own / "mine.yaml").write_text("# Lift an apple.\nskill: pick_up\n")
-    assert catalog.fresh_catalog() is None
+    assert catalog.fresh_catalog("tasks") is None
     listed = json.loads(CliRunner().invoke(group, ["tasks", "list", "--json"]).stdout)
     assert listed["tasks"]["mine"]["about"] == "Lift an apple."
 
 
 def test_lists_are_read_from_the_kept_catalog_without_a_heavy_import(cache, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    catalog.experiment_catalog()
+    catalog.catalog("experiments")
     code = f"""
 import sys
 from roboxim_bringup.cli import group
@@ -113,22 +114,22 @@ assert not heavy, heavy
 
 def test_experiments_are_listed_anew_when_rates_were_measured(cache, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    made = catalog.experiment_catalog()
+    made = catalog.catalog("experiments")
     assert made["experiments"]["skill_object"]["scales"]["smoke"] == ""
-    monkeypatch.setattr("roboxim_bringup.catalog_maker.make_experiments", lambda: {"measured": True})
-    assert catalog.experiment_catalog() == made, "nothing has changed"
+    monkeypatch.setattr("roboxim_bringup.catalog_maker.make_catalog", lambda part: {"measured": True})
+    assert catalog.catalog("experiments") == made, "nothing has changed"
     rates = cache / "roboxim" / "rates-128x128.json"
     rates.write_text("{}")
-    assert catalog.experiment_catalog() == {"measured": True}
+    assert catalog.catalog("experiments") == {"measured": True}
     rates.unlink()
 
 
 def test_a_damaged_cache_is_made_again(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "roboxim").mkdir()
-    catalog._file("catalog").write_text("{")
-    assert "pick_up" in catalog.catalog()["skills"]
-    assert catalog.fresh_catalog() is not None
+    catalog._file("tasks").write_text("{")
+    assert "pick_up" in catalog.catalog("tasks")["skills"]
+    assert catalog.fresh_catalog("tasks") is not None
 
 
 @pytest.mark.parametrize("kind", ["skill", "task", "object", "camera", "policy", "convention"])

@@ -317,7 +317,8 @@ def test_doctor_reports_every_check(runtime):
 def test_doctor_reports_an_absent_optional_part(monkeypatch):
     absent = RendererStatus(available=False, detail="Blender is not installed")
     monkeypatch.setattr("roboxim_sim.rendering.available_renderers", lambda names=None: {"photo": absent})
-    monkeypatch.setattr(doctor, "CHECKS", (doctor._photo,))
+    monkeypatch.setattr(doctor, "CHECKS", ())
+    monkeypatch.setattr(doctor, "PROBES", (doctor._photo,))
     result = CliRunner().invoke(group, ["doctor"], standalone_mode=False)
     assert "optional  renderer photo   Blender is not installed" in result.stdout
     assert "for: rendering recorded episodes again" in result.stdout

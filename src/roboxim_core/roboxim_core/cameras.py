@@ -112,14 +112,14 @@ def load_camera(name: str) -> CameraSpec:
     """
     path = named_config("cameras", name)
     try:
-        return _load(path, path.stat().st_mtime_ns).spec(path.stem)
+        return _load(path, path.stat().st_mtime_ns)
     except InvalidRequestError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, _mtime_ns: int) -> CameraConfig:
-    return load_config(path, CameraConfig)
+def _load(path: Path, _mtime_ns: int) -> CameraSpec:
+    return load_config(path, CameraConfig).spec(path.stem)
 
 
 def with_noise_seed(camera: CameraSpec, seed: SeedPath) -> CameraSpec:

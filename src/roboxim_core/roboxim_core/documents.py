@@ -60,8 +60,10 @@ def parse_yaml(text: str, *, source: str = "YAML") -> Any:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = f" line {mark.line + 1}" if mark else ""
-        raise ConfigError(f"{source}{line}: not valid YAML: {limits.printable(str(error.problem))}") from None
+        last = max(1, len(text.splitlines()))  # a list that is never closed ends on the line after it
+        line = f" line {min(mark.line + 1, last)}" if mark else ""
+        problem = ": ".join(part for part in (error.context, error.problem) if part)
+        raise ConfigError(f"{source}{line}: not valid YAML: {limits.printable(problem)}") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{source}: not valid YAML: {limits.printable(str(error))}") from None
     except (ValueError, TypeError, OverflowError) as error:  # e.g. an impossible date, an integer of 5,000 digits

@@ -106,7 +106,7 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
     Raises:
         ConfigError: On the first invalid model or modifier.
     """
-    roles = SKILLS[config.skill].roles
+    roles, known = SKILLS[config.skill].roles, library.object_ids
     places: list[tuple[Path, ObjectConfig | DistractorConfig, Role]] = [
         (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
     ]
@@ -114,10 +114,10 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
         with document.section(path):
             objects.models.require_words("models", "ids of object models")
         for model in objects.always if isinstance(objects, DistractorConfig) else ():
-            document.require((*path, "always"), model, library.object_ids)
+            document.require((*path, "always"), model, known)
         models = [str(model) for model in objects.models.values]
         for model in models:
-            document.require((*path, "models"), model, library.object_ids)
+            document.require((*path, "models"), model, known)
             if path[0] == "objects":
                 _check_role(document, (*path, "models"), model, str(path[1]), role, library)
         for name, choice in objects.modifiers.items():

@@ -237,14 +237,14 @@ def _turn(counts: tuple[int, ...], place: int) -> tuple[int, int]:
     return cell, number
 
 
-def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
-    """Build a mix from plain data.
+def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | None = None) -> TaskMix:
+    """Build a mix from plain data; arguments as of `task_config`.
 
     Raises:
         ConfigError: When keys are wrong; lists each with its path, line and the allowed values. Lines are those of the
             mix, unless the message names a task's file.
     """
-    document = Document(source, data)
+    document, library = Document(source, data), library or ModelLibrary()
     mix: MixConfig = document.build(data, MixConfig, ())
     for number, cell in enumerate(mix.cells):
         _check_cell(document, number, cell)
@@ -268,7 +268,7 @@ def task_mix(data: Any, *, source: str = "task mix") -> TaskMix:
             plain = tasks[task]
             for change in (_section(data, "set"), _section(given, "set"), _models(given, names)):
                 plain = merged(plain, change)
-            cells.append(task_config(plain, source=f"{source}: cells.{number}, task '{task}'"))
+            cells.append(task_config(plain, source=f"{source}: cells.{number}, task '{task}'", library=library))
             counts.append(cell.episodes)
             keys.append(cell.name(task, names))
             names_of_tasks.append(PurePath(task).stem)
@@ -319,23 +319,24 @@ def _models(cell: Any, names: Mapping[str, str]) -> Any:
     )
 
 
-def any_task_config(data: Any, *, source: str) -> TaskConfig | TaskMix:
+def any_task_config(data: Any, *, source: str, library: ModelLibrary | None = None) -> TaskConfig | TaskMix:
     """Build a task configuration, or a mix if the data has ``cells``; see `task_config` and `task_mix`."""
-    return (
-        task_mix(data, source=source)
-        if isinstance(data, Mapping) and "cells" in data
-        else task_config(data, source=source)
-    )
+    build = task_mix if isinstance(data, Mapping) and "cells" in data else task_config
+    return build(data, source=source, library=library)
 
 
-def load_task_config(name: str = DEFAULT_TASK) -> TaskConfig | TaskMix:
+def load_task_config(name: str = DEFAULT_TASK, library: ModelLibrary | None = None) -> TaskConfig | TaskMix:
     """Load ``config/tasks/<name>.yaml``, or a path to a YAML file.
+
+    Args:
+        name: Name of a task, or a path.
+        library: As for `task_config`.
 
     Raises:
         ConfigError: When the file is missing or invalid.
     """
     path = named_config("tasks", name)
-    return any_task_config(load_yaml(path), source=str(path))
+    return any_task_config(load_yaml(path), source=str(path), library=library)
 
 
 def parse_task_config(text: str) -> TaskConfig | TaskMix:

@@ -25,10 +25,10 @@ def list_experiments() -> None:
 
     A file that is invalid is reported as an error at the end, after the others.
     """
-    from roboxim_bringup.catalog import experiment_catalog
+    from roboxim_bringup.catalog import catalog
     from roboxim_core.errors import ConfigError
 
-    known = experiment_catalog()
+    known = catalog("experiments")
     click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
     for name, entry in known["experiments"].items():
         scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())

@@ -170,7 +170,7 @@ def list_policies() -> None:
     """List the registered policies and their options."""
     from roboxim_bringup.catalog import catalog
 
-    for name, policy in catalog()["policies"].items():
+    for name, policy in catalog("policies")["policies"].items():
         click.echo(f"{name}  {policy['about']}")
         for option, default in policy["options"].items():
             click.echo(f"    {option}: {default}")
@@ -185,12 +185,12 @@ def list_conventions() -> None:
     from roboxim_bringup.catalog import catalog
     from roboxim_core.errors import ConfigError
 
-    known = catalog()
+    known = catalog("conventions")
     width = max(map(len, known["conventions"]), default=0)
     for name, entry in known["conventions"].items():
         click.echo(f"{name:<{width}}  {entry['rate']:>8}  {entry['control']:<20}  {entry['about']}")
-    if known["broken_conventions"]:
-        raise ConfigError("\n".join(known["broken_conventions"].values()))
+    if known["broken"]:
+        raise ConfigError("\n".join(known["broken"].values()))
 
 
 @command.command("describe")
@@ -206,7 +206,7 @@ def describe(convention: str) -> None:
     """
     from roboxim_bringup.catalog import catalog
 
-    known = catalog()["conventions"]
+    known = catalog("conventions")["conventions"]
     if convention in known:
         click.echo(known[convention]["described"])
         return

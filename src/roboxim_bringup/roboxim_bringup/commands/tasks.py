@@ -25,7 +25,7 @@ def list_tasks(as_json: bool) -> None:
     from roboxim_bringup.catalog import catalog
     from roboxim_core.errors import ConfigError
 
-    known = catalog()
+    known = catalog("tasks")
     skills, tasks, broken = known["skills"], known["tasks"], known["broken"]
     if as_json:
         click.echo(json.dumps({"skills": skills, "tasks": tasks, "broken": broken}, indent=2))

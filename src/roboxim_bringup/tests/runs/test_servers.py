@@ -65,7 +65,7 @@ def test_remote_policy_with_other_words_is_recognised_as_well(tmp_path):
     ("name", "words"), [("lerobot", "pickles.*LeRobot model server"), ("groot-n1", "pickles.*update Isaac-GR00T")]
 )
 def test_server_that_exchanges_pickles_is_refused_with_the_way_round(name, words, monkeypatch):
-    monkeypatch.setattr("roboxim_bringup.named.fresh_catalog", lambda: {"policies": {"openpi": {}, "groot": {}}})
+    monkeypatch.setattr("roboxim_bringup.named.fresh_catalog", lambda part: {"policies": {"openpi": {}, "groot": {}}})
     with pytest.raises(ConfigError, match=words):
         choose_policies([Named("policy").convert(name, None, None)])
     with pytest.raises(ConfigError, match="unknown policy 'lerobto'"):
