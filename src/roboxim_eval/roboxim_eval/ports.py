@@ -52,7 +52,9 @@ from roboxim_core.verdicts import Verdict
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
+from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.policy_service import PolicyClient
+from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
@@ -237,6 +239,8 @@ class RecorderClient:
         self._open = ""
         self._sent: tuple[str, int] | None = None
         """Episode and tick of the step that the recorder has not been heard to acknowledge."""
+        self._call: LocalCall | None = None
+        """The same step's call, if the recorder is in this process."""
         clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.EVENTS)
         self._publisher: Publisher = clients.node.create_publisher(EpisodeStepMsg, "evaluator/step", qos.EVENTS)
 
@@ -247,9 +251,15 @@ class RecorderClient:
         self._open = info.episode_id
 
     def step(self, step: EpisodeStep) -> None:
-        """Publish a tick's step; `wait_written` waits for the recorder's acknowledgement."""
+        """Send a tick's step; `wait_written` waits for the recorder's acknowledgement.
+
+        A recorder of this process gets it by a call. It is then published only if others than the recorder listen.
+        """
         self._sent = step.episode_id, step.seq
-        self._publisher.publish(to_msg(step, EpisodeStepMsg))
+        message = to_msg(step, EpisodeStepMsg)
+        self._call = self._clients.send_local(RecordStep, RECORD_STEP, message)
+        if self._call is None or self._publisher.get_subscription_count() > 1:
+            self._publisher.publish(message)
 
     def wait_written(self) -> None:
         """Wait until the bag has the whole tick of the last step.
@@ -260,6 +270,10 @@ class RecorderClient:
         if self._sent is None:
             return
         (episode_id, seq), self._sent = self._sent, None
+        if self._call is not None:
+            answer = self._clients.answer_of(self._call, RECORD_STEP, MESSAGE_TIMEOUT_S)
+            raise_for_code(answer.error_code, answer.error_msg)
+            return
         with self._acknowledged:
             done = self._acknowledged.wait_for(
                 lambda: (self._last.episode_id, self._last.seq) == (episode_id, seq), timeout=MESSAGE_TIMEOUT_S

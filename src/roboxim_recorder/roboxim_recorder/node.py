@@ -4,6 +4,9 @@ Publishers of a tick and these subscriptions are transient local, so a tick that
 matched still arrives. Messages that were published before the episode was opened are recognised by their source
 timestamps and ignored. Subscriptions are created once and kept, because matching takes time. A tick's messages are
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
+
+An evaluator of the same process hands the step over by a call (`roboxim_ros.recording_calls`), whose answer replaces
+the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
+from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
 from roboxim_interfaces.msg import RecordedTick
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
@@ -33,10 +37,17 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros import qos
+from roboxim_ros import local_calls, qos
 from roboxim_ros.conversions import from_msg
+from roboxim_ros.guard import guarded_service
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
+from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
+
+TICK_S = 30.0
+"""Longest wait for the rest of a tick whose step has been handed over [s]."""
+RETRY_S = 0.0005
+"""Time between two looks for it [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +71,8 @@ class RecorderNode(RoboximNode):
         self._recording: EpisodeRecording | None = None
         self._failed = ""
         self._opened_ns = 0
+        self._called = False  # the open episode's steps come by calls
+        self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
         self._info_out = self.create_publisher(EpisodeInfoMsg, "episode/info", qos.LATCHED)
@@ -68,6 +81,8 @@ class RecorderNode(RoboximNode):
             self._subscribe_tick(topic, kind)
         self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
         self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
+        handler = guarded_service(self.get_logger(), RECORD_STEP, self._on_step_call, RecordedTick)
+        local_calls.offer(self, RecordStep, self.resolve_service_name(RECORD_STEP), handler, lockstep=True)
 
     def destroy_node(self) -> None:
         """Destroy the node; an open bag is removed."""
@@ -87,6 +102,7 @@ class RecorderNode(RoboximNode):
         )
         self._opened_ns = time.time_ns()
         self._failed = ""
+        self._called = False
         for topic, kind in recording.expected.items():
             self._subscribe_tick(topic, kind)
         for name, kind in extra.items():
@@ -101,12 +117,7 @@ class RecorderNode(RoboximNode):
         if recording is None or recording.info.episode_id != episode_id:
             if request.keep == "drop" and episode_id == self._failed:
                 return
-            raise RecorderError(
-                f"no bag of '{episode_id}' is open"
-                + (f", but one of '{recording.info.episode_id}'" if recording else "")
-                + "; call recorder/open_episode first",
-                ErrorCode.EPISODE_NOT_OPEN,
-            )
+            raise self._not_open(episode_id)
         if request.keep == "drop":
             self._abort("it is dropped on request")
             return
@@ -114,6 +125,14 @@ class RecorderNode(RoboximNode):
         result = from_msg(request.result, EpisodeResult)
         self._recording = None
         response.bag = recording.close(result, serialize_message(request.result), request.keep)
+
+    def _not_open(self, episode_id: str) -> RecorderError:
+        return RecorderError(
+            f"no bag of '{episode_id}' is open"
+            + (f", but one of '{self._recording.info.episode_id}'" if self._recording else "")
+            + "; call recorder/open_episode first",
+            ErrorCode.EPISODE_NOT_OPEN,
+        )
 
     def _abort(self, why: str) -> None:
         if self._recording is not None:
@@ -142,6 +161,8 @@ class RecorderNode(RoboximNode):
 
     def _callback(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then tells the source's time
+            if topic == topics.STEP and self._called:
+                return
             self._on_message(topic, cdr, info["source_timestamp"])
             if topic == topics.STEP:
                 self._of_ticks.take()
@@ -155,19 +176,47 @@ class RecorderNode(RoboximNode):
         if recording is None or source_ns < self._opened_ns or not recording.wants(topic):
             return
         try:
-            for seq in recording.message(topic, cdr):
-                self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
-            recording.flush()  # while the simulator goes on
+            whole = recording.message(topic, cdr)
+            if not self._called:
+                for seq in whole:
+                    self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
+                recording.flush()  # while the simulator goes on
         except RoboximError as error:
-            answer = RecordedTick(
-                episode_id=recording.info.episode_id,
-                seq=recording.next_seq,
-                error_code=int(error.code),
-                error_msg=str(error),
-            )
             self._failed = recording.info.episode_id
             self._abort(str(error))
-            self._recorded_out.publish(answer)
+            if self._called:
+                self._fault = error
+            else:
+                self._recorded_out.publish(_refusal(recording, error))
+
+    def _on_step_call(self, request: EpisodeStepMsg, response: RecordedTick) -> None:
+        """Record the tick that a step ends; the answer does not wait for the compression."""
+        response.episode_id, response.seq = request.episode_id, request.seq
+        recording = self._recording
+        if recording is None or recording.info.episode_id != request.episode_id:
+            raise self._not_open(request.episode_id)
+        self._called, self._fault = True, None
+        self._of_ticks.take()
+        if recording.next_seq <= request.seq:  # the message may have been faster than the first call
+            self._on_message(topics.STEP, serialize_message(request), self._opened_ns)
+        deadline = time.monotonic() + TICK_S
+        while self._fault is None and recording.next_seq <= request.seq:
+            if time.monotonic() > deadline:
+                raise RecorderError(
+                    f"tick {request.seq} of '{request.episode_id}' lacks {', '.join(recording.missing(request.seq))} "
+                    f"after {TICK_S:g} s; is the sim's publisher alive?",
+                    ErrorCode.EPISODE_GAP,
+                )
+            time.sleep(RETRY_S)
+            self._of_ticks.take()
+        if self._fault is not None:
+            raise self._fault
+        self.executor.post(_Flush(self, recording))
+
+    def flush(self, recording: EpisodeRecording) -> None:
+        """Compress a recording's last ticks, unless it is closed."""
+        if self._recording is recording:
+            recording.flush()
 
     # ---------------------------------------------------------------- extra topics
 
@@ -194,6 +243,29 @@ class RecorderNode(RoboximNode):
             ),
             durability=DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL,
         )
+
+
+class _Flush:
+    """What the recorder's executor does after it has answered a call."""
+
+    def __init__(self, node: RecorderNode, recording: EpisodeRecording) -> None:
+        self._node, self._recording = node, recording
+
+    def __call__(self) -> None:
+        self._node.flush(self._recording)
+
+    def abandon(self) -> None:
+        """Do nothing: the node's end removes the bag."""
+
+
+def _refusal(recording: EpisodeRecording, error: RoboximError) -> RecordedTick:
+    """Return the acknowledgement of a tick that cannot be recorded."""
+    return RecordedTick(
+        episode_id=recording.info.episode_id,
+        seq=recording.next_seq,
+        error_code=int(error.code),
+        error_msg=str(error),
+    )
 
 
 def _message_class(kind: str) -> Any:

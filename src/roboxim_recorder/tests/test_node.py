@@ -19,6 +19,7 @@ from roboxim_recorder.node import RecorderNode
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import to_msg
+from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros
@@ -144,6 +145,45 @@ def test_a_disk_that_fills_up_between_ticks_is_answered(graph, tmp_path, fake, m
     assert (answer.seq, answer.error_code) == (1, ErrorCode.DISK)
     assert "No space left" in answer.error_msg
     eventually(lambda: not list(tmp_path.rglob("*.mcap")))
+
+
+def test_a_tick_whose_step_is_handed_over_is_recorded(graph, tmp_path, fake):
+    """The rest of the tick may arrive later, and a step that others listen to arrives twice."""
+    episode = fake()
+    graph.open(episode, tmp_path)
+    for seq in range(episode.last_seq + 1):
+        tick = episode.tick(seq)
+        call = graph.clients.send_local(RecordStep, RECORD_STEP, tick["/evaluator/step"])
+        for topic, message in tick.items():
+            graph.publish(topic, message)
+        answer = graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S)
+        assert (answer.episode_id, answer.seq, answer.error_code) == (episode.info.episode_id, seq, 0)
+    bag = graph.close(episode)
+    report = check_bag(tmp_path / bag)
+    assert report.ok, report.problems
+    assert len(BagReader(tmp_path / bag)) == episode.last_seq + 1
+
+
+def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def hand_over(seq):
+        graph.tick(episode, seq, without=("/evaluator/step",))
+        call = graph.clients.send_local(RecordStep, RECORD_STEP, episode.tick(seq)["/evaluator/step"])
+        answer = graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S)
+        return answer.error_code, answer.error_msg
+
+    episode = fake()
+    assert hand_over(0)[0] == ErrorCode.EPISODE_NOT_OPEN
+    graph.open(episode, tmp_path)
+    monkeypatch.setattr(McapFile, "flush", full)
+    assert hand_over(0) == (ErrorCode.OK, "")
+    code, message = hand_over(1)
+    assert code == ErrorCode.DISK
+    assert "No space left" in message
+    assert graph.close(episode, keep="drop") == ""
+    assert not list(tmp_path.rglob("*.mcap"))
 
 
 def test_bad_requests_are_refused(graph, tmp_path, fake):

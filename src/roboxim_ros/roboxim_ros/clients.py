@@ -131,7 +131,7 @@ class Clients:
         """
         local = local_calls.find(self.node.context, srv_type, self._full_name(name))
         if local is not None and (call := local.send(request)) is not None:
-            response = self._local_answer(call, name, timeout_s)
+            response = self.answer_of(call, name, timeout_s)
         else:
             response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, local)
         if check:
@@ -152,8 +152,32 @@ class Clients:
             self._full_names[name] = self.node.resolve_service_name(name)
         return self._full_names[name]
 
-    def _local_answer(self, call: LocalCall, name: str, timeout_s: float) -> Any:
-        """Return the answer of a server of this process."""
+    def send_local(self, srv_type: Any, name: str, request: Any) -> LocalCall | None:
+        """Hand a request to a server of this process; `answer_of` waits for the answer.
+
+        Args:
+            srv_type: Service class.
+            name: Service name, relative to the namespace.
+            request: The request.
+
+        Returns:
+            The call; None when this process has no such server.
+        """
+        local = local_calls.find(self.node.context, srv_type, self._full_name(name))
+        return None if local is None else local.send(request)
+
+    def answer_of(self, call: LocalCall, name: str, timeout_s: float) -> Any:
+        """Wait for the answer of a server of this process, and return it.
+
+        Args:
+            call: From `send_local`.
+            name: Service name, for errors.
+            timeout_s: Longest wait [s].
+
+        Raises:
+            UnavailableError: When the server ends, or these clients are closed.
+            RequestTimeoutError: When the answer does not come in time.
+        """
         deadline = time.monotonic() + timeout_s
         while not call.wait(min(1.0, deadline - time.monotonic())):
             if self._closed:
