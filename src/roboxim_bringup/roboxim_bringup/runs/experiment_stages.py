@@ -128,11 +128,13 @@ class Stages:
     # -------------------------------------------------------------- data
 
     def _generate(self, stage: Stage) -> None:
+        noise = stage.inputs["noise"]
         result = generate(
             GenerationConfig(
                 task=self._mix(stage), out=self._folder(stage.name), episodes=stage.inputs["episodes"],
                 seed=stage.inputs["seed"], size=self._size, first_try=True, workers=self.workers,
                 renderer=self.renderer, shard=self.shard,
+                noise_mm=noise["translation_mm"], noise_mrad=noise["rotation_mrad"],
             ),
             executor=self._episodes(self._folder(stage.name)), **self._options,
         )  # fmt: skip

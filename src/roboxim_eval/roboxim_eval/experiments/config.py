@@ -56,6 +56,26 @@ class DatasetConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoiseConfig:
+    """Noise in the free motions of demonstrations: they show the policy how to come back to the path."""
+
+    translation_mm: float = 6.0
+    """Standard deviation per axis and tick [mm]."""
+    rotation_mrad: float = 20.0
+    """Standard deviation per axis and tick [mrad]."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: When one is out of range.
+        """
+        for name, most in (("translation_mm", 50.0), ("rotation_mrad", 200.0)):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ConfigError(f"{name} must be from 0 to {most:g}, got {getattr(self, name):g}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ConditionConfig:
     """A condition: policies that are trained, or evaluated, in one way."""
 
@@ -279,6 +299,8 @@ class ExperimentConfig:
     """Comparisons."""
     decide: DecideConfig = DecideConfig()
     """Limits of the verdicts."""
+    noise: NoiseConfig = NoiseConfig()
+    """Noise in the free motions of demonstrations."""
     image_size: str = "256x256"
     """Width and height of the recorded images [px]."""
     scales: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from roboxim_core.config import digest
@@ -254,6 +254,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
         add(
             "generate", f"{replicate}", (), mix=mix_of(config, design.demonstrations),
             episodes=sum(design.demonstrations.values()), seed=DEMONSTRATION_SEED + replicate, size=config.image_size,
+            noise=asdict(config.noise),
         )  # fmt: skip
         exports = []
         for name, counts in design.datasets.items():
