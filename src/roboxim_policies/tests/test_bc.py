@@ -15,7 +15,7 @@ from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
-from roboxim_policies.bc.features import GraspMemory, HeldRange, proprio_features, state_features, word_indices
+from roboxim_policies.bc.features import GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.bc.network import TargetHead
 from roboxim_policies.bc.policy import BCPolicy
 from roboxim_policies.bc.samples import Samples, augmentation
@@ -221,10 +221,17 @@ def assembled(*episodes: tuple[np.ndarray, np.ndarray]) -> Demonstrations:
     )
 
 
+def lived(proprio: np.ndarray, actions: np.ndarray, empty: float = 0.1) -> np.ndarray:
+    """Return what a policy that acts on every tick remembers, shape (T, 10)."""
+    memory, seen = GraspMemory(empty), []
+    for row, action in zip(proprio, actions, strict=True):
+        seen.append(memory.observe(row))
+        memory.commanded(action[6] == 0)
+    return np.stack(seen)
+
+
 def test_memory_tells_how_far_a_held_object_was_turned_and_that_it_was_put_down():
-    proprio, _ = held_episode()
-    memory = GraspMemory(HeldRange(lowest=0.1, highest=0.9))
-    seen = np.stack([memory.observe(row) for row in proprio])
+    seen = lived(*held_episode())
     assert not seen[:6].any()  # nothing was grasped yet
     assert seen[6:, 0].all()
     turned = np.rad2deg(np.arctan2(seen[:, 6], seen[:, 7]))
@@ -234,28 +241,36 @@ def test_memory_tells_how_far_a_held_object_was_turned_and_that_it_was_put_down(
     assert seen[18, 3] == pytest.approx(0.1)  # risen since the grasp
     assert seen[18, 8] == 0
     assert seen[19:, 8] == pytest.approx(0.1)  # opened: it was put down
+    assert not seen[6:19, 9].any()
+    assert seen[19:, 9].all()
 
 
 def test_memory_forgets_a_gripper_that_closed_on_nothing():
-    proprio, _ = held_episode()
-    empty = proprio.copy()
-    empty[8:19, 9] = 0.01
-    memory = GraspMemory(HeldRange(lowest=0.1, highest=0.9))
-    seen = np.stack([memory.observe(row) for row in empty])
+    proprio, actions = held_episode()
+    proprio[8:19, 9] = 0.01
+    seen = lived(proprio, actions)
     assert seen[7].any()
     assert not seen[8:19].any()
+
+
+def test_a_gripper_that_opens_less_holds_nothing():
+    proprio, actions = held_episode()
+    proprio[:6, 9], actions[:5, 6] = 0.45, 0.45  # less than the object is wide
+    assert not lived(proprio, actions)[:6].any()
+    grasps = assembled((proprio, actions)).grasps
+    assert grasps[:6].max() < 0 <= grasps[6]
 
 
 def test_training_and_policy_compute_the_same_memory():
     episodes = [held_episode(), held_episode(1.0), held_episode(0.7)]
     data = assembled(*episodes)
-    assert (data.held.lowest, data.held.highest) == pytest.approx((0.25, 0.75))
-    features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening)
-    lived = []
-    for proprio, _ in episodes:
-        memory = GraspMemory(data.held)
-        lived += [np.concatenate([proprio_features(row), memory.observe(row)]) for row in proprio]
-    assert features == pytest.approx(np.stack(lived), abs=1e-5)
+    assert data.empty == pytest.approx(0.25)
+    features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released)
+    remembered = [
+        np.concatenate([proprio_features(proprio), lived(proprio, actions, data.empty)], axis=1)
+        for proprio, actions in episodes
+    ]
+    assert features == pytest.approx(np.concatenate(remembered), abs=1e-5)
 
 
 def test_gripper_opens_as_far_as_in_the_demonstrations(tmp_path):
@@ -293,7 +308,7 @@ def test_noise_never_makes_a_held_object_look_lost():
     inputs, _ = drawn(data, config, np.flatnonzero(data.grasps >= 0))
     stats = statistics(data)
     openings = np.asarray(inputs.state)[:, 3] * stats.state_scale[3] + stats.state_mean[3]
-    assert openings.min() >= data.held.lowest - 1e-5
+    assert openings.min() >= data.empty - 1e-5
     assert openings.std() > 0.1
 
 

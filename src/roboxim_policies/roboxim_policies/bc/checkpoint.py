@@ -25,7 +25,6 @@ from roboxim_core.proprioception import STATE_NAMES
 from roboxim_policies.bc.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, read_description
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
-from roboxim_policies.bc.features import HeldRange
 
 Floats = npt.NDArray[np.float32]
 
@@ -64,8 +63,8 @@ class Checkpoint:
     """Configuration."""
     stats: Statistics
     """Normalisation."""
-    held: HeldRange
-    """Openings of the gripper at which it holds something."""
+    empty: float
+    """Opening of the gripper below which it is closed and empty."""
     vocabulary: tuple[str, ...]
     """Words."""
     word_count: int
@@ -133,7 +132,7 @@ def save_checkpoint(
         "step": step,
         "config": to_plain(config),
         "stats": {name: value.tolist() for name, value in asdict(stats).items()},
-        "held": asdict(data.held),
+        "empty_below": data.empty,
         "vocabulary": list(data.vocabulary),
         "word_count": int(data.words.shape[1]),
         "camera_sizes": {name: list(size) for name, size in data.camera_sizes.items()},
@@ -175,7 +174,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         step=said["step"],
         config=from_plain(said["config"], BCConfig, source=str(file)),
         stats=Statistics(**{name: np.array(value, np.float32) for name, value in said["stats"].items()}),
-        held=HeldRange(**said["held"]),
+        empty=float(said["empty_below"]),
         vocabulary=tuple(said["vocabulary"]),
         word_count=said["word_count"],
         camera_sizes={name: (int(w), int(h)) for name, (w, h) in said["camera_sizes"].items()},

@@ -12,9 +12,9 @@ from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
 
-FORMAT = 3
+FORMAT = 4
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
-network with a memory of the grasp."""
+network with a memory of the grasp; 4: a grasp begins with the command to close."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 

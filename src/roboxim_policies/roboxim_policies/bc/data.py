@@ -23,9 +23,10 @@ from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.features import (
     NONE,
+    Flags,
     Floats,
-    HeldRange,
     Ints,
+    empty_below,
     grasp_starts,
     proprio_features,
     split_words,
@@ -74,8 +75,10 @@ class Demonstrations:
     """For each step, the index of the first step of its latest grasp; `features.NONE`: none yet."""
     least_opening: Floats
     """For each step, the smallest opening of the gripper since that grasp began, shape (N,)."""
-    held: HeldRange
-    """Openings at which the gripper holds something."""
+    released: Flags
+    """For each step, whether the action before it opens the gripper or keeps it open, shape (N,)."""
+    empty: float
+    """Opening of the gripper below which it is closed and empty."""
     words: Ints
     """For each step, the indices of its instruction's words, padded with 0, shape (N, longest)."""
     targets: Floats
@@ -116,8 +119,8 @@ def assemble(
         camera_sizes: Camera name to (width, height) before resizing [px].
         semantics: Meaning of the actions.
         robot: Id of the robot model; empty: unknown.
-        like: Demonstrations that give the vocabulary and the range of held openings, to validate a network that was
-            trained on them. None: both are measured.
+        like: Demonstrations that give the vocabulary and the opening of an empty gripper, to validate a network that
+            was trained on them. None: both are measured.
 
     Raises:
         ConfigError: When there are no episodes.
@@ -135,8 +138,8 @@ def assemble(
     actions = np.concatenate([episode.actions for episode in kept])
     firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
     starts = np.isin(np.arange(len(actions)), firsts)
-    held = like.held if like is not None else HeldRange.of(proprio[:, 9], actions[:, 6] < CLOSED_BELOW, starts)
-    grasps = [grasp_starts(episode.proprio[:, 9], held) for episode in kept]
+    empty = like.empty if like is not None else empty_below(proprio[:, 9], actions[:, 6] < CLOSED_BELOW, starts)
+    grasps = [grasp_starts(e.proprio[:, 9], e.actions[:, 6] < CLOSED_BELOW, empty) for e in kept]
     return Demonstrations(
         images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
         proprio=proprio_features(proprio),
@@ -145,7 +148,8 @@ def assemble(
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
         least_opening=np.concatenate([_least(e.proprio[:, 9], g) for e, g in zip(kept, grasps, strict=True)]),
-        held=held,
+        released=~np.concatenate([[False], actions[:-1, 6] < CLOSED_BELOW]) | starts,
+        empty=empty,
         words=np.repeat(np.stack(words), lengths, axis=0),
         targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),
         vocabulary=vocabulary,

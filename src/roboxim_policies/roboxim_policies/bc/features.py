@@ -1,13 +1,12 @@
 """Inputs of the network that are no images: words, proprioception, and the memory of the grasp.
 
 A single observation does not say how far a held object was turned, how high it was lifted, or that it was put down
-already. `GraspMemory` therefore keeps the robot's own measurements at the last closing of the gripper. Training
-computes the same features for every step of a demonstration (`grasp_starts`).
+already. `GraspMemory` therefore keeps the robot's own measurements at the policy's last command to close the gripper.
+Training computes the same features for every step of a demonstration (`grasp_starts`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,11 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
 
 PROPRIO_SIZE = 8
 """Number of proprioception features, see `proprio_features`."""
-MEMORY_SIZE = 9
+MEMORY_SIZE = 10
 """Number of features of the memory, see `memory_features`."""
 STATE_SIZE = PROPRIO_SIZE + MEMORY_SIZE
 """Number of state features that the network receives."""
@@ -61,7 +61,9 @@ def proprio_features(proprio: Floats) -> Floats:
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
-def memory_features(moved: Any, heading: Any, turned: Any, opened: Any, grasped: Any, xp: Any = np) -> Any:
+def memory_features(
+    moved: Any, heading: Any, turned: Any, opened: Any, released: Any, grasped: Any, xp: Any = np
+) -> Any:
     """Return the features of the memory: what changed since the gripper closed.
 
     Args:
@@ -69,6 +71,7 @@ def memory_features(moved: Any, heading: Any, turned: Any, opened: Any, grasped:
         heading: Cosine and sine of the tool's yaw, shape (..., 2).
         turned: Change of the yaw [rad], shape (...).
         opened: Opening of the gripper beyond its smallest one since then, shape (...).
+        released: Whether the last action opened the gripper again, shape (...).
         grasped: Whether it has closed on something, shape (...); where it is False, all features are 0.
         xp: Module with NumPy's functions: NumPy, or JAX's.
 
@@ -78,11 +81,12 @@ def memory_features(moved: Any, heading: Any, turned: Any, opened: Any, grasped:
     cos, sin = heading[..., 0], heading[..., 1]
     ahead, aside = cos * moved[..., 0] + sin * moved[..., 1], cos * moved[..., 1] - sin * moved[..., 0]
     columns = [*(moved[..., i] for i in range(3)), ahead, aside, xp.sin(turned), xp.cos(turned), opened]
+    columns.append(xp.asarray(released, xp.float32))
     held = xp.asarray(grasped, xp.float32)
     return xp.stack([held, *(held * column for column in columns)], axis=-1)
 
 
-def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Floats) -> Floats:
+def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Floats, released: Flags) -> Floats:
     """Return the state features of all steps of a dataset, with a memory that notices each grasp at once.
 
     Args:
@@ -90,6 +94,7 @@ def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Fl
         yaw: Tool's yaw [rad], shape (N,).
         grasps: First step of the latest grasp, or `NONE`, shape (N,).
         least_opening: Smallest opening since then, shape (N,).
+        released: Whether the action before a step opens the gripper or keeps it open, shape (N,).
 
     Returns:
         Shape (N, `STATE_SIZE`).
@@ -97,52 +102,40 @@ def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Fl
     begin = np.maximum(grasps, 0)
     heading = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     moved, opened = proprio[:, :3] - proprio[begin, :3], proprio[:, 3] - least_opening
-    memory = memory_features(moved, heading, yaw - yaw[begin], opened, grasps != NONE)
+    memory = memory_features(moved, heading, yaw - yaw[begin], opened, released, grasps != NONE)
     return np.concatenate([proprio, memory], axis=-1).astype(np.float32)
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldRange:
-    """Openings of the gripper at which it holds something."""
+def empty_below(openings: Floats, closed: Flags, starts: Flags) -> float:
+    """Return the opening below which a closed gripper is empty, measured on demonstrations; 0 if none holds anything.
 
-    lowest: float
-    """Below it the gripper is closed and empty."""
-    highest: float
-    """Above it the gripper is open."""
-
-    @staticmethod
-    def of(openings: Floats, closed: npt.NDArray[np.bool_], starts: npt.NDArray[np.bool_]) -> HeldRange:
-        """Measure the range on demonstrations.
-
-        Args:
-            openings: Measured openings of all steps, shape (N,).
-            closed: Whether the action of a step closes the gripper or keeps it closed, shape (N,).
-            starts: Whether a step is the first one of its episode, shape (N,).
-        """
-        before = np.concatenate([[False], closed[:-1]]) & ~starts
-        twice = before & np.concatenate([[False], before[:-1]]) & closed  # the fingers have arrived
-        held, opened = openings[twice], openings[~before & ~closed]
-        if not len(held) or not len(opened):
-            return HeldRange(lowest=0.0, highest=0.0)
-        widest, open_usually = float(held.max()), float(np.quantile(opened, 0.9))
-        return HeldRange(lowest=0.5 * float(held.min()), highest=0.5 * (widest + max(open_usually, widest)))
+    Args:
+        openings: Measured openings of all steps, shape (N,).
+        closed: Whether the action of a step closes the gripper or keeps it closed, shape (N,).
+        starts: Whether a step is the first one of its episode, shape (N,).
+    """
+    before = np.concatenate([[False], closed[:-1]]) & ~starts
+    held = openings[before & np.concatenate([[False], before[:-1]]) & closed]  # the fingers have arrived
+    return 0.5 * float(held.min()) if len(held) else 0.0
 
 
-def grasp_starts(openings: Floats, held: HeldRange) -> Ints:
+def grasp_starts(openings: Floats, closed: Flags, empty: float) -> Ints:
     """Return, for each step of an episode, the first step of its latest grasp; `NONE` before, or once it is empty.
 
     Args:
         openings: Measured openings, shape (T,).
-        held: Openings at which the gripper holds something.
+        closed: Whether the action of a step closes the gripper or keeps it closed, shape (T,).
+        empty: Opening below which a closed gripper is empty.
     """
     starts = np.full(len(openings), NONE, np.int32)
-    current, was_open = NONE, True
+    current, was_closing = NONE, False
     for step, opening in enumerate(openings.tolist()):
-        if opening < held.lowest:
+        closing = step > 0 and bool(closed[step - 1])
+        if opening < empty:
             current = NONE
-        elif opening < held.highest and was_open:
+        elif closing and not was_closing:
             current = step
-        was_open = not held.lowest <= opening < held.highest
+        was_closing = closing
         starts[step] = current
     return starts
 
@@ -150,15 +143,26 @@ def grasp_starts(openings: Floats, held: HeldRange) -> Ints:
 class GraspMemory:
     """The memory of one episode at test time, updated with each observation.
 
-    Non-obvious: the policy does not see every tick, so a grasp is noticed up to ``execute`` - 1 ticks after it began.
-    Training draws such delays.
+    Non-obvious:
+    - A grasp begins with the policy's own command to close, not with a measured opening: the gripper may be opened by
+      as little as some objects are wide, and a policy that believes to hold something carries nothing to its goal.
+    - The policy does not see every tick, so a grasp is noticed up to ``execute`` - 1 ticks after it began. Training
+      draws such delays.
     """
 
-    def __init__(self, held: HeldRange) -> None:
-        """Begin an episode."""
-        self._held = held
+    def __init__(self, empty: float) -> None:
+        """Begin an episode.
+
+        Args:
+            empty: Opening below which a closed gripper is empty.
+        """
+        self._empty = empty
         self._pose: tuple[Floats, float, float] | None = None
-        self._was_open = True
+        self._closing = self._was_closing = False
+
+    def commanded(self, closed: bool) -> None:
+        """Note whether the last action that is executed before the next observation closes the gripper."""
+        self._closing = closed
 
     def observe(self, proprio: Floats) -> Floats:
         """Update with an observation and return the features.
@@ -170,16 +174,17 @@ class GraspMemory:
             Shape (`MEMORY_SIZE`,).
         """
         position, yaw, opening = proprio[:3], float(tool_yaw(proprio)), float(proprio[9])
-        if opening < self._held.lowest:
+        if opening < self._empty:
             self._pose = None
-        elif opening < self._held.highest and self._was_open:
+        elif self._closing and not self._was_closing:
             self._pose = position, yaw, opening
-        self._was_open = not self._held.lowest <= opening < self._held.highest
+        self._was_closing = self._closing
         heading = np.array([np.cos(yaw), np.sin(yaw)], np.float32)
         if self._pose is None:
             return np.zeros(MEMORY_SIZE, np.float32)
         begin, begin_yaw, least = self._pose
         self._pose = begin, begin_yaw, min(least, opening)
         opened = np.float32(opening - self._pose[2])
-        features = memory_features(position - begin, heading, np.float32(yaw - begin_yaw), opened, np.True_)
+        turned, released = np.float32(yaw - begin_yaw), np.bool_(not self._closing)
+        features = memory_features(position - begin, heading, turned, opened, released, np.True_)
         return np.asarray(features, np.float32)

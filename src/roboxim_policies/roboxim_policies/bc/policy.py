@@ -89,12 +89,14 @@ class BCPolicy(BasePolicy):
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
         opening = np.clip(np.asarray(said.opening[0, : self.horizon]), CLOSED_BELOW, 1.0)
-        actions[:, 6] = np.where(np.asarray(said.closed[0, : self.horizon]) > 0, 0.0, opening)
+        closed = np.asarray(said.closed[0, : self.horizon]) > 0
+        actions[:, 6] = np.where(closed, 0.0, opening)
+        self._memory.commanded(bool(closed[-1]))
         return actions
 
     def _begin(self, instruction: str) -> None:
         self._words = jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
-        self._memory = GraspMemory(self._said.held)
+        self._memory = GraspMemory(self._said.empty)
 
     def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
         pixels = {

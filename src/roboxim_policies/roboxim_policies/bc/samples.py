@@ -55,11 +55,12 @@ class Samples(eqx.Module):
     ends: Array
     grasps: Array
     least: Array
+    released: Array
     words: Array
     mean: Array
     scale: Array
     rise: Array
-    lowest: Array
+    empty: Array
     retries: bool = eqx.field(static=True)
 
     @staticmethod
@@ -70,7 +71,7 @@ class Samples(eqx.Module):
         noise[:, OPENING] = config.opening_noise * (1 - data.proprio[:, OPENING])
         safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
         rise = RISE_M / safe[2] if stats.motion_scale[2] > 0 else 0.0
-        empty = data.proprio[:, OPENING] < data.held.lowest
+        empties = data.proprio[:, OPENING] < data.empty
         return Samples(
             images={name: jnp.asarray(images) for name, images in data.images.items()},
             proprio=jnp.asarray(data.proprio), noise=jnp.asarray(noise), position=jnp.asarray(data.proprio[:, :3]),
@@ -79,9 +80,10 @@ class Samples(eqx.Module):
             gripper=jnp.asarray(data.actions[:, 6].astype(np.float32)),
             targets=jnp.asarray(stats.normalize_target(data.targets)), ends=jnp.asarray(data.ends),
             grasps=jnp.asarray(data.grasps, jnp.int32), least=jnp.asarray(data.least_opening),
+            released=jnp.asarray(data.released),
             words=jnp.asarray(data.words), mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
-            rise=jnp.asarray(rise, jnp.float32), lowest=jnp.asarray(data.held.lowest, jnp.float32),
-            retries=bool(config.retry > 0 and data.held.lowest > 0 and not empty.any()),
+            rise=jnp.asarray(rise, jnp.float32), empty=jnp.asarray(data.empty, jnp.float32),
+            retries=bool(config.retry > 0 and data.empty > 0 and not empties.any()),
         )  # fmt: skip
 
     def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> tuple[Inputs, Wanted]:
@@ -93,7 +95,7 @@ class Samples(eqx.Module):
         motion, gripper = self.motion[steps] * inside[..., None], self.gripper[steps]
         proprio = self._noisy(batch, draws["proprio"])
         if self.retries:
-            before = (self.grasps[batch] < 0) & (self.opening[batch] > self.lowest)
+            before = (self.grasps[batch] < 0) & (self.opening[batch] > self.empty)
             retry = before & (draws["retry"] < config.retry)
             proprio = proprio.at[:, OPENING].set(jnp.where(retry, 0.0, proprio[:, OPENING]))
             up = jnp.where(jnp.arange(config.chunk) < RISE_TICKS, self.rise, 0.0)
@@ -113,7 +115,7 @@ class Samples(eqx.Module):
         """Return proprioception with noise; a gripper that holds something never looks empty."""
         clean = self.proprio[batch]
         noisy = clean + self.noise[batch] * normal
-        opening = jnp.maximum(noisy[:, OPENING], jnp.minimum(clean[:, OPENING], self.lowest))
+        opening = jnp.maximum(noisy[:, OPENING], jnp.minimum(clean[:, OPENING], self.empty))
         return noisy.at[:, OPENING].set(opening)
 
     def _memory(self, batch: Array, late: Array, heading: Array) -> Array:
@@ -122,7 +124,7 @@ class Samples(eqx.Module):
         begin = jnp.minimum(batch, grasps + late)
         moved, turned = self.position[batch] - self.position[begin], self.yaw[batch] - self.yaw[begin]
         opened = self.opening[batch] - self.least[batch]
-        features: Array = memory_features(moved, heading, turned, opened, grasps >= 0, jnp)
+        features: Array = memory_features(moved, heading, turned, opened, self.released[batch], grasps >= 0, jnp)
         return features
 
     def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: BCConfig) -> Array:
