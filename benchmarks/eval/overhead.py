@@ -1,9 +1,14 @@
-"""What an evaluation spends on anything but the policy and the simulator, in processor time.
+"""What an evaluation spends on anything but the policy and the simulator, in processor time and in wall time.
 
 First the share of each port of the episode loop, in one process: drawing the scene, simulator, policy, judge, recorder
-and the loop itself. Then three evaluations as an experiment runs them: one whose workers start, a short one in the same
-processes, and a longer one, which together tell the time of a start from that of an episode. Processor time is counted
-since other jobs of the machine change it little.
+and the loop itself. Then three evaluations as an experiment runs them, with two workers: one whose workers start, a
+short one in the same processes, and a longer one, which together tell the time of a start from that of an episode. The
+headline counts processor time, since other jobs of the machine change it little.
+
+Wall time is compared with one worker, by a short and a longer evaluation: the simulator alone draws with several
+threads, so two workers on two cores slow each other down, and their wall time cannot be compared with that of one
+process. What a worker does beside its simulator (compressing a tick while the next one is simulated) counts as
+processor time but not as wall time. Wall times hold on a quiet machine only: look at the load that is printed.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +39,29 @@ TYPICAL = 120
 """Episodes of the evaluation that the headline is about: six held-out cells with 20 rollouts each."""
 
 
-class _Timed:
-    """A port whose calls are timed."""
+@dataclass(frozen=True, kw_only=True)
+class Spent:
+    """Time that something took."""
 
-    def __init__(self, port: Any, name_of: Callable[[str], str], seconds: Counter[str]) -> None:
-        self._port, self._name_of, self._seconds = port, name_of, seconds
+    cpu_s: float
+    """Processor time [s]."""
+    wall_s: float
+    """Wall time [s]."""
+
+    def __sub__(self, other: Spent) -> Spent:
+        """Return the difference."""
+        return Spent(cpu_s=self.cpu_s - other.cpu_s, wall_s=self.wall_s - other.wall_s)
+
+    def __mul__(self, factor: float) -> Spent:
+        """Return a multiple."""
+        return Spent(cpu_s=factor * self.cpu_s, wall_s=factor * self.wall_s)
+
+
+class _Timed:
+    """A port whose calls are timed, in processor time and in wall time."""
+
+    def __init__(self, port: Any, name_of: Callable[[str], str], cpu: Counter[str], wall: Counter[str]) -> None:
+        self._port, self._name_of, self._cpu, self._wall = port, name_of, cpu, wall
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._port, name)
@@ -46,11 +69,12 @@ class _Timed:
             return found
 
         def timed(*given: Any, **named: Any) -> Any:
-            started = time.process_time()
+            cpu, wall = time.process_time(), time.monotonic()
             try:
                 return found(*given, **named)
             finally:
-                self._seconds[self._name_of(name)] += time.process_time() - started
+                self._cpu[self._name_of(name)] += time.process_time() - cpu
+                self._wall[self._name_of(name)] += time.monotonic() - wall
 
         return timed
 
@@ -68,43 +92,62 @@ def main() -> None:
     episodes = 2 if bench.quick else 6
     with tempfile.TemporaryDirectory(prefix="roboxim-overhead-") as name:
         folder = Path(name)
-        seconds = _ports(folder, bench, given, episodes)
+        cpu, wall = _ports(folder, bench, given, episodes)
         spec = PolicySpec(spec=bench.options.policy, options=given)
         with KeptProcesses() as kept:
-            first, again, longer = (
-                _evaluation(folder / str(number), spec, count, bench.options.size, kept)
-                for number, count in enumerate((SHORT, SHORT, SHORT + 2 * episodes))
-            )
-    whole = sum(seconds.values())
-    for part, value in seconds.most_common():
+
+            def evaluated(name: str, count: int, workers: int) -> Spent:
+                return _evaluation(folder / name, spec, count, workers, bench.options.size, kept)
+
+            first, again = evaluated("first", SHORT, 2), evaluated("again", SHORT, 2)
+            longer = evaluated("longer", SHORT + 2 * episodes, 2)
+            alone, alone_longer = evaluated("alone", SHORT, 1), evaluated("alone-longer", SHORT + episodes, 1)
+    for part, value in cpu.most_common():
         bench.row(
-            part=f"episode in one process: {part}", cpu_s=round(value / episodes, 2), percent=_percent(value, whole)
-        )
-    wanted = (seconds["policy"] + seconds["simulator"]) / episodes
-    episode = (longer - again) / (2 * episodes)
-    start = again - SHORT * episode
-    bench.row(part="episode of an evaluation", cpu_s=round(episode, 2), percent="")
-    bench.row(part="start and end of the first evaluation", cpu_s=round(first - SHORT * episode, 2), percent="")
-    bench.row(part="start and end of a further one", cpu_s=round(start, 2), percent="")
-    own = 1 - TYPICAL * wanted / (start + TYPICAL * episode)
+            part=f"episode in one process: {part}", cpu_s=round(value / episodes, 2),
+            percent=_percent(value, cpu.total()), wall_s=round(wall[part] / episodes, 2),
+        )  # fmt: skip
+    wanted = Spent(cpu_s=_wanted(cpu) / episodes, wall_s=_wanted(wall) / episodes)
+    episode, episode_alone = (longer - again) * (0.5 / episodes), (alone_longer - alone) * (1 / episodes)
+    start, start_alone = again - episode * SHORT, alone - episode_alone * SHORT
+    for part, spent in (
+        ("episode of an evaluation, two workers", episode),
+        ("start and end of the first evaluation, two workers", first - episode * SHORT),
+        ("start and end of a further one, two workers", start),
+        ("episode of an evaluation, one worker", episode_alone),
+        ("start and end of a further one, one worker", start_alone),
+    ):
+        bench.row(part=part, cpu_s=round(spent.cpu_s, 2), percent="", wall_s=round(spent.wall_s, 2))
+    bench.row(
+        part=f"share beside policy and simulator, {TYPICAL} episodes, one worker: wall time", cpu_s="",
+        percent=_percent(start_alone.wall_s + TYPICAL * (episode_alone.wall_s - wanted.wall_s),
+                         start_alone.wall_s + TYPICAL * episode_alone.wall_s),
+        wall_s="",
+    )  # fmt: skip
+    own = 1 - TYPICAL * wanted.cpu_s / (start.cpu_s + TYPICAL * episode.cpu_s)
     bench.finish(
-        f"share beside policy and simulator in an experiment's evaluation of {TYPICAL} episodes",
+        f"share beside policy and simulator in an experiment's evaluation of {TYPICAL} episodes, processor time",
         round(100 * own, 1), "%", at_most=10,
     )  # fmt: skip
+
+
+def _wanted(seconds: Counter[str]) -> float:
+    return seconds["policy"] + seconds["simulator"]
 
 
 def _percent(part: float, whole: float) -> float:
     return round(100 * part / whole, 1)
 
 
-def _evaluation(out: Path, policy: PolicySpec, episodes: int, size: int, kept: KeptProcesses) -> float:
-    """Return the processor time of an evaluation with two workers [s]."""
+def _evaluation(out: Path, policy: PolicySpec, episodes: int, workers: int, size: int, kept: KeptProcesses) -> Spent:
+    """Return the time of an evaluation."""
     config = EvaluationConfig(
-        policies=policy, task="pick_cube", out=out, episodes=episodes, workers=2, size=size, page=False
+        policies=policy, task="pick_cube", out=out, episodes=episodes, workers=workers, size=size, page=False
     )
-    before = _cpu_s(kept)
-    evaluate(config, executor=LocalExecutor(2, log_dir=out.with_name(f"{out.name}-logs"), kept=kept)).require_measured()
-    return _cpu_s(kept) - before
+    executor = LocalExecutor(workers, log_dir=out.with_name(f"{out.name}-logs"), kept=kept)
+    cpu, wall = _cpu_s(kept), time.monotonic()
+    evaluate(config, executor=executor).require_measured()
+    return Spent(cpu_s=_cpu_s(kept) - cpu, wall_s=time.monotonic() - wall)
 
 
 def _cpu_s(kept: KeptProcesses) -> float:
@@ -117,31 +160,34 @@ def _cpu_s(kept: KeptProcesses) -> float:
     return found
 
 
-def _ports(folder: Path, bench: Bench, given: dict[str, str], episodes: int) -> Counter[str]:
-    """Return the processor time of each part of some episodes [s]."""
-    seconds: Counter[str] = Counter()
+def _ports(folder: Path, bench: Bench, given: dict[str, str], episodes: int) -> tuple[Counter[str], Counter[str]]:
+    """Return the processor time and the wall time of each part of some episodes [s]."""
+    cpu: Counter[str] = Counter()
+    wall: Counter[str] = Counter()
     names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
     policy = load_policy(bench.options.policy, **given)
     with CoreGraph(folder, policy=policy) as graph:
         ports = graph.ports
         timed: Any = replace(
             ports,
-            scenes=_Timed(ports.scenes, lambda name: names[name], seconds),
-            judge=_Timed(ports.judge, lambda name: "judge", seconds),
-            sim=_Timed(ports.sim, lambda name: "simulator", seconds),
-            actor=_Timed(ports.actor, lambda name: "policy", seconds),
-            recorder=_Timed(ports.recorder, lambda name: "recorder", seconds),
+            scenes=_Timed(ports.scenes, lambda name: names[name], cpu, wall),
+            judge=_Timed(ports.judge, lambda name: "judge", cpu, wall),
+            sim=_Timed(ports.sim, lambda name: "simulator", cpu, wall),
+            actor=_Timed(ports.actor, lambda name: "policy", cpu, wall),
+            recorder=_Timed(ports.recorder, lambda name: "recorder", cpu, wall),
         )
         side = bench.options.size
         config = RunConfig(output_dir=str(folder), image_width=side, image_height=side)
         runner = EpisodeRunner(timed, config)
         runner.run_index(1000)  # loads and compiles
-        seconds.clear()
-        started = time.process_time()
+        cpu.clear()
+        wall.clear()
+        cpu_began, wall_began = time.process_time(), time.monotonic()
         for index in range(episodes):
             runner.run_index(index)
-        seconds["loop"] = time.process_time() - started - sum(seconds.values())
-    return seconds
+        cpu["loop"] = time.process_time() - cpu_began - cpu.total()
+        wall["loop"] = time.monotonic() - wall_began - wall.total()
+    return cpu, wall
 
 
 if __name__ == "__main__":
