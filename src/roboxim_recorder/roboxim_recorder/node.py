@@ -6,7 +6,8 @@ timestamps and ignored. Subscriptions are created once and kept, because matchin
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 
 An evaluator of the same process hands the step over by a call (`roboxim_ros.recording_calls`), whose answer replaces
-the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
+the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored. If the sim
+is in the same process too, its messages are taken from `roboxim_ros.local_ticks`; those in the queues are left there.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros import local_calls, qos
-from roboxim_ros.conversions import from_msg
+from roboxim_ros import local_calls, local_ticks, qos
+from roboxim_ros.conversions import from_msg, stamp_to_ns
 from roboxim_ros.guard import guarded_service
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
@@ -76,6 +77,7 @@ class RecorderNode(RoboximNode):
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
         self._info_out = self.create_publisher(EpisodeInfoMsg, "episode/info", qos.LATCHED)
+        self._notices = self.resolve_topic_name(topics.NOTICE[1:])
         self._of_ticks = OnDemandGroup()
         for topic, kind in topics.ALWAYS.items():
             self._subscribe_tick(topic, kind)
@@ -182,12 +184,13 @@ class RecorderNode(RoboximNode):
                     self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
                 recording.flush()  # while the simulator goes on
         except RoboximError as error:
-            self._failed = recording.info.episode_id
-            self._abort(str(error))
-            if self._called:
-                self._fault = error
-            else:
+            self._drop_faulty(recording, error)
+            if not self._called:
                 self._recorded_out.publish(_refusal(recording, error))
+
+    def _drop_faulty(self, recording: EpisodeRecording, error: RoboximError) -> None:
+        self._fault, self._failed = error, recording.info.episode_id
+        self._abort(str(error))
 
     def _on_step_call(self, request: EpisodeStepMsg, response: RecordedTick) -> None:
         """Record the tick that a step ends; the answer does not wait for the compression."""
@@ -196,6 +199,29 @@ class RecorderNode(RoboximNode):
         if recording is None or recording.info.episode_id != request.episode_id:
             raise self._not_open(request.episode_id)
         self._called, self._fault = True, None
+        if not self._record_shown(recording, request):
+            self._record_arriving(recording, request)
+        if self._fault is not None:
+            raise self._fault
+        self.executor.post(_Flush(self, recording))
+
+    def _record_shown(self, recording: EpisodeRecording, request: EpisodeStepMsg) -> bool:
+        """Record the tick of a sim of this process; return false if there is none."""
+        tick = local_ticks.shown(self.context, self._notices)
+        if tick is None or recording.next_seq != request.seq or recording.begun:
+            return False
+        asked = (request.episode_id, request.seq, stamp_to_ns(request.header.stamp))
+        if (tick.episode_id, tick.seq, tick.stamp_ns) != asked:
+            return False
+        messages = {topics.absolute(topic): cdr for topic, cdr in tick.messages.items()}
+        try:
+            recording.whole_tick(tick.stamp_ns, messages, serialize_message(request))
+        except RoboximError as error:
+            self._drop_faulty(recording, error)
+        return True
+
+    def _record_arriving(self, recording: EpisodeRecording, request: EpisodeStepMsg) -> None:
+        """Record the tick whose messages come from the middleware."""
         self._of_ticks.take()
         if recording.next_seq <= request.seq:  # the message may have been faster than the first call
             self._on_message(topics.STEP, serialize_message(request), self._opened_ns)
@@ -209,9 +235,6 @@ class RecorderNode(RoboximNode):
                 )
             time.sleep(RETRY_S)
             self._of_ticks.take()
-        if self._fault is not None:
-            raise self._fault
-        self.executor.post(_Flush(self, recording))
 
     def flush(self, recording: EpisodeRecording) -> None:
         """Compress a recording's last ticks, unless it is closed."""

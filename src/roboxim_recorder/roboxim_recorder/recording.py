@@ -9,7 +9,7 @@ Nothing here knows rclpy.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -107,6 +107,11 @@ class EpisodeRecording:
         return self._next
 
     @property
+    def begun(self) -> bool:
+        """Whether some messages of a tick that is not yet in the bag have come."""
+        return bool(self._steps or self._notices)
+
+    @property
     def complete(self) -> bool:
         """Whether every tick whose step has come is in the bag."""
         return not self._steps
@@ -163,6 +168,15 @@ class EpisodeRecording:
         notice: Any = self._notice_store.deserialize_cdr(bytes(message.data), message.name)
         names = [topics.absolute(name) for name in notice.topics]
         tick = f"tick {notice.seq} of '{self.info.episode_id}'"
+        self._require_expected(tick, names)
+        if len(names) != len(notice.image_crc32):
+            raise RecorderError(
+                f"{tick}: expected a checksum for each of {len(names)} topics, got {len(notice.image_crc32)}"
+            )
+        wanted = dict(zip(names, map(int, notice.image_crc32), strict=True))
+        self._notices[notice.seq] = _Notice(message=message, stamp_ns=stamp_to_ns(notice.stamp), wanted=wanted)
+
+    def _require_expected(self, tick: str, names: Iterable[str]) -> None:
         unknown = [name for name in names if name not in self.expected]
         if unknown:
             raise RecorderError(
@@ -170,12 +184,24 @@ class EpisodeRecording:
                 f"cameras {[c.name for c in self.info.scene.cameras]}",
                 ErrorCode.EPISODE_GAP,
             )
-        if len(names) != len(notice.image_crc32):
-            raise RecorderError(
-                f"{tick}: expected a checksum for each of {len(names)} topics, got {len(notice.image_crc32)}"
-            )
-        wanted = dict(zip(names, map(int, notice.image_crc32), strict=True))
-        self._notices[notice.seq] = _Notice(message=message, stamp_ns=stamp_to_ns(notice.stamp), wanted=wanted)
+
+    def whole_tick(self, stamp_ns: int, messages: Mapping[str, bytes], step_cdr: bytes) -> None:
+        """Add the next tick, all of whose messages are at hand. Call `flush` afterwards.
+
+        Args:
+            stamp_ns: Its stamp [ns].
+            messages: The sim's messages, serialised, by their topics in the bag, the notice among them.
+            step_cdr: The loop's step, serialised.
+
+        Raises:
+            RecorderError: As `message` raises it.
+        """
+        self._raise_flush_error()
+        self._require_expected(f"tick {self._next} of '{self.info.episode_id}'", messages)
+        others = {topic: self._clean(topic, messages[topic]) for topic in sorted(messages) if topic != topics.NOTICE}
+        notice, step = self._clean(topics.NOTICE, messages[topics.NOTICE]), self._clean(topics.STEP, step_cdr)
+        self._write_tick(self._next, stamp_ns, notice, others, step)
+        self._next += 1
 
     def missing(self, seq: int) -> list[str]:
         """Return the names of what tick ``seq`` lacks."""
@@ -206,7 +232,7 @@ class EpisodeRecording:
     def _write_whole_ticks(self) -> list[int]:
         written = []
         while self._next in self._notices and self._next in self._steps and not self.missing(self._next):
-            self._write_tick(self._next)
+            self._write_arrived(self._next)
             written.append(self._next)
             self._next += 1
         return written
@@ -228,19 +254,26 @@ class EpisodeRecording:
         if self._flush_error is not None:
             raise self._flush_error
 
-    def _write_tick(self, seq: int) -> None:
+    def _write_arrived(self, seq: int) -> None:
+        notice = self._notices.pop(seq)
+        stamp = notice.stamp_ns
+        found = {topic: self._found(topic, stamp) for topic in sorted(notice.wanted)}
+        others = {topic: message for topic, message in found.items() if message is not None}
+        assert others.keys() == found.keys(), found  # `missing` looked
+        self._write_tick(seq, stamp, notice.message, others, self._steps.pop(seq))
+        self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
+
+    def _write_tick(
+        self, seq: int, stamp_ns: int, notice: CleanMessage, others: Mapping[str, CleanMessage], step: CleanMessage
+    ) -> None:
         self.flush()
         self._raise_flush_error()
-        notice = self._notices.pop(seq)
-        stamp = self._last_stamp_ns = notice.stamp_ns
-        self._writer.write(topics.NOTICE, notice.message.data, stamp)
-        for topic in sorted(notice.wanted):
-            message = self._found(topic, stamp)
-            assert message is not None, topic  # `missing` looked
-            self._writer.write(topic, message.data, stamp)
-        self._writer.write(topics.STEP, self._steps.pop(seq).data, stamp)
+        self._last_stamp_ns = stamp_ns
+        self._writer.write(topics.NOTICE, notice.data, stamp_ns)
+        for topic, message in others.items():
+            self._writer.write(topic, message.data, stamp_ns)
+        self._writer.write(topics.STEP, step.data, stamp_ns)
         self._write_extras()
-        self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
         self._flush_due = seq % FLUSH_TICKS == 0
 
     def _write_extras(self) -> None:

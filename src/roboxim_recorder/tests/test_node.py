@@ -7,6 +7,7 @@ import queue
 
 import pytest
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from roboxim_interfaces import msg as ours
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 from std_msgs.msg import String
@@ -16,9 +17,10 @@ from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import McapFile
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.node import RecorderNode
-from roboxim_ros import qos
+from roboxim_ros import local_ticks, qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import to_msg
+from roboxim_ros.conversions import stamp_to_ns, to_msg
+from roboxim_ros.local_ticks import PublishedTick
 from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
@@ -162,6 +164,35 @@ def test_a_tick_whose_step_is_handed_over_is_recorded(graph, tmp_path, fake):
     report = check_bag(tmp_path / bag)
     assert report.ok, report.problems
     assert len(BagReader(tmp_path / bag)) == episode.last_seq + 1
+
+
+def test_a_tick_of_a_sim_of_the_same_process_needs_no_middleware(graph, tmp_path, fake):
+    """The bag has the bytes of one whose messages came from the middleware."""
+    episode = fake()
+    bags = []
+    for folder in (tmp_path / "messages", tmp_path / "shown"):
+        graph.open(episode, folder)
+        if folder.name == "messages":
+            graph.play(episode)
+        else:
+            for seq in range(episode.last_seq + 1):
+                show_and_step(graph, episode, seq)
+        bags.append(next((folder / graph.close(episode)).glob("*.mcap")).read_bytes())
+    assert bags[0] == bags[1]
+
+
+def show_and_step(graph, episode, seq):
+    tick = {topic[1:]: message for topic, message in episode.tick(seq).items()}
+    step = tick.pop("evaluator/step")
+    shown = PublishedTick(
+        episode_id=episode.info.episode_id,
+        seq=seq,
+        stamp_ns=stamp_to_ns(step.header.stamp),
+        messages={topic: serialize_message(message) for topic, message in tick.items()},
+    )
+    local_ticks.show(graph.node.context, "/w1/sim/ticks", shown)
+    call = graph.clients.send_local(RecordStep, RECORD_STEP, step)
+    assert graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S).error_code == ErrorCode.OK
 
 
 def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkeypatch):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import CameraImage
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -33,8 +34,9 @@ from roboxim_core.models.visuals import render_world
 from roboxim_core.rendering import CameraImages, Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros import qos
+from roboxim_ros import local_ticks, qos
 from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.local_ticks import PublishedTick
 from roboxim_sim.conversions import camera_msgs
 from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer
@@ -42,7 +44,7 @@ from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.snapshots import Snapshot
-from roboxim_sim.tick_messages import KINDS, OF_SCENE, TickMessages
+from roboxim_sim.tick_messages import KINDS, NOTICE, OF_SCENE, TickMessages
 from roboxim_sim.world import World
 
 PROFILES = {topic: qos.LATCHED if topic in OF_SCENE else qos.STATE for topic in KINDS}
@@ -71,6 +73,7 @@ class SimNode(SimServer):
         self._tick_messages: TickMessages | None = None
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self._outputs: dict[str, Publisher] = {}
+        self._notices = self.resolve_topic_name(NOTICE)
         for topic, kind in KINDS.items():
             self._publisher(topic, kind)
 
@@ -138,8 +141,13 @@ class SimNode(SimServer):
         """Publish all topics of a state and return its message."""
         assert self._tick_messages is not None
         messages = self._tick_messages.make(record, self._capture(record))
-        for topic, message in messages.items():
-            self._publisher(topic, type(message)).publish(message)
+        serialised = {topic: serialize_message(message) for topic, message in messages.items()}
+        for topic, cdr in serialised.items():
+            self._publisher(topic, type(messages[topic])).publish(cdr)
+        tick = PublishedTick(
+            episode_id=record.episode_id, seq=record.seq, stamp_ns=record.stamp_ns, messages=serialised
+        )
+        local_ticks.show(self.context, self._notices, tick)
         state: StateRecordMsg = messages["sim/state"]
         return state
 
