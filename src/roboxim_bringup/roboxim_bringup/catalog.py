@@ -38,7 +38,7 @@ PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
 
 _PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_eval", "roboxim_bringup")
 RATES_FILES = "rates-*.json"
-"""This machine's measured rates in the user's cache folder; see `roboxim_bringup.runs.calibration`."""
+"""This machine's measured rates in the user's cache folder; see `roboxim_bringup.runs.rates`."""
 
 
 def catalog(part: Part) -> Catalog:

@@ -61,7 +61,7 @@ def make_experiments() -> Catalog:
     """Return experiments and benchmarks as plain values; see `roboxim_bringup.catalog.Catalog`."""
     from roboxim_bringup.experiment_files import load_benchmark, load_experiment
     from roboxim_bringup.experiment_plan import hours
-    from roboxim_bringup.runs.calibration import stored_rates
+    from roboxim_bringup.runs.rates import stored_rates
     from roboxim_eval.experiments import cost_of, design_of, scale_names
 
     made: Catalog = {"experiments": {}, "benchmarks": {}, "broken": {}, "measured": False}

@@ -16,7 +16,7 @@ from roboxim_bringup.experiment_files import (
     write_mixes,
 )
 from roboxim_bringup.experiment_plan import plan_lines
-from roboxim_bringup.runs.calibration import rates_file, store_rates, stored_rates
+from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import Rates, design_of, scale_names

@@ -12,9 +12,9 @@ import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from roboxim_core.errors import ConfigError, ErrorCode, SimError
 from roboxim_core.models.description import JointModel, LinkModel, ObjectModel, RobotModel, Shape
@@ -23,6 +23,9 @@ from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, RobotSpec, TableSpec
 from roboxim_core.state import EntityState
 from roboxim_sim.bullet import pybullet
+
+if TYPE_CHECKING:
+    import trimesh
 
 SOLVER_ITERATIONS = 50
 """More iterations or a higher physics rate gain nothing measurable."""
@@ -407,6 +410,8 @@ def _volume(shape: Shape) -> float:
 
 @lru_cache(maxsize=64)
 def _hull(path: str) -> trimesh.Trimesh:
+    import trimesh
+
     hull: trimesh.Trimesh = trimesh.load_mesh(path).convex_hull
     return hull
 
@@ -431,6 +436,8 @@ def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:
 @lru_cache(maxsize=256)
 def _boxes_file(boxes: tuple[Shape, ...]) -> str:
     """Write an OBJ file with one object for each box, shrunk by the margin, and return its path."""
+    import trimesh
+
     lines: list[str] = []
     for number, box in enumerate(boxes):
         half = np.maximum(np.asarray(box.size) / 2 - MESH_MARGIN_M, 1e-4)

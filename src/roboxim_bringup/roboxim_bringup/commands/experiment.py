@@ -76,7 +76,7 @@ def plan(
         write_mixes,
     )
     from roboxim_bringup.experiment_plan import hours, plan_data, plan_lines
-    from roboxim_bringup.runs.calibration import stored_rates
+    from roboxim_bringup.runs.rates import stored_rates
     from roboxim_core.errors import ConfigError
     from roboxim_eval.experiments import cost_of
     from roboxim_eval.experiments.cost import fitted
@@ -344,7 +344,8 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     from roboxim_bringup.experiment_files import checked_design, load_experiment, write_mixes
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, store_rates
+    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate
+    from roboxim_bringup.runs.rates import store_rates
 
     config = load_experiment(experiment, scale)
     design = checked_design(experiment, config)
@@ -379,7 +380,8 @@ def _probe(name: str, config: ExperimentConfig) -> Rates:
     from roboxim_bringup.experiment_files import checked_design, write_mixes
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, store_rates
+    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate
+    from roboxim_bringup.runs.rates import store_rates
 
     size = parse_size(config.image_size)
     click.echo(f"no rates of this machine for images of {config.image_size}: measuring, about a minute", err=True)

@@ -1,6 +1,6 @@
 """Measures this machine's rates for ``roboxim experiment plan``: by a small run of every stage, or from a real run.
 
-The rates are kept in the user's cache folder, for each image size. Each measurement replaces the one before.
+Each measurement replaces the stored one; see `roboxim_bringup.runs.rates`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import json
 import os
 import platform
 import shlex
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -30,8 +29,7 @@ from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.proving import Reading
 from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.runs.training import BCConfig, train_bc
-from roboxim_core.config import from_json, parse_yaml, to_json
-from roboxim_core.documents import read_text
+from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -243,46 +241,6 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-# ------------------------------------------------------------------ storage
-
-
-def rates_file(size: str) -> Path:
-    """Return the file of this machine's rates for an image size, e.g. ``128x128``, in the user's cache folder."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "roboxim" / f"rates-{size}.json"
-
-
-def stored_rates(size: str) -> Rates | None:
-    """Return this machine's last rates; none: never measured, or measured by another version.
-
-    Args:
-        size: Image size, e.g. ``128x128``.
-
-    Raises:
-        ConfigError: When the file cannot be read.
-    """
-    path = rates_file(size)
-    if not path.is_file():
-        return None
-    try:
-        return from_json(read_text(path), Rates, source=str(path))
-    except ConfigError:
-        return None
-
-
-def store_rates(rates: Rates) -> Path:
-    """Store rates as this machine's; return the file."""
-    path = rates_file(rates.size)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(".draft")
-    draft.write_text(to_json(rates) + "\n")
-    shutil.move(draft, path)
-    return path
-
-
-# ------------------------------------------------------------------ rates of runs
 
 
 def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:

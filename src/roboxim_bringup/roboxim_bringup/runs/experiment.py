@@ -24,7 +24,7 @@ from roboxim_bringup.experiment_provenance import (
     attestation_template,
     folder_sha256,
 )
-from roboxim_bringup.runs.calibration import rates_of_run, store_rates, stored_rates
+from roboxim_bringup.runs.calibration import rates_of_run
 from roboxim_bringup.runs.events import Notice, OnEvent, ignore
 from roboxim_bringup.runs.experiment_policies import named_policies, policy_of, require_found, require_known
 from roboxim_bringup.runs.experiment_report import (
@@ -36,6 +36,7 @@ from roboxim_bringup.runs.experiment_report import (
 from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.rates import store_rates, stored_rates
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
 from roboxim_bringup.runs.shards import Shard
 from roboxim_core.config import digest, to_plain
