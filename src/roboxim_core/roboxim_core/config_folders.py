@@ -9,6 +9,8 @@ from pathlib import Path
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, one_of
 
+_PARENTS = tuple(Path(__file__).resolve().parents)
+
 
 def config_dir() -> Path:
     """Return the directory of RoboXim's YAML files: ``$ROBOXIM_CONFIG_DIR``, or ``config/`` of the checkout.
@@ -17,7 +19,7 @@ def config_dir() -> Path:
         ConfigError: When there is no such directory.
     """
     given = os.environ.get("ROBOXIM_CONFIG_DIR")
-    candidates = [Path(given)] if given else [parent / "config" for parent in Path(__file__).resolve().parents]
+    candidates = [Path(given)] if given else [parent / "config" for parent in _PARENTS]
     for candidate in candidates:
         if (candidate / "robots").is_dir():
             return candidate

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.quaternions import Quat
+from roboxim_core.quaternions import Quat, quat_from_axes
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -141,6 +141,5 @@ def look_at(eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike = (0.0,
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
-    from scipy.spatial.transform import Rotation
-
-    return Pose.from_arrays(origin, Rotation.from_matrix(np.stack([right, down, forward], axis=1)))
+    x, y, z = origin.tolist()
+    return Pose(position=(x, y, z), quat_xyzw=quat_from_axes(right, down, forward))

@@ -1,11 +1,14 @@
 """Single rotations as unit quaternions xyzw in plain floats, ten times as fast as arrays for one rotation.
 
-For many rotations at once, use scipy's ``Rotation``.
+For many rotations at once, use scipy's ``Rotation``. Where this module says "the same bits as scipy", results may be
+part of a recorded episode; importing scipy's ``Rotation`` takes longer than most commands.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Literal
 
 Quat = tuple[float, float, float, float]
 
@@ -41,6 +44,33 @@ def quat_from_euler(roll: float, pitch: float, yaw: float) -> Quat:
     )
 
 
+def quat_about(axis: Literal["x", "y", "z"], angle: float) -> Quat:
+    """Return the rotation about one axis by an angle [rad]: the same bits as scipy's ``from_euler``."""
+    sine, cosine = math.sin(angle / 2), math.cos(angle / 2)
+    x, y, z = (sine if name == axis else 0.0 for name in "xyz")
+    return _positive(x, y, z, cosine)
+
+
+def quat_from_axes(x_axis: Iterable[float], y_axis: Iterable[float], z_axis: Iterable[float]) -> Quat:
+    """Return the rotation whose matrix has these orthonormal columns: the same bits as scipy's ``from_matrix``.
+
+    Source: Markley, Unit Quaternion from Rotation Matrix, Journal of Guidance, Control, and Dynamics 31 (2008).
+    """
+    (m00, m10, m20), (m01, m11, m21), (m02, m12, m22) = (map(float, axis) for axis in (x_axis, y_axis, z_axis))
+    trace = m00 + m11 + m22
+    largest = max(m00, m11, m22, trace)
+    if largest == m00:
+        x, y, z, w = 1 - trace + 2 * m00, m10 + m01, m20 + m02, m21 - m12
+    elif largest == m11:
+        y, z, x, w = 1 - trace + 2 * m11, m21 + m12, m01 + m10, m02 - m20
+    elif largest == m22:
+        z, x, y, w = 1 - trace + 2 * m22, m02 + m20, m12 + m21, m10 - m01
+    else:
+        x, y, z, w = m21 - m12, m02 - m20, m10 - m01, 1 + trace
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return _positive(x / norm, y / norm, z / norm, w / norm)
+
+
 def euler_from_quat(quat: Quat) -> tuple[float, float, float]:
     """Return the angles about the fixed axes x, then y, then z [rad].
 
@@ -60,3 +90,9 @@ def euler_from_quat(quat: Quat) -> tuple[float, float, float]:
 def _canonical(x: float, y: float, z: float, w: float) -> Quat:
     scale = math.copysign(1.0 / math.sqrt(x * x + y * y + z * z + w * w), w)
     return x * scale, y * scale, z * scale, w * scale
+
+
+def _positive(x: float, y: float, z: float, w: float) -> Quat:
+    """Return the one of q and -q whose w, else x, else y, else z, is positive."""
+    negative = next((value < 0 for value in (w, x, y, z) if value != 0), False)
+    return (-x, -y, -z, -w) if negative else (x, y, z, w)

@@ -3,11 +3,19 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
+from roboxim_core.poses import look_at
+from roboxim_core.quaternions import (
+    euler_from_quat,
+    quat_about,
+    quat_from_axes,
+    quat_from_euler,
+    quat_inverse,
+    quat_product,
+)
 
 ANGLES = st.tuples(*[st.floats(-math.pi, math.pi)] * 3)
 
@@ -36,3 +44,32 @@ def test_euler_angles_lead_back_to_the_rotation(angles):
 def test_a_pitch_of_a_right_angle_has_angles_too(pitch):
     quat = quat_from_euler(0.3, pitch, 0.5)
     assert angle_between(quat, Rotation.from_euler("xyz", euler_from_quat(quat))) < 1e-6
+
+
+def bits(quat):
+    return [float(value).hex() for value in quat]
+
+
+@given(axis=st.sampled_from("xyz"), angle=st.floats(-7.0, 7.0))
+@example(axis="x", angle=0.0)
+@example(axis="y", angle=math.pi)
+@example(axis="z", angle=-math.pi)
+def test_a_rotation_about_an_axis_has_the_bits_of_scipys(axis, angle):
+    assert bits(quat_about(axis, angle)) == bits(Rotation.from_euler(axis, angle).as_quat(canonical=True))
+
+
+@given(angles=ANGLES)
+@example(angles=(0.0, 0.0, 0.0))
+@example(angles=(math.pi, 0.0, 0.0))
+@example(angles=(0.0, math.pi, 0.0))
+@example(angles=(0.0, 0.0, math.pi))
+@example(angles=(math.pi / 2, 0.0, math.pi / 2))
+def test_axes_give_the_bits_of_scipys(angles):
+    matrix = Rotation.from_euler("xyz", angles).as_matrix()
+    assert bits(quat_from_axes(*matrix.T)) == bits(Rotation.from_matrix(matrix).as_quat(canonical=True))
+
+
+def test_a_camera_looks_at_its_target():
+    pose = look_at((1.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    assert pose.apply((0.0, 0.0, math.sqrt(2))) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert pose.rotation.apply((0.0, -1.0, 0.0))[2] == pytest.approx(math.sqrt(0.5))

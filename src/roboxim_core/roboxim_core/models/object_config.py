@@ -27,6 +27,7 @@ from roboxim_core.models.hulls import hull_file, obj_references
 from roboxim_core.models.modifiers import ModifierModel
 from roboxim_core.models.urdf import urdf_object
 from roboxim_core.poses import Array, Pose, Vec3
+from roboxim_core.quaternions import quat_about
 
 SHAPE_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "hull": 0, "ring": 4}
 """Kind of a collision shape to how many sizes it has."""
@@ -272,16 +273,14 @@ def convex_parts(shape: Shape) -> tuple[Shape, ...]:
     """Split a shape into convex ones: a ring becomes boxes whose outer faces touch its cone; others stay."""
     if shape.kind != "ring":
         return (shape,)
-    from scipy.spatial.transform import Rotation
-
     low, high, height, thick = shape.size
     slant = float(np.hypot(high - low, height))
     width = 2 * max(low, high) * float(np.tan(np.pi / shape.segments))
     tilt = float(np.arctan2(high - low, height))
-    middle = Pose.from_arrays(((low + high) / 2, 0, 0), Rotation.from_euler("y", tilt))
+    middle = Pose(position=((low + high) / 2, 0.0, 0.0), quat_xyzw=quat_about("y", tilt))
     middle = middle @ Pose(position=(-thick / 2, 0.0, 0.0))
     boxes = []
     for k in range(shape.segments):
-        turn = Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", 2 * np.pi * k / shape.segments))
+        turn = Pose(quat_xyzw=quat_about("z", 2 * np.pi * k / shape.segments))
         boxes.append(Shape(kind="box", size=(thick, width, slant), pose=shape.pose @ turn @ middle))
     return tuple(boxes)
