@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -15,6 +15,7 @@ from roboxim_bringup.named import Models, Named
 RENDERERS = ("photo", "raster", "tiny")
 """The built-in renderers; `doctor` reports which of them work on this machine."""
 Decorator = Callable[[Any], Any]
+Number = TypeVar("Number", int, float)
 
 
 class Place(click.ParamType[Path | str]):
@@ -58,19 +59,38 @@ def parse_resources(option: str, text: str) -> dict[str, float]:
     Raises:
         ConfigError: When the text is something else.
     """
+    taken = _numbers(option, text, float, "N", "CPU=2,GPU=0.25")
+    return {name.upper() if name.lower() in ("cpu", "gpu") else name: amount for name, amount in taken.items()}
+
+
+def parse_counts(option: str, text: str) -> dict[str, int]:
+    """Parse ``train=90,val=10``.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    return _numbers(option, text, int, "COUNT", "train=90,val=10")
+
+
+def _numbers(option: str, text: str, kind: Callable[[str], Number], word: str, example: str) -> dict[str, Number]:
+    """Parse ``NAME=NUMBER,...`` with finite numbers from 0.
+
+    Raises:
+        ConfigError: When the text is something else, or has a name twice.
+    """
     from roboxim_core.errors import ConfigError
 
-    taken = {}
+    found: dict[str, Number] = {}
     for part in filter(None, text.split(",")):
-        name, _, amount = part.partition("=")
-        name = name.strip().upper() if name.strip().lower() in ("cpu", "gpu") else name.strip()
+        name, _, number = (piece.strip() for piece in part.partition("="))
         try:
-            taken[name] = float(amount)
+            value: Number | None = kind(number)
         except ValueError:
-            raise ConfigError(f"{option} is NAME=N,..., e.g. CPU=2,GPU=0.25; got '{text}'") from None
-        if not name or not 0 <= taken[name] < float("inf"):
-            raise ConfigError(f"{option} is NAME=N,... with N from 0, e.g. CPU=2,GPU=0.25; got '{text}'")
-    return taken
+            value = None
+        if not name or name in found or value is None or not 0 <= value < float("inf"):
+            raise ConfigError(f"{option} is NAME={word},... with {word} from 0, e.g. {example}; got '{text}'")
+        found[name] = value
+    return found
 
 
 def make_executor(executor: str, address: str, resources: str, workers: int) -> Any:
@@ -205,23 +225,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
     return int(found[1]), int(found[2] or found[1])
-
-
-def parse_counts(option: str, text: str) -> dict[str, int]:
-    """Parse ``train=90,val=10``.
-
-    Raises:
-        ConfigError: When the text is something else.
-    """
-    from roboxim_core.errors import ConfigError
-
-    found = {}
-    for part in filter(None, text.split(",")):
-        name, _, count = part.partition("=")
-        if not count.strip().isdecimal():
-            raise ConfigError(f"{option} is NAME=COUNT,..., e.g. train=90,val=10; got '{text}'")
-        found[name.strip()] = int(count)
-    return found
 
 
 def keep_lines(command: click.Command) -> None:

@@ -9,10 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.cli import group, main
+from roboxim_bringup.options import parse_counts, parse_resources
 from roboxim_bringup.runs.export import unfinished
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import RoboximError
+from roboxim_core.errors import ConfigError, RoboximError
 
 
 def mistake(*words) -> str:
@@ -113,3 +114,17 @@ def test_a_name_of_300_characters_is_an_error_by_name(words, monkeypatch, capsys
 
 def test_a_value_of_the_wrong_kind_names_the_policy():
     assert "argument 'scale' of policy 'random'" in mistake("evaluate", "--policy", "random", "--option", "scale=much")
+
+
+@pytest.mark.parametrize("text", ["train=1.5", "train", "=3", "train=-1", "train=1,train=2"])
+def test_counts_that_are_none_are_refused_with_an_example(text):
+    assert parse_counts("--split", "train=90, val=10") == {"train": 90, "val": 10}
+    with pytest.raises(ConfigError, match=r"--split is NAME=COUNT,\.\.\. with COUNT from 0, e\.g\. train=90,val=10"):
+        parse_counts("--split", text)
+
+
+@pytest.mark.parametrize("text", ["cpu=-1", "gpu=nan", "gpu=inf", "cpu"])
+def test_resources_that_are_none_are_refused_with_an_example(text):
+    assert parse_resources("--resources", "cpu=2,Gpu=0.25,mine=1") == {"CPU": 2.0, "GPU": 0.25, "mine": 1.0}
+    with pytest.raises(ConfigError, match=r"--resources is NAME=N,\.\.\. with N from 0"):
+        parse_resources("--resources", text)

@@ -5,7 +5,6 @@ A policy keeps state during an episode, so each session has an instance of its o
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -27,12 +26,13 @@ from roboxim_core.conventions import (
     StatePart,
     from_actions,
 )
-from roboxim_core.errors import ConfigError, InvalidRequestError, UnavailableError
+from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow, Policy, PolicyDescription
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.poses import Pose
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.rotations import Floats, RotationRepresentation, encode
+from roboxim_policies.serving.instances import Instances
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part
 
@@ -95,7 +95,6 @@ class Sessions:
             ConfigError: When the policy is privileged, needs cameras that the convention does not have, or has actions
                 that cannot be said in the convention.
         """
-        self._make = make
         first = GuardedPolicy(make())
         self.description = first.description
         if self.description.privileged:
@@ -115,9 +114,7 @@ class Sessions:
                 f"'{self.convention.name}' has {', '.join(cameras) or 'none'}"
             )
         _require_convertible(self.description, self.convention)
-        self._free = [first]
-        self._open = 0
-        self._lock = threading.Lock()
+        self._instances = Instances(first, lambda: GuardedPolicy(make()), most=MOST_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[Session]:
@@ -126,24 +123,12 @@ class Sessions:
         Raises:
             UnavailableError: When there are too many.
         """
-        with self._lock:
-            if self._open >= MOST_SESSIONS:
-                raise UnavailableError(f"the server has {MOST_SESSIONS} sessions already")
-            self._open += 1
-            guard = self._free.pop() if self._free else None
-        try:
-            guard = guard or GuardedPolicy(self._make())
+        with self._instances.taken() as guard:
             yield Session(guard, self.convention)
-        finally:
-            with self._lock:
-                self._open -= 1
-                if guard is not None:
-                    self._free.append(guard)
 
     def close(self) -> None:
         """Forget the instances."""
-        with self._lock:
-            self._free.clear()
+        self._instances.close()
 
 
 def _require_convertible(description: PolicyDescription, convention: Convention) -> None:

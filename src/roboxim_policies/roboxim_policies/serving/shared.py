@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hmac
 import http
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -19,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.config import from_plain, to_plain
-from roboxim_core.errors import ConfigError, InvalidRequestError, UnavailableError
+from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, Policy
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.serving.batches import Batched, Batcher
+from roboxim_policies.serving.instances import Instances
 from roboxim_policies.serving.websocket import WebSocketServer
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.openpi import OWN_SERVER
@@ -48,18 +48,16 @@ class SharedSessions:
         Raises:
             ConfigError: When the policy is privileged.
         """
-        self._make, self._log = make, log
-        self._first = make()
-        self.description = GuardedPolicy(self._first).description
+        self._log = log
+        first = make()
+        self.description = GuardedPolicy(first).description
         if self.description.privileged:
             raise ConfigError(
                 f"policy '{self.description.name}' is privileged: it reads the task, the scene and the state, which no "
                 "wire carries; leave --policy-servers out"
             )
-        self.batcher = Batcher(type(self._first)) if answers_batches(type(self._first)) else None
-        self._free = [self._first]
-        self._open = 0
-        self._lock = threading.Lock()
+        self.batcher = Batcher(type(first)) if answers_batches(type(first)) else None
+        self._instances = Instances(first, lambda: _another(first) or make(), most=MOST_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[GuardedPolicy]:
@@ -68,13 +66,7 @@ class SharedSessions:
         Raises:
             UnavailableError: When there are too many.
         """
-        with self._lock:
-            if self._open >= MOST_SESSIONS:
-                raise UnavailableError(f"the server has {MOST_SESSIONS} sessions already")
-            self._open += 1
-            policy = self._free.pop() if self._free else None
-        try:
-            policy = policy or self._another()
+        with self._instances.taken() as policy:
             if self.batcher is None:
                 yield GuardedPolicy(policy, log=self._log)
                 return
@@ -83,23 +75,18 @@ class SharedSessions:
                 yield GuardedPolicy(Batched(policy, self.batcher), log=self._log)
             finally:
                 self.batcher.leave()
-        finally:
-            with self._lock:
-                self._open -= 1
-                if policy is not None:
-                    self._free.append(policy)
-
-    def _another(self) -> Policy:
-        """Return one more instance, with the first one's model if the policy can share it."""
-        another = getattr(self._first, "another", None)
-        return (another() if callable(another) else None) or self._make()
 
     def close(self) -> None:
         """End the batches, and forget the instances."""
         if self.batcher is not None:
             self.batcher.close()
-        with self._lock:
-            self._free.clear()
+        self._instances.close()
+
+
+def _another(first: Policy) -> Policy | None:
+    """Return one more instance with the first one's model, if the policy can share it."""
+    another = getattr(first, "another", None)
+    return another() if callable(another) else None
 
 
 def answers_batches(kind: type[Any]) -> bool:
