@@ -3,9 +3,9 @@
 A few lines of YAML whose aliases repeat each other can expand to billions of values, and deep nesting makes a recursive
 reader raise ``RecursionError``. Values and levels are therefore counted before anything is built.
 
-YAML is parsed by libyaml, 25 times as fast as a parser in Python: the start of a command reads up to a hundred files.
-libyaml's grammar is that of YAML 1.1. What makes a difference for configurations is the meaning of plain scalars, and
-that is YAML 1.2's here: ``yes`` and ``on`` are text, ``017`` is 17.
+YAML is parsed by libyaml: it takes a thirteenth of the time of a parser in Python, and a command reads up to a hundred
+files. libyaml's grammar is that of YAML 1.1. What makes a difference for configurations is the meaning of plain
+scalars, and that is YAML 1.2's here: ``yes`` and ``on`` are text, ``017`` is 17.
 """
 
 from __future__ import annotations
