@@ -153,6 +153,13 @@ def test_the_counts_of_a_dataset_must_be_those_of_the_design():
     assert "rotate target=cube: counts: 2 episodes, 3 expected" in refusal
 
 
+def test_answers_must_be_as_late_as_the_condition_says():
+    late = replace(DEMAND, latency_ticks=2)
+    assert faults_of(late, replace(CLEAN, latency_ticks=2.0)) == {}
+    assert faults_of(late, CLEAN) == {"latency": "the policy's answers were 0 ticks late, 2 expected"}
+    assert faults_of(DEMAND, replace(CLEAN, latency_ticks=1.5)) != {}
+
+
 def test_held_out_objects_beside_the_target_and_in_words_are_stated():
     beside = Trained(shown=replace(CLEAN, models={"target": "apple"}, others=("cube",), cell="rotate target=cube"))
     asked = Demand(skill="pick_up", models={"target": words("cube")})

@@ -63,12 +63,13 @@ RGB = npt.NDArray[np.uint8]
 # ------------------------------------------------------------------ demands
 
 
-def demand_of(config: TaskConfig, *, words: str | None = None) -> Demand:
+def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: int = 0) -> Demand:
     """Return what a task demands of its episodes.
 
     Args:
         config: A cell's task.
         words: What the policy must receive as instruction; none: the task's.
+        latency_ticks: Ticks by which each of its answers must be late.
     """
     area = config.reset.get("interaction_area")
     areas = {}
@@ -94,6 +95,7 @@ def demand_of(config: TaskConfig, *, words: str | None = None) -> Demand:
         turned=() if cameras is None else tuple(cameras.turn_rad),
         look=_look_demand(config),
         words=words,
+        latency_ticks=latency_ticks,
     )
 
 
@@ -219,6 +221,7 @@ class DeliveryReader:
             thumbnails={name: _thumbnail(image) for name, image in tick.images.items()},
             instruction=info.task.instruction,
             received=received[1] if received else info.task.instruction,
+            latency_ticks=reader.result.delay_ticks,
         )
         demand = demand_for(shown.cell)
         name = info.renderer.split(" ")[0]
@@ -426,6 +429,8 @@ class BagJob:
     """Name of the task mix that its cell is of."""
     words: str | None = None
     """What the policy must receive as instruction; none: the task's."""
+    latency_ticks: int = 0
+    """Ticks by which each of its answers must be late."""
     said: str | None = None
     """An instruction to read in its scene; none: nothing to read."""
 
@@ -447,7 +452,7 @@ class DeliveryWorker:
     def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> dict[str, Any]:
         """Return what a bag shows, and what an instruction asks for in its scene."""
         wanted = from_plain(job, BagJob)
-        demands = demands_of(self._mixes[wanted.mix], wanted.words)
+        demands = demands_of(self._mixes[wanted.mix], wanted.words, wanted.latency_ticks)
         shown = self._reader.read(Path(wanted.bag), demands.get, pictures=self._pictures)
         asked = [] if wanted.said is None else self._reader.asked(Path(wanted.bag), wanted.said)
         return {"shown": to_plain(shown), "asked": asked}
@@ -464,15 +469,19 @@ def task_mix_of(mix: str) -> TaskMix:
 
 
 @lru_cache(maxsize=64)
-def demands_of(mix: str, words: str | None = None) -> dict[str, Demand]:
+def demands_of(mix: str, words: str | None = None, latency_ticks: int = 0) -> dict[str, Demand]:
     """Return what each cell of a task mix demands.
 
     Args:
         mix: The mix as JSON text.
         words: What the policy must receive as instruction; none: the task's.
+        latency_ticks: Ticks by which each of its answers must be late.
     """
     found = task_mix_of(mix)
-    return {key: demand_of(cell, words=words) for key, cell in zip(found.keys, found.cells, strict=True)}
+    return {
+        key: demand_of(cell, words=words, latency_ticks=latency_ticks)
+        for key, cell in zip(found.keys, found.cells, strict=True)
+    }
 
 
 def shown_from(data: Mapping[str, Any]) -> Shown:

@@ -220,6 +220,7 @@ class Stages:
                 policies=policy, task=self._mix(stage), out=self._folder(stage.name),
                 episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
                 size=self._size, workers=self.workers, renderer=self.renderer, page=False, shard=self.shard,
+                latency=stage.inputs["latency_ticks"],
             ),
             executor=self._episodes(evaluation_folder(self.out, stage.name)), **self._options,
         )  # fmt: skip
@@ -263,7 +264,7 @@ class Stages:
         condition = self.design.config.conditions[name]
         return ArmClaim(
             condition=name, folder=self._folder(stage.name) / name, mix=plain(stage.inputs["mix"]),
-            words=condition.instruction, changed=changed_parts(condition.set),
+            words=condition.instruction, latency_ticks=condition.latency_ticks, changed=changed_parts(condition.set),
         )  # fmt: skip
 
     def _judge_again(

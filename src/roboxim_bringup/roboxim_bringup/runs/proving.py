@@ -224,6 +224,8 @@ class ArmClaim:
     """Its task mix, as plain data."""
     words: str | None
     """What its policy must receive as instruction; none: the task's."""
+    latency_ticks: int = 0
+    """Ticks by which its policy's answers must be late."""
     changed: tuple[str, ...] = ()
     """Parts of the task that the condition changes."""
 
@@ -250,13 +252,13 @@ def prove_evaluation(arms: Sequence[ArmClaim], reading: Reading) -> tuple[Tally,
             if result.bag:
                 bag = str(run.path / result.bag)
                 index_of[bag] = arm.condition, result.index
-                jobs.append(BagJob(bag=bag, mix=arm.condition, words=arm.words))
+                jobs.append(BagJob(bag=bag, mix=arm.condition, words=arm.words, latency_ticks=arm.latency_ticks))
     found = Tally()
     shown_by_arm: dict[str, list[Shown]] = {arm.condition: [] for arm in arms}
     for shown, _ in reading.read("proving rollouts", jobs, mixes):
         shown_by_arm[index_of[shown.bag][0]].append(shown)
     for arm in arms:
-        found += tally(demands_of(mixes[arm.condition], arm.words), shown_by_arm[arm.condition])
+        found += tally(demands_of(mixes[arm.condition], arm.words, arm.latency_ticks), shown_by_arm[arm.condition])
     found += pairing(shown_by_arm, {arm.condition: arm.changed for arm in arms})
     excluded: dict[str, list[int]] = {}
     for bag in sorted(found.faulty):

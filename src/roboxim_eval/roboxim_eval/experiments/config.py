@@ -89,6 +89,8 @@ class ConditionConfig:
     """Whether the policies exist already, e.g. public checkpoints; they are named by ``--policy CONDITION.R=SPEC``."""
     instruction: str | None = None
     """Instruction that the policy receives instead of the task's; empty: none at all."""
+    latency_ticks: int = 0
+    """Ticks by which each of the policy's answers arrives late in this condition's evaluation."""
     steps: int = 0
     """Training steps; 0: the trainer's."""
     set: dict[str, Any] = field(default_factory=dict)
@@ -98,7 +100,7 @@ class ConditionConfig:
         """Check that the policies have one origin.
 
         Raises:
-            ConfigError: When there is none, or more than one, or steps are negative.
+            ConfigError: When there is none, or more than one, or steps or ticks are negative.
         """
         if sum((bool(self.train), bool(self.checkpoint_of), self.given)) != 1:
             raise ConfigError(
@@ -106,6 +108,8 @@ class ConditionConfig:
             )
         if self.steps < 0:
             raise ConfigError(f"steps must be >= 0, got {self.steps}")
+        if self.latency_ticks < 0:
+            raise ConfigError(f"latency_ticks must be >= 0, got {self.latency_ticks}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -114,6 +114,8 @@ class Demand:
     """Property of light or surfaces to its values, e.g. ``light.intensity``, ``table.texture``, ``background``."""
     words: str | None = None
     """What the policy must receive as instruction; none: the task's instruction."""
+    latency_ticks: int = 0
+    """Ticks by which each of its answers must be late."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +167,8 @@ class Shown:
     """The task's instruction."""
     received: str = ""
     """The instruction as the policy received it."""
+    latency_ticks: float = 0.0
+    """Ticks by which its answers were late, mean of the episode."""
 
 
 Check = Callable[[Demand, Shown], Iterator[str]]
@@ -279,9 +283,15 @@ def _words(demand: Demand, shown: Shown) -> Iterator[str]:
         yield f"the policy received '{shown.received}', expected '{wanted}'"
 
 
+def _latency(demand: Demand, shown: Shown) -> Iterator[str]:
+    if abs(shown.latency_ticks - demand.latency_ticks) > 1e-6:
+        yield f"the policy's answers were {shown.latency_ticks:g} ticks late, {demand.latency_ticks} expected"
+
+
 CHECKS: Mapping[str, Check] = {
     "skill": _skill, "object": _object, "distractors": _distractors, "area": _area, "start": _start,
     "camera": _camera, "light": _light, "texture": _texture, "words": _words,
+    "latency": _latency,
 }  # fmt: skip
 """Checks by name. Each yields what is wrong, with figures; nothing: the episode passes."""
 OF_CELLS = ("skill", "object", "area", "camera")

@@ -293,7 +293,8 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             "evaluate", f"{evaluation.condition}.{evaluation.replicate}{at}",
             tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
             episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
-            instruction=condition.instruction, max_steps=config.evaluate.max_steps,
+            instruction=condition.instruction, latency_ticks=condition.latency_ticks,
+            max_steps=config.evaluate.max_steps,
         )  # fmt: skip
     for replicate in range(config.replicates.count):
         finals = (e.condition for e in design.evaluations if e.replicate == replicate and not e.checkpoint)
