@@ -12,6 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
 from roboxim_interfaces.action import RunEpisodes as RunEpisodesAction
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.srv import RunEpisodes
@@ -163,7 +164,8 @@ def test_a_missing_image_is_named_and_never_replaced_by_an_older_frame(graph, po
     class Faulty:
         """From tick 2 on publishes nothing, or tick 1's pixels with the later ticks' stamps."""
 
-        def publish(self, message):
+        def publish(self, serialised):
+            message = deserialize_message(serialised, Image)
             sent.append(message)
             if len(sent) > 2:
                 monkeypatch.setattr(ports, "MESSAGE_TIMEOUT_S", 2.0)
