@@ -140,7 +140,9 @@ def calibrate(
         demos.require_any()
         kept = len(demos.kept)
         export, export_s = _timed(
-            lambda: export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0), **options)
+            lambda: export_rlds(
+                folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0, uneven=True), **options
+            )
         )
         watch = _Watch(on_event)
         trained = train_bc(
