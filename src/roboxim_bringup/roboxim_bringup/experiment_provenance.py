@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import subprocess
+import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -45,8 +46,13 @@ def code() -> CardCode:
 
 @lru_cache(maxsize=1)
 def packages_sha256() -> str:
-    """Return the hash of the names and versions of all installed packages."""
-    return sha256_of(sorted({f"{d.metadata['Name']}=={d.version}".lower() for d in metadata.distributions()}))
+    """Return the hash of the names and versions of all packages of this environment.
+
+    Packages that a library carries along and adds to the path, as Ray does once it runs, do not count.
+    """
+    folders = [sysconfig.get_path(name) for name in ("purelib", "platlib")]
+    found = metadata.distributions(path=folders)
+    return sha256_of(sorted({f"{d.metadata['Name']}=={d.version}".lower() for d in found}))
 
 
 def device() -> str:

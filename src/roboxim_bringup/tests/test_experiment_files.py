@@ -2,6 +2,7 @@
 
 import json
 import re
+from importlib import metadata
 
 import pytest
 from click.testing import CliRunner
@@ -16,6 +17,7 @@ from roboxim_bringup.experiment_files import (
     write_mixes,
 )
 from roboxim_bringup.experiment_plan import plan_lines
+from roboxim_bringup.experiment_provenance import packages_sha256
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
@@ -168,3 +170,14 @@ def test_durations():
     assert [duration_s(text) for text in ("8h", "90min", "1.5 h", "2d")] == [28800, 5400, 5400, 172800]
     with pytest.raises(ConfigError, match="8h"):
         duration_s("soon")
+
+
+def test_packages_that_a_library_adds_to_the_path_do_not_change_the_environment(tmp_path, monkeypatch):
+    before = packages_sha256()
+    added = tmp_path / "carried-1.0.dist-info"
+    added.mkdir()
+    (added / "METADATA").write_text("Metadata-Version: 2.1\nName: carried\nVersion: 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    packages_sha256.cache_clear()
+    assert "carried" in {d.metadata["Name"] for d in metadata.distributions()}
+    assert packages_sha256() == before
