@@ -222,7 +222,7 @@ def assembled(*episodes: tuple[np.ndarray, np.ndarray]) -> Demonstrations:
 
 
 def lived(proprio: np.ndarray, actions: np.ndarray, empty: float = 0.1) -> np.ndarray:
-    """Return what a policy that acts on every tick remembers, shape (T, 10)."""
+    """Return what a policy that acts on every tick remembers, shape (T, 11)."""
     memory, seen = GraspMemory(empty), []
     for row, action in zip(proprio, actions, strict=True):
         seen.append(memory.observe(row))
@@ -247,10 +247,14 @@ def test_memory_tells_how_far_a_held_object_was_turned_and_that_it_was_put_down(
 
 def test_memory_forgets_a_gripper_that_closed_on_nothing():
     proprio, actions = held_episode()
-    proprio[8:19, 9] = 0.01
+    proprio[8:19, 9], proprio[8:, 2] = 0.01, 0.02
+    proprio[19:, 2] += 0.012 * np.arange(5)  # opened again, it rises
     seen = lived(proprio, actions)
     assert seen[7].any()
-    assert not seen[8:19].any()
+    assert not seen[8:19, :-1].any()
+    assert seen[8:, -1].all()  # 48 mm are not enough
+    proprio[22:, 2] += 0.05
+    assert lived(proprio, actions)[:, -1].tolist() == [False] * 8 + [True] * 14 + [False] * 2
 
 
 def test_a_gripper_that_opens_less_holds_nothing():
@@ -265,7 +269,7 @@ def test_training_and_policy_compute_the_same_memory():
     episodes = [held_episode(), held_episode(1.0), held_episode(0.7)]
     data = assembled(*episodes)
     assert data.empty == pytest.approx(0.25)
-    features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released)
+    features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released, data.failed)
     remembered = [
         np.concatenate([proprio_features(proprio), lived(proprio, actions, data.empty)], axis=1)
         for proprio, actions in episodes

@@ -12,9 +12,9 @@ from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
 
-FORMAT = 4
+FORMAT = 5
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
-network with a memory of the grasp; 4: a grasp begins with the command to close."""
+network with a memory of the grasp; 4: a grasp begins with the command to close; 5: the memory of a failed grasp."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 

@@ -53,9 +53,9 @@ class BCConfig:
     opening_noise: float = 0.3
     """Noise on the gripper opening as an input, relative to how far the gripper is closed. An object that is grasped
     askew is wider than any in the demonstrations, and the network must still recognise it as grasped."""
-    retry: float = 0.03
-    """Fraction of samples that are made into "closed, but empty": the opening is set to 0, and the action opens the
-    gripper and rises. Only if no demonstration closes the gripper on nothing."""
+    retry: float = 0.06
+    """Fraction of samples that are made into "the gripper closed on nothing": the action opens it and rises until the
+    tool has gained `features.RETRY_M`. Only if no demonstration closes the gripper on nothing."""
     brightness: float = 0.15
     """Largest relative change of an image's brightness in training."""
     shift_px: int = 0

@@ -27,6 +27,7 @@ from roboxim_policies.bc.features import (
     Floats,
     Ints,
     empty_below,
+    failures,
     grasp_starts,
     proprio_features,
     split_words,
@@ -77,6 +78,8 @@ class Demonstrations:
     """For each step, the smallest opening of the gripper since that grasp began, shape (N,)."""
     released: Flags
     """For each step, whether the action before it opens the gripper or keeps it open, shape (N,)."""
+    failed: Flags
+    """For each step, whether the gripper closed on nothing and has not risen since, see `features.failures`."""
     empty: float
     """Opening of the gripper below which it is closed and empty."""
     words: Ints
@@ -149,6 +152,7 @@ def assemble(
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
         least_opening=np.concatenate([_least(e.proprio[:, 9], g) for e, g in zip(kept, grasps, strict=True)]),
         released=~np.concatenate([[False], actions[:-1, 6] < CLOSED_BELOW]) | starts,
+        failed=np.concatenate([failures(e.proprio[:, 9], e.proprio[:, 2], empty) for e in kept]),
         empty=empty,
         words=np.repeat(np.stack(words), lengths, axis=0),
         targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),

@@ -18,10 +18,13 @@ Flags = npt.NDArray[np.bool_]
 
 PROPRIO_SIZE = 8
 """Number of proprioception features, see `proprio_features`."""
-MEMORY_SIZE = 10
+MEMORY_SIZE = 11
 """Number of features of the memory, see `memory_features`."""
 STATE_SIZE = PROPRIO_SIZE + MEMORY_SIZE
 """Number of state features that the network receives."""
+RETRY_M = 0.08
+"""Height that the tool gains after the gripper closed on nothing, before the policy tries again [m]. From there the
+object is in view, as it is when the demonstrations approach it."""
 NONE = -1
 """Index of a step that does not exist."""
 
@@ -62,7 +65,7 @@ def proprio_features(proprio: Floats) -> Floats:
 
 
 def memory_features(
-    moved: Any, heading: Any, turned: Any, opened: Any, released: Any, grasped: Any, xp: Any = np
+    moved: Any, heading: Any, turned: Any, opened: Any, released: Any, grasped: Any, failed: Any, xp: Any = np
 ) -> Any:
     """Return the features of the memory: what changed since the gripper closed.
 
@@ -72,7 +75,8 @@ def memory_features(
         turned: Change of the yaw [rad], shape (...).
         opened: Opening of the gripper beyond its smallest one since then, shape (...).
         released: Whether the last action opened the gripper again, shape (...).
-        grasped: Whether it has closed on something, shape (...); where it is False, all features are 0.
+        grasped: Whether it has closed on something, shape (...); where it is False, the features so far are 0.
+        failed: Whether it has closed on nothing and has not risen by `RETRY_M` since, shape (...).
         xp: Module with NumPy's functions: NumPy, or JAX's.
 
     Returns:
@@ -83,10 +87,12 @@ def memory_features(
     columns = [*(moved[..., i] for i in range(3)), ahead, aside, xp.sin(turned), xp.cos(turned), opened]
     columns.append(xp.asarray(released, xp.float32))
     held = xp.asarray(grasped, xp.float32)
-    return xp.stack([held, *(held * column for column in columns)], axis=-1)
+    return xp.stack([held, *(held * column for column in columns), xp.asarray(failed, xp.float32)], axis=-1)
 
 
-def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Floats, released: Flags) -> Floats:
+def state_features(
+    proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Floats, released: Flags, failed: Flags
+) -> Floats:
     """Return the state features of all steps of a dataset, with a memory that notices each grasp at once.
 
     Args:
@@ -95,6 +101,7 @@ def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Fl
         grasps: First step of the latest grasp, or `NONE`, shape (N,).
         least_opening: Smallest opening since then, shape (N,).
         released: Whether the action before a step opens the gripper or keeps it open, shape (N,).
+        failed: See `failures`, shape (N,).
 
     Returns:
         Shape (N, `STATE_SIZE`).
@@ -102,7 +109,7 @@ def state_features(proprio: Floats, yaw: Floats, grasps: Ints, least_opening: Fl
     begin = np.maximum(grasps, 0)
     heading = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     moved, opened = proprio[:, :3] - proprio[begin, :3], proprio[:, 3] - least_opening
-    memory = memory_features(moved, heading, yaw - yaw[begin], opened, released, grasps != NONE)
+    memory = memory_features(moved, heading, yaw - yaw[begin], opened, released, grasps != NONE, failed)
     return np.concatenate([proprio, memory], axis=-1).astype(np.float32)
 
 
@@ -140,6 +147,29 @@ def grasp_starts(openings: Floats, closed: Flags, empty: float) -> Ints:
     return starts
 
 
+def failures(openings: Floats, heights: Floats, empty: float) -> Flags:
+    """Return, for each step of an episode, whether the gripper closed on nothing and has not risen by `RETRY_M` since.
+
+    Args:
+        openings: Measured openings, shape (T,).
+        heights: Heights of the tool [m], shape (T,).
+        empty: Opening below which a closed gripper is empty.
+    """
+    found = np.zeros(len(openings), np.bool_)
+    lowest: float | None = None
+    for step, (opening, height) in enumerate(zip(openings.tolist(), heights.tolist(), strict=True)):
+        lowest = _lowest_since_failure(lowest, opening, height, empty)
+        found[step] = lowest is not None
+    return found
+
+
+def _lowest_since_failure(lowest: float | None, opening: float, height: float, empty: float) -> float | None:
+    """Return the tool's lowest height since the gripper closed on nothing [m]; none: it did not, or has risen since."""
+    if opening < empty:
+        return height if lowest is None else min(lowest, height)
+    return None if lowest is None or height - lowest >= RETRY_M else min(lowest, height)
+
+
 class GraspMemory:
     """The memory of one episode at test time, updated with each observation.
 
@@ -159,6 +189,7 @@ class GraspMemory:
         self._empty = empty
         self._pose: tuple[Floats, float, float] | None = None
         self._closing = self._was_closing = False
+        self._lowest: float | None = None
 
     def commanded(self, closed: bool) -> None:
         """Note whether the last action that is executed before the next observation closes the gripper."""
@@ -179,12 +210,16 @@ class GraspMemory:
         elif self._closing and not self._was_closing:
             self._pose = position, yaw, opening
         self._was_closing = self._closing
+        self._lowest = _lowest_since_failure(self._lowest, opening, float(position[2]), self._empty)
         heading = np.array([np.cos(yaw), np.sin(yaw)], np.float32)
         if self._pose is None:
-            return np.zeros(MEMORY_SIZE, np.float32)
+            nothing = np.zeros(MEMORY_SIZE, np.float32)
+            nothing[-1] = self._lowest is not None
+            return nothing
         begin, begin_yaw, least = self._pose
         self._pose = begin, begin_yaw, min(least, opening)
         opened = np.float32(opening - self._pose[2])
         turned, released = np.float32(yaw - begin_yaw), np.bool_(not self._closing)
-        features = memory_features(position - begin, heading, turned, opened, released, np.True_)
+        failed = np.bool_(self._lowest is not None)
+        features = memory_features(position - begin, heading, turned, opened, released, np.True_, failed)
         return np.asarray(features, np.float32)

@@ -24,9 +24,7 @@ from roboxim_policies.bc.network import Inputs, Network, Prediction
 OPENING = 3
 """Index of the gripper's opening in the proprioception features."""
 RISE_M = 0.01
-"""Upward motion per tick with which a retry begins [m]."""
-RISE_TICKS = 4
-"""Number of ticks that it lasts."""
+"""Upward motion per tick of a gripper that closed on nothing [m]."""
 
 
 class Wanted(eqx.Module):
@@ -56,6 +54,7 @@ class Samples(eqx.Module):
     grasps: Array
     least: Array
     released: Array
+    failed: Array
     words: Array
     mean: Array
     scale: Array
@@ -80,7 +79,7 @@ class Samples(eqx.Module):
             gripper=jnp.asarray(data.actions[:, 6].astype(np.float32)),
             targets=jnp.asarray(stats.normalize_target(data.targets)), ends=jnp.asarray(data.ends),
             grasps=jnp.asarray(data.grasps, jnp.int32), least=jnp.asarray(data.least_opening),
-            released=jnp.asarray(data.released),
+            released=jnp.asarray(data.released), failed=jnp.asarray(data.failed),
             words=jnp.asarray(data.words), mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
             rise=jnp.asarray(rise, jnp.float32), empty=jnp.asarray(data.empty, jnp.float32),
             retries=bool(config.retry > 0 and data.empty > 0 and not empties.any()),
@@ -93,18 +92,19 @@ class Samples(eqx.Module):
         inside = (steps <= last).astype(jnp.float32)  # after the end of a demonstration, the action is to hold still
         steps = jnp.minimum(steps, last)
         motion, gripper = self.motion[steps] * inside[..., None], self.gripper[steps]
-        proprio = self._noisy(batch, draws["proprio"])
+        proprio, failed = self._noisy(batch, draws["proprio"]), self.failed[batch]
         if self.retries:
             before = (self.grasps[batch] < 0) & (self.opening[batch] > self.empty)
             retry = before & (draws["retry"] < config.retry)
-            proprio = proprio.at[:, OPENING].set(jnp.where(retry, 0.0, proprio[:, OPENING]))
-            up = jnp.where(jnp.arange(config.chunk) < RISE_TICKS, self.rise, 0.0)
-            rising = jnp.zeros_like(motion).at[..., 2].set(up)
+            closed = draws["retry"] < 0.5 * config.retry  # the others have opened again, but must still rise
+            proprio = proprio.at[:, OPENING].set(jnp.where(closed & retry, 0.0, proprio[:, OPENING]))
+            failed |= retry
+            rising = jnp.zeros_like(motion).at[..., 2].set(self.rise)
             motion = jnp.where(retry[:, None, None], rising, motion)
             gripper = jnp.where(retry[:, None], 1.0, gripper)
         yaw = self.yaw[batch]
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
-        state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading)], axis=-1)
+        state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
         inputs = Inputs(
             images={name: self._seen(name, batch, draws, config) for name in self.images},
             state=(state - self.mean) / self.scale, heading=heading, words=self.words[batch],
@@ -118,13 +118,15 @@ class Samples(eqx.Module):
         opening = jnp.maximum(noisy[:, OPENING], jnp.minimum(clean[:, OPENING], self.empty))
         return noisy.at[:, OPENING].set(opening)
 
-    def _memory(self, batch: Array, late: Array, heading: Array) -> Array:
+    def _memory(self, batch: Array, late: Array, heading: Array, failed: Array) -> Array:
         """Return the memory of a policy that noticed the grasp some ticks late."""
         grasps = self.grasps[batch]
         begin = jnp.minimum(batch, grasps + late)
         moved, turned = self.position[batch] - self.position[begin], self.yaw[batch] - self.yaw[begin]
         opened = self.opening[batch] - self.least[batch]
-        features: Array = memory_features(moved, heading, turned, opened, self.released[batch], grasps >= 0, jnp)
+        features: Array = memory_features(
+            moved, heading, turned, opened, self.released[batch], grasps >= 0, failed, jnp
+        )
         return features
 
     def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: BCConfig) -> Array:

@@ -60,7 +60,7 @@ def statistics(data: Demonstrations) -> Statistics:
     motion = data.actions[:, :6].astype(np.float64)
     scale = np.sqrt(np.mean(motion**2, axis=0))
     scale[:2] = np.sqrt(np.mean(scale[:2] ** 2))  # one scale, because the network turns these vectors
-    state = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released)
+    state = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released, data.failed)
     target_scale = np.maximum(data.targets.std(axis=0), 1e-2)
     target_scale[:2] = np.sqrt(np.mean(target_scale[:2] ** 2))
     return Statistics(
