@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.runs.delivery import DeliveryReader, demands_of
+from roboxim_bringup.runs.delivery_demands import demands_of
+from roboxim_bringup.runs.delivery_reader import DeliveryReader
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
 from roboxim_bringup.runs.proving import (
     ArmClaim,

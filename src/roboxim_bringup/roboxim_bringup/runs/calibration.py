@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, KeptProcesses, LocalExecutor
-from roboxim_bringup.runs.delivery import BagJob, DeliveryReader, demands_of
+from roboxim_bringup.runs.delivery_demands import demands_of
+from roboxim_bringup.runs.delivery_reader import DeliveryReader
+from roboxim_bringup.runs.delivery_worker import BagJob
 from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, evaluate, report_of
 from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.experiment_stages import started

@@ -20,7 +20,7 @@ from roboxim_bringup.executors import Cancellation, CancelledError, Executor, Ke
 from roboxim_bringup.experiment_card import evaluation_folder
 from roboxim_bringup.process import spawn
 from roboxim_bringup.runs.corruption import corrupt
-from roboxim_bringup.runs.delivery import task_mix_of
+from roboxim_bringup.runs.delivery_demands import task_mix_of
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted
 from roboxim_bringup.runs.export import ExportConfig, export_rlds

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Done, Executor, InlineExecutor, Job, LocalExecutor, Work
-from roboxim_bringup.runs.delivery import BagJob, demands_of, shown_from
+from roboxim_bringup.runs.delivery_demands import demands_of
+from roboxim_bringup.runs.delivery_worker import BagJob, shown_from
 from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.substitution import Judging
@@ -90,7 +91,7 @@ class Reading:
             RoboximError: When a bag is damaged or cannot be drawn, or workers die.
         """
         found = self.run(
-            title, "roboxim_bringup.runs.delivery:DeliveryWorker", {"mixes": dict(mixes), "pictures": pictures},
+            title, "roboxim_bringup.runs.delivery_worker:DeliveryWorker", {"mixes": dict(mixes), "pictures": pictures},
             {job.bag: to_plain(job) for job in jobs},
         )  # fmt: skip
         for job in jobs:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.runs.delivery import task_mix_of
+from roboxim_bringup.runs.delivery_demands import task_mix_of
 from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary

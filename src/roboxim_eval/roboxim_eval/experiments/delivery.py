@@ -2,7 +2,7 @@
 
 A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 show what
 the cell's task demands, and if the policy received the words that the condition demands. The values here are plain;
-`roboxim_bringup.runs.delivery` reads them from task configurations and from bags.
+`roboxim_bringup.runs.delivery_demands` reads them from task configurations, `delivery_reader` from bags.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from roboxim_core.poses import Pose, Vec3, distance
 
@@ -58,6 +59,13 @@ class Allowed:
         if self.values:
             return " or ".join(_text(value) for value in self.values)
         return f"from {_text(self.lower)} to {_text(self.upper)}"
+
+
+def plain_value(value: Any) -> Value:
+    """Return a value as it is compared, from a configuration, a bag or JSON: text, a float, or a tuple of floats."""
+    if isinstance(value, list | tuple):
+        return tuple(float(number) for number in value)
+    return value if isinstance(value, str) else float(value)
 
 
 def _apart(value: Value, allowed: Value) -> float:

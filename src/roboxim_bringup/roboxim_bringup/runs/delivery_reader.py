@@ -1,4 +1,4 @@
-"""Reads what `roboxim_eval.experiments.delivery` compares: a cell's demands from its task, and what a bag shows.
+"""Reads what a bag shows, for the proofs of delivery.
 
 The pictures of tick 0 are compared with pictures that the bag's renderer draws of the recorded state from the camera
 poses that the *cell* demands. A camera that stood elsewhere thus shows the tool beside its projection.
@@ -6,13 +6,11 @@ poses that the *cell* demands. A camera that stood elsewhere thus shows the tool
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.cameras import load_camera, project
-from roboxim_core.config import from_plain, to_plain
+from roboxim_core.cameras import project
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, camera_parent, drawn_entities
@@ -30,15 +27,12 @@ from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec, TaskSpec
 from roboxim_datasets.audit.color import color_difference, median_lab
-from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, Value, View
+from roboxim_eval.experiments.delivery import Demand, Shown, Value, View, plain_value
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.states import StateRenderer
-from roboxim_tasks.choices import Choice, VectorChoice
-from roboxim_tasks.config import TaskMix, task_mix
 from roboxim_tasks.meaning import read_instruction
 from roboxim_tasks.roles import task_objects
-from roboxim_tasks.task_config import TaskConfig
 
 DRAWN_AGAIN = ("raster", "tiny")
 """Renderers whose pictures are drawn again for a comparison; the others take minutes."""
@@ -58,101 +52,6 @@ RECEIVED = re.compile(r"with the instruction '(.*)'$", re.DOTALL)
 """How the policy ``reworded`` names, in its version, the instruction that it passes on."""
 
 RGB = npt.NDArray[np.uint8]
-
-
-# ------------------------------------------------------------------ demands
-
-
-def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: int = 0) -> Demand:
-    """Return what a task demands of its episodes.
-
-    Args:
-        config: A cell's task.
-        words: What the policy must receive as instruction; none: the task's.
-        latency_ticks: Ticks by which each of its answers must be late.
-    """
-    area = config.reset.get("interaction_area")
-    areas = {}
-    if area is not None:
-        names = map(str, area.area.values) if area.area else area.areas
-        boxes = tuple(_allowed(area.areas[name]) for name in names)
-        areas = dict.fromkeys(area.roles, boxes)
-    robot, cameras = config.reset.get("robot"), config.reset.get("cameras")
-    physics = "physics" in config.reset
-    return Demand(
-        skill=config.skill,
-        arguments={name: _allowed(choice) for name, choice in config.arguments.items()},
-        models={role: _allowed(thing.models) for role, thing in config.objects.items()},
-        modifiers={
-            role: {k: _allowed(c) for k, c in thing.modifiers.items() if not (physics and k in ("mass", "friction"))}
-            for role, thing in config.objects.items()
-        },
-        distractors=(config.distractors.minimum, config.distractors.maximum),
-        areas=areas,
-        start=_allowed(robot.position) if robot is not None and robot.joints is None else None,
-        cameras={} if cameras is None else {name: _views(cameras, name) for name in cameras.names},
-        shifts={} if cameras is None else {name: _allowed(choice) for name, choice in cameras.shift_m.items()},
-        turned=() if cameras is None else tuple(cameras.turn_rad),
-        look=_look_demand(config),
-        words=words,
-        latency_ticks=latency_ticks,
-    )
-
-
-def _allowed(choice: Choice | VectorChoice) -> Allowed:
-    """Return the values of a choice; numbers of a range are vectors of one axis."""
-    if isinstance(choice, VectorChoice):
-        return Allowed(values=choice.values, lower=choice.lower or (), upper=choice.upper or ())
-    if choice.values:
-        return Allowed(values=tuple(_value(value) for value in choice.drawable))
-    assert choice.lower is not None
-    assert choice.upper is not None
-    return Allowed(lower=(choice.lower,), upper=(choice.upper,))
-
-
-def _views(cameras: Any, name: str) -> tuple[View, ...]:
-    files = map(str, cameras.views[name].values) if name in cameras.views else (name,)
-    return tuple(View(parent=camera.parent, pose=camera.pose) for camera in map(load_camera, files))
-
-
-def _look_demand(config: TaskConfig) -> dict[str, Allowed]:
-    found: dict[str, Allowed] = {}
-
-    def demand(name: str, choice: Choice | VectorChoice | None) -> None:
-        if choice is not None:
-            found[name] = _allowed(choice)
-
-    if (lights := config.reset.get("lights")) is not None:
-        for key in ("intensity", "color", "position", "radius", "ambient"):
-            demand(f"light.{key}", getattr(lights, key))
-    if (surfaces := config.reset.get("surfaces")) is not None:
-        for surface in ("table", "floor", "wall"):
-            for key in ("color", "texture", "roughness"):
-                demand(f"{surface}.{key}", getattr(getattr(surfaces, surface), key))
-    if (background := config.reset.get("background")) is not None:
-        demand("background", background.kind)
-    if (cameras := config.reset.get("cameras")) is not None:
-        for name, choice in cameras.exposure_ev.items():
-            base = load_camera(str(cameras.views[name].values[0]) if name in cameras.views else name)
-            demand(f"exposure.{name}", _raised(choice, base.noise.exposure_ev))
-    return found
-
-
-def _raised(choice: Choice, by: float) -> Choice:
-    if choice.values:
-        return replace(choice, values=tuple(float(value) + by for value in choice.values))
-    assert choice.lower is not None
-    assert choice.upper is not None
-    return replace(choice, lower=choice.lower + by, upper=choice.upper + by)
-
-
-def _value(value: Any) -> Value:
-    if isinstance(value, list | tuple):
-        return tuple(float(number) for number in value)
-    return value if isinstance(value, str) else float(value)
-
-
-# ------------------------------------------------------------------ bags
 
 
 class DeliveryReader:
@@ -196,10 +95,10 @@ class DeliveryReader:
             cell=drawn.get(CELL, ""),
             number=int(drawn.get(CELL_NUMBER, info.index)),
             skill=info.task.skill,
-            arguments={name: _value(value) for name, value in info.task.arguments.items()},
+            arguments={name: plain_value(value) for name, value in info.task.arguments.items()},
             models={role: entities[name].model for role, name in roles.items() if name in named},
             modifiers={
-                role: {kind: _value(value) for kind, value in entities[name].modifiers.items()}
+                role: {kind: plain_value(value) for kind, value in entities[name].modifiers.items()}
                 for role, name in roles.items()
                 if name in named
             },
@@ -304,18 +203,18 @@ def _parent(camera: CameraSpec, arm: ArmKinematics) -> str:
 
 def _look(scene: SceneSpec) -> dict[str, Value]:
     look: LookSpec = scene.look
-    found: dict[str, Value] = {"background": look.background, "light.ambient": _value(look.ambient)}
+    found: dict[str, Value] = {"background": look.background, "light.ambient": plain_value(look.ambient)}
     for surface in ("table", "floor", "wall"):
         material = getattr(look, surface)
         found |= {
-            f"{surface}.color": _value(material.color), f"{surface}.texture": material.texture,
+            f"{surface}.color": plain_value(material.color), f"{surface}.texture": material.texture,
             f"{surface}.roughness": material.roughness,
         }  # fmt: skip
     if look.lights:
         light = look.lights[0]
         found |= {
-            "light.intensity": light.intensity, "light.color": _value(light.color),
-            "light.position": _value(light.position), "light.radius": light.radius,
+            "light.intensity": light.intensity, "light.color": plain_value(light.color),
+            "light.position": plain_value(light.position), "light.radius": light.radius,
         }  # fmt: skip
     return found | {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
 
@@ -414,83 +313,3 @@ def _colors(
                 first, second = median_lab(pictures[camera.name][mask]), median_lab(drawn[camera.name].rgb[mask])
                 found[name] = min(found.get(name, math.inf), float(color_difference(first, second)))
     return found
-
-
-# ------------------------------------------------------------------ worker
-
-
-@dataclass(frozen=True, kw_only=True)
-class BagJob:
-    """A bag to read."""
-
-    bag: str
-    """Its path."""
-    mix: str
-    """Name of the task mix that its cell is of."""
-    words: str | None = None
-    """What the policy must receive as instruction; none: the task's."""
-    latency_ticks: int = 0
-    """Ticks by which each of its answers must be late."""
-    said: str | None = None
-    """An instruction to read in its scene; none: nothing to read."""
-
-
-class DeliveryWorker:
-    """Reads one bag per job, a `BagJob` as plain data; see `roboxim_bringup.executors`."""
-
-    def __init__(self, settings: Mapping[str, Any], number: int) -> None:
-        """Make the reader.
-
-        Args:
-            settings: ``mixes``, task mixes by name as JSON texts, and ``pictures``, whether to compare pictures.
-            number: The worker's number.
-        """
-        self._mixes: Mapping[str, str] = settings["mixes"]
-        self._pictures = bool(settings["pictures"])
-        self._reader = DeliveryReader(ModelLibrary())
-
-    def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> dict[str, Any]:
-        """Return what a bag shows, and what an instruction asks for in its scene."""
-        wanted = from_plain(job, BagJob)
-        demands = demands_of(self._mixes[wanted.mix], wanted.words, wanted.latency_ticks)
-        shown = self._reader.read(Path(wanted.bag), demands.get, pictures=self._pictures)
-        asked = [] if wanted.said is None else self._reader.asked(Path(wanted.bag), wanted.said)
-        return {"shown": to_plain(shown), "asked": asked}
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._reader.close()
-
-
-@lru_cache(maxsize=64)
-def task_mix_of(mix: str) -> TaskMix:
-    """Return the task mix of a JSON text."""
-    return task_mix(json.loads(mix))
-
-
-@lru_cache(maxsize=64)
-def demands_of(mix: str, words: str | None = None, latency_ticks: int = 0) -> dict[str, Demand]:
-    """Return what each cell of a task mix demands.
-
-    Args:
-        mix: The mix as JSON text.
-        words: What the policy must receive as instruction; none: the task's.
-        latency_ticks: Ticks by which each of its answers must be late.
-    """
-    found = task_mix_of(mix)
-    return {
-        key: demand_of(cell, words=words, latency_ticks=latency_ticks)
-        for key, cell in zip(found.keys, found.cells, strict=True)
-    }
-
-
-def shown_from(data: Mapping[str, Any]) -> Shown:
-    """Return what a bag shows from plain data, as a worker returns it."""
-    values = dict(data)
-    for name in ("arguments", "look"):
-        values[name] = {key: _value(value) for key, value in data[name].items()}
-    values["modifiers"] = {r: {k: _value(v) for k, v in kinds.items()} for r, kinds in data["modifiers"].items()}
-    values["cameras"] = {name: from_plain(view, View) for name, view in data["cameras"].items()}
-    values["positions"] = {role: tuple(position) for role, position in data["positions"].items()}
-    values["thumbnails"] = {name: tuple(numbers) for name, numbers in data["thumbnails"].items()}
-    return Shown(**{**values, "others": tuple(data["others"]), "start": tuple(data["start"])})

@@ -1,0 +1,119 @@
+"""Reads what a cell demands of its episodes from its task, for the proofs of delivery."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from roboxim_core.cameras import load_camera
+from roboxim_eval.experiments.delivery import Allowed, Demand, View, plain_value
+from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.config import TaskMix, task_mix
+from roboxim_tasks.task_config import TaskConfig
+
+
+@lru_cache(maxsize=64)
+def task_mix_of(mix: str) -> TaskMix:
+    """Return the task mix of a JSON text."""
+    return task_mix(json.loads(mix))
+
+
+@lru_cache(maxsize=64)
+def demands_of(mix: str, words: str | None = None, latency_ticks: int = 0) -> dict[str, Demand]:
+    """Return what each cell of a task mix demands.
+
+    Args:
+        mix: The mix as JSON text.
+        words: What the policy must receive as instruction; none: the task's.
+        latency_ticks: Ticks by which each of its answers must be late.
+    """
+    found = task_mix_of(mix)
+    return {
+        key: demand_of(cell, words=words, latency_ticks=latency_ticks)
+        for key, cell in zip(found.keys, found.cells, strict=True)
+    }
+
+
+def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: int = 0) -> Demand:
+    """Return what a task demands of its episodes.
+
+    Args:
+        config: A cell's task.
+        words: What the policy must receive as instruction; none: the task's.
+        latency_ticks: Ticks by which each of its answers must be late.
+    """
+    area = config.reset.get("interaction_area")
+    areas = {}
+    if area is not None:
+        names = map(str, area.area.values) if area.area else area.areas
+        boxes = tuple(_allowed(area.areas[name]) for name in names)
+        areas = dict.fromkeys(area.roles, boxes)
+    robot, cameras = config.reset.get("robot"), config.reset.get("cameras")
+    physics = "physics" in config.reset
+    return Demand(
+        skill=config.skill,
+        arguments={name: _allowed(choice) for name, choice in config.arguments.items()},
+        models={role: _allowed(thing.models) for role, thing in config.objects.items()},
+        modifiers={
+            role: {k: _allowed(c) for k, c in thing.modifiers.items() if not (physics and k in ("mass", "friction"))}
+            for role, thing in config.objects.items()
+        },
+        distractors=(config.distractors.minimum, config.distractors.maximum),
+        areas=areas,
+        start=_allowed(robot.position) if robot is not None and robot.joints is None else None,
+        cameras={} if cameras is None else {name: _views(cameras, name) for name in cameras.names},
+        shifts={} if cameras is None else {name: _allowed(choice) for name, choice in cameras.shift_m.items()},
+        turned=() if cameras is None else tuple(cameras.turn_rad),
+        look=_look_demand(config),
+        words=words,
+        latency_ticks=latency_ticks,
+    )
+
+
+def _allowed(choice: Choice | VectorChoice) -> Allowed:
+    """Return the values of a choice; numbers of a range are vectors of one axis."""
+    if isinstance(choice, VectorChoice):
+        return Allowed(values=choice.values, lower=choice.lower or (), upper=choice.upper or ())
+    if choice.values:
+        return Allowed(values=tuple(plain_value(value) for value in choice.drawable))
+    assert choice.lower is not None
+    assert choice.upper is not None
+    return Allowed(lower=(choice.lower,), upper=(choice.upper,))
+
+
+def _views(cameras: Any, name: str) -> tuple[View, ...]:
+    files = map(str, cameras.views[name].values) if name in cameras.views else (name,)
+    return tuple(View(parent=camera.parent, pose=camera.pose) for camera in map(load_camera, files))
+
+
+def _look_demand(config: TaskConfig) -> dict[str, Allowed]:
+    found: dict[str, Allowed] = {}
+
+    def demand(name: str, choice: Choice | VectorChoice | None) -> None:
+        if choice is not None:
+            found[name] = _allowed(choice)
+
+    if (lights := config.reset.get("lights")) is not None:
+        for key in ("intensity", "color", "position", "radius", "ambient"):
+            demand(f"light.{key}", getattr(lights, key))
+    if (surfaces := config.reset.get("surfaces")) is not None:
+        for surface in ("table", "floor", "wall"):
+            for key in ("color", "texture", "roughness"):
+                demand(f"{surface}.{key}", getattr(getattr(surfaces, surface), key))
+    if (background := config.reset.get("background")) is not None:
+        demand("background", background.kind)
+    if (cameras := config.reset.get("cameras")) is not None:
+        for name, choice in cameras.exposure_ev.items():
+            base = load_camera(str(cameras.views[name].values[0]) if name in cameras.views else name)
+            demand(f"exposure.{name}", _raised(choice, base.noise.exposure_ev))
+    return found
+
+
+def _raised(choice: Choice, by: float) -> Choice:
+    if choice.values:
+        return replace(choice, values=tuple(float(value) + by for value in choice.values))
+    assert choice.lower is not None
+    assert choice.upper is not None
+    return replace(choice, lower=choice.lower + by, upper=choice.upper + by)
