@@ -265,10 +265,18 @@ def test_a_gripper_that_opens_less_holds_nothing():
     assert grasps[:6].max() < 0 <= grasps[6]
 
 
+def failed_episode() -> tuple[np.ndarray, np.ndarray]:
+    """Return `held_episode`, in which the gripper first closes on nothing; it rises by 8 cm only while it holds."""
+    proprio, actions = held_episode()
+    actions[1:3, 6], proprio[2:4, 9] = 0.0, 0.01
+    return proprio, actions
+
+
 def test_training_and_policy_compute_the_same_memory():
-    episodes = [held_episode(), held_episode(1.0), held_episode(0.7)]
+    episodes = [held_episode(), held_episode(1.0), failed_episode(), held_episode(0.7)]
     data = assembled(*episodes)
     assert data.empty == pytest.approx(0.25)
+    assert data.failed.any()
     features = state_features(data.proprio, data.yaw, data.grasps, data.least_opening, data.released, data.failed)
     remembered = [
         np.concatenate([proprio_features(proprio), lived(proprio, actions, data.empty)], axis=1)

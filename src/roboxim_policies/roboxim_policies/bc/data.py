@@ -27,8 +27,7 @@ from roboxim_policies.bc.features import (
     Floats,
     Ints,
     empty_below,
-    failures,
-    grasp_starts,
+    grasps_of,
     proprio_features,
     split_words,
     tool_yaw,
@@ -79,7 +78,7 @@ class Demonstrations:
     released: Flags
     """For each step, whether the action before it opens the gripper or keeps it open, shape (N,)."""
     failed: Flags
-    """For each step, whether the gripper closed on nothing and has not risen since, see `features.failures`."""
+    """For each step, whether the gripper closed on nothing and has not risen since, see `features.Grasp`."""
     empty: float
     """Opening of the gripper below which it is closed and empty."""
     words: Ints
@@ -142,7 +141,9 @@ def assemble(
     firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
     starts = np.isin(np.arange(len(actions)), firsts)
     empty = like.empty if like is not None else empty_below(proprio[:, 9], actions[:, 6] < CLOSED_BELOW, starts)
-    grasps = [grasp_starts(e.proprio[:, 9], e.actions[:, 6] < CLOSED_BELOW, empty) for e in kept]
+    grasps, least, released, failed = zip(
+        *(grasps_of(e.proprio[:, 9], e.proprio[:, 2], e.actions[:, 6] < CLOSED_BELOW, empty) for e in kept), strict=True
+    )
     return Demonstrations(
         images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
         proprio=proprio_features(proprio),
@@ -150,9 +151,9 @@ def assemble(
         actions=actions,
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
-        least_opening=np.concatenate([_least(e.proprio[:, 9], g) for e, g in zip(kept, grasps, strict=True)]),
-        released=~np.concatenate([[False], actions[:-1, 6] < CLOSED_BELOW]) | starts,
-        failed=np.concatenate([failures(e.proprio[:, 9], e.proprio[:, 2], empty) for e in kept]),
+        least_opening=np.concatenate(least),
+        released=np.concatenate(released),
+        failed=np.concatenate(failed),
         empty=empty,
         words=np.repeat(np.stack(words), lengths, axis=0),
         targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),
@@ -162,15 +163,6 @@ def assemble(
         episodes=len(kept),
         robot=robot,
     )
-
-
-def _least(openings: Floats, grasps: Ints) -> Floats:
-    """Return the smallest opening since the latest grasp began; the opening itself where there is none."""
-    least = openings.copy()
-    for step in np.flatnonzero(grasps != NONE):
-        if step > grasps[step]:
-            least[step] = min(least[step], least[step - 1])
-    return least
 
 
 def _targets(proprio: Floats, actions: Floats) -> Floats:

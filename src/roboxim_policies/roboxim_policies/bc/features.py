@@ -2,12 +2,14 @@
 
 A single observation does not say how far a held object was turned, how high it was lifted, or that it was put down
 already. `GraspMemory` therefore keeps the robot's own measurements at the policy's last command to close the gripper.
-Training computes the same features for every step of a demonstration (`grasp_starts`).
+Training computes the same features for every step of a demonstration (`grasps_of`, `state_features`). What counts as a
+grasp is stated once, in `GraspRule`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +103,7 @@ def state_features(
         grasps: First step of the latest grasp, or `NONE`, shape (N,).
         least_opening: Smallest opening since then, shape (N,).
         released: Whether the action before a step opens the gripper or keeps it open, shape (N,).
-        failed: See `failures`, shape (N,).
+        failed: Whether the gripper closed on nothing and has not risen since, shape (N,).
 
     Returns:
         Shape (N, `STATE_SIZE`).
@@ -126,41 +128,56 @@ def empty_below(openings: Floats, closed: Flags, starts: Flags) -> float:
     return 0.5 * float(held.min()) if len(held) else 0.0
 
 
-def grasp_starts(openings: Floats, closed: Flags, empty: float) -> Ints:
-    """Return, for each step of an episode, the first step of its latest grasp; `NONE` before, or once it is empty.
+class Grasp(NamedTuple):
+    """What the gripper has done up to an observation of an episode."""
 
-    Args:
-        openings: Measured openings, shape (T,).
-        closed: Whether the action of a step closes the gripper or keeps it closed, shape (T,).
-        empty: Opening below which a closed gripper is empty.
+    begin: int
+    """Index of the observation with which the latest grasp began; `NONE` before, or once the gripper is empty."""
+    least_opening: float
+    """Smallest opening since then; the present one without a grasp."""
+    released: bool
+    """Whether the action before the observation opens the gripper or keeps it open."""
+    failed: bool
+    """Whether the gripper closed on nothing and has not risen by `RETRY_M` since."""
+
+
+class GraspRule:
+    """The rule by which grasps begin, end and fail in one episode, for training and policy alike.
+
+    Non-obvious:
+    - A grasp begins with the command to close, not with a measured opening: the gripper may be opened by as little as
+      some objects are wide, and a policy that believes it holds something carries nothing to its goal.
     """
-    starts = np.full(len(openings), NONE, np.int32)
-    current, was_closing = NONE, False
-    for step, opening in enumerate(openings.tolist()):
-        closing = step > 0 and bool(closed[step - 1])
-        if opening < empty:
-            current = NONE
-        elif closing and not was_closing:
-            current = step
-        was_closing = closing
-        starts[step] = current
-    return starts
 
+    def __init__(self, empty: float) -> None:
+        """Begin an episode.
 
-def failures(openings: Floats, heights: Floats, empty: float) -> Flags:
-    """Return, for each step of an episode, whether the gripper closed on nothing and has not risen by `RETRY_M` since.
+        Args:
+            empty: Opening below which a closed gripper is empty.
+        """
+        self._empty = empty
+        self._seen = 0
+        self._was_closing = False
+        self._begin, self._least = NONE, math.inf
+        self._lowest: float | None = None
 
-    Args:
-        openings: Measured openings, shape (T,).
-        heights: Heights of the tool [m], shape (T,).
-        empty: Opening below which a closed gripper is empty.
-    """
-    found = np.zeros(len(openings), np.bool_)
-    lowest: float | None = None
-    for step, (opening, height) in enumerate(zip(openings.tolist(), heights.tolist(), strict=True)):
-        lowest = _lowest_since_failure(lowest, opening, height, empty)
-        found[step] = lowest is not None
-    return found
+    def observe(self, opening: float, height: float, *, closing: bool) -> Grasp:
+        """Update with an observation.
+
+        Args:
+            opening: Measured opening.
+            height: Height of the tool [m].
+            closing: Whether the action before the observation closes the gripper or keeps it closed.
+        """
+        if opening < self._empty:
+            self._begin = NONE
+        elif closing and not self._was_closing:
+            self._begin, self._least = self._seen, opening
+        self._was_closing = closing
+        self._seen += 1
+        self._least = opening if self._begin == NONE else min(self._least, opening)
+        self._lowest = _lowest_since_failure(self._lowest, opening, height, self._empty)
+        return Grasp(self._begin, self._least, not closing, self._lowest is not None)
 
 
 def _lowest_since_failure(lowest: float | None, opening: float, height: float, empty: float) -> float | None:
@@ -170,12 +187,25 @@ def _lowest_since_failure(lowest: float | None, opening: float, height: float, e
     return None if lowest is None or height - lowest >= RETRY_M else min(lowest, height)
 
 
+def grasps_of(openings: Floats, heights: Floats, closed: Flags, empty: float) -> tuple[Ints, Floats, Flags, Flags]:
+    """Return what the gripper has done up to each step of an episode: the fields of `Grasp` as arrays of shape (T,).
+
+    Args:
+        openings: Measured openings, shape (T,).
+        heights: Heights of the tool [m], shape (T,).
+        closed: Whether the action of a step closes the gripper or keeps it closed, shape (T,).
+        empty: Opening below which a closed gripper is empty.
+    """
+    rule, closing = GraspRule(empty), [False, *closed[:-1].tolist()]
+    steps = zip(openings.tolist(), heights.tolist(), closing, strict=True)
+    begin, least, released, failed = zip(*(rule.observe(o, h, closing=c) for o, h, c in steps), strict=True)
+    return np.array(begin, np.int32), np.array(least, openings.dtype), np.array(released), np.array(failed)
+
+
 class GraspMemory:
     """The memory of one episode at test time, updated with each observation.
 
     Non-obvious:
-    - A grasp begins with the policy's own command to close, not with a measured opening: the gripper may be opened by
-      as little as some objects are wide, and a policy that believes to hold something carries nothing to its goal.
     - The policy does not see every tick, so a grasp is noticed up to ``execute`` - 1 ticks after it began. Training
       draws such delays.
     """
@@ -186,10 +216,9 @@ class GraspMemory:
         Args:
             empty: Opening below which a closed gripper is empty.
         """
-        self._empty = empty
-        self._pose: tuple[Floats, float, float] | None = None
-        self._closing = self._was_closing = False
-        self._lowest: float | None = None
+        self._rule = GraspRule(empty)
+        self._closing = False
+        self._begin, self._begin_position, self._begin_yaw = NONE, np.zeros(3, np.float32), 0.0
 
     def commanded(self, closed: bool) -> None:
         """Note whether the last action that is executed before the next observation closes the gripper."""
@@ -205,21 +234,17 @@ class GraspMemory:
             Shape (`MEMORY_SIZE`,).
         """
         position, yaw, opening = proprio[:3], float(tool_yaw(proprio)), float(proprio[9])
-        if opening < self._empty:
-            self._pose = None
-        elif self._closing and not self._was_closing:
-            self._pose = position, yaw, opening
-        self._was_closing = self._closing
-        self._lowest = _lowest_since_failure(self._lowest, opening, float(position[2]), self._empty)
-        heading = np.array([np.cos(yaw), np.sin(yaw)], np.float32)
-        if self._pose is None:
+        grasp = self._rule.observe(opening, float(position[2]), closing=self._closing)
+        if grasp.begin == NONE:
             nothing = np.zeros(MEMORY_SIZE, np.float32)
-            nothing[-1] = self._lowest is not None
+            nothing[-1] = grasp.failed
             return nothing
-        begin, begin_yaw, least = self._pose
-        self._pose = begin, begin_yaw, min(least, opening)
-        opened = np.float32(opening - self._pose[2])
-        turned, released = np.float32(yaw - begin_yaw), np.bool_(not self._closing)
-        failed = np.bool_(self._lowest is not None)
-        features = memory_features(position - begin, heading, turned, opened, released, np.True_, failed)
+        if grasp.begin != self._begin:
+            self._begin, self._begin_position, self._begin_yaw = grasp.begin, position, yaw
+        heading = np.array([np.cos(yaw), np.sin(yaw)], np.float32)
+        moved, turned = position - self._begin_position, np.float32(yaw - self._begin_yaw)
+        opened = np.float32(opening - grasp.least_opening)
+        features = memory_features(
+            moved, heading, turned, opened, np.bool_(grasp.released), np.True_, np.bool_(grasp.failed)
+        )
         return np.asarray(features, np.float32)
