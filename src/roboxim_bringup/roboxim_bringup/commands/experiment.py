@@ -374,8 +374,10 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
 
 
 def _probe(name: str, config: ExperimentConfig) -> Rates:
-    """Measure this machine for about a minute, and store the rates."""
+    """Measure this machine for about a minute, and store the rates. Its lines go to the error stream."""
+    import sys
     import tempfile
+    from contextlib import redirect_stdout
 
     from roboxim_bringup.experiment_files import checked_design, write_mixes
     from roboxim_bringup.options import parse_size
@@ -390,7 +392,7 @@ def _probe(name: str, config: ExperimentConfig) -> Rates:
             Path(folder) / f"{Path(name).stem}.yaml"
         )
         settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size))
-        with EventPrinter() as printer:
+        with redirect_stdout(sys.stderr), EventPrinter() as printer:
             rates = calibrate(settings, on_event=printer)
     store_rates(rates)
     return rates
