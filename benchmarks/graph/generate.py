@@ -35,7 +35,7 @@ def main() -> None:
         start_s=round(finished[0] - started, 1), s_per_episode=round(steady / (episodes - WORKERS), 2),
     )  # fmt: skip
     bench.finish(
-        "recorded demonstrations per hour", kept / episodes * 3600 * (episodes - WORKERS) / steady, "/h", at_least=3500
+        "recorded demonstrations per hour", kept / episodes * 3600 * (episodes - WORKERS) / steady, "/h", at_least=4000
     )
 
 

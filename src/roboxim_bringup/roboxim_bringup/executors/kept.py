@@ -25,7 +25,7 @@ from roboxim_bringup.process import stop
 
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
-GRACE_S = 3.0
+GRACE_S = 10.0
 """Longest time for the processes to end [s]."""
 MOST_WORKS = 8
 """Works that a process serves before it ends: what libraries keep of each, e.g. compiled policies, adds up."""

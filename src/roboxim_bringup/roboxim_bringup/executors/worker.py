@@ -8,6 +8,7 @@ SIGTERM, when the connection is closed, and with its parent.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import os
@@ -15,7 +16,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
@@ -66,7 +67,8 @@ def _serve(connection: Connection[Any, Any], send: Send) -> int | None:
         send("ready")
         code = _run_jobs(worker, connection, send)
     finally:
-        worker.close()
+        with _uninterrupted():
+            worker.close()
     if code is None:
         del worker
         gc.collect()  # of graphs and policies, whose parts refer to one another
@@ -112,8 +114,19 @@ def _code_and_message(error: BaseException) -> tuple[int, str]:
     return int(ErrorCode.INTERNAL), "".join(traceback.format_exception(error, limit=-3)).strip()
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ignore SIGTERM in the block: a graph that is half closed leaves files in the shared memory."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _end(number: int, _: FrameType | None) -> None:
     """End as by a normal exit, so that everything is closed."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit(128 + number)
 
 

@@ -30,7 +30,7 @@ READY_S = 900.0
 """Longest start of a worker [s]; a policy may compile meanwhile, on a machine that has other work."""
 STALL_S = 300.0
 """A worker that is silent for this time counts as dead [s]."""
-GRACE_S = 3.0
+GRACE_S = 10.0
 """Longest time for a worker to end [s]."""
 REST_S = 30.0
 """Longest time for a worker to close within its process [s]."""

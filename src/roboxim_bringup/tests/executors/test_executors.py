@@ -33,6 +33,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 from roboxim_bringup.executors import WorkerBrokenError
@@ -75,6 +76,7 @@ class Worker:
         return not there
 
     def close(self):
+        time.sleep(self.settings.get("close_s", 0.0))
         Path(self.settings["folder"], f"closed-{self.number}").touch()
 """
 
@@ -213,6 +215,11 @@ def test_a_worker_that_cannot_start_shows_its_log(work):
 def test_a_worker_that_hangs_counts_as_dead(work):
     [outcome] = LocalExecutor(1, stall_s=0.2).run(work(), jobs("hang"))  # a start takes longer, and is no silence
     assert "no message from it for 0.2 s" in outcome.message
+
+
+def test_the_end_of_a_worker_is_not_interrupted(work, tmp_path):
+    list(LocalExecutor(2).run(work(close_s=0.5), jobs(1, 2)))
+    assert sorted(path.name for path in tmp_path.glob("closed-*")) == ["closed-0", "closed-1"]
 
 
 def test_a_cancelled_run_ends_its_workers(work):
