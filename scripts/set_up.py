@@ -9,7 +9,8 @@ Design:
   step has finished. A step whose key is already stored is skipped, so a second run does nothing.
 - An environment that is being written has a `busy` mark. If Ctrl-C or a crash leaves it incomplete, the next run
   discards it.
-- Packages are installed while RoboXim's own compile, because both are independent until the end.
+- Packages are installed while RoboXim's own compile, because both are independent until the end. The interfaces generate
+  code on one core for a third of their time; meanwhile the planner's kernel compiles on another one.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ import sys
 import sysconfig
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -85,6 +87,10 @@ class Member:
         """Hash the names and contents of its files, and its build tools."""
         names = "\n".join(str(path.relative_to(self.folder)) for path in self.files())
         return digest(names, *self.files(), LOCKS / "build.lock", environment_key())
+
+    def wheel(self) -> Path | None:
+        """Return the wheel for these files, if it was built."""
+        return next((self.wheels / self.key()[:16]).glob("*.whl"), None)
 
 
 MEMBERS = (
@@ -151,20 +157,26 @@ def build_members() -> dict[Member, Path]:
     Returns:
         The wheel of each.
     """
-    return {member: build(member) for member in MEMBERS}
+    missing = [member for member in MEMBERS if member.wheel() is None]
+    if missing:
+        require_build_tools()
+        make_build_environment()
+        at_once([partial(build, member) for member in missing])
+    return {member: wheel for member in MEMBERS if (wheel := member.wheel()) is not None}
 
 
-def build(member: Member) -> Path:
-    """Build a member's wheel, unless it exists for these files."""
-    folder = member.wheels / member.key()[:16]
-    wheels = list(folder.glob("*.whl"))
-    if wheels:
-        return wheels[0]
-    require_build_tools()
-    with step(member.name):
-        if not build_env.has("packages", packages_key(LOCKS / "build.lock")):
+def make_build_environment() -> None:
+    """Install the build tools, unless they are there."""
+    if not build_env.has("packages", packages_key(LOCKS / "build.lock")):
+        with step("build tools"):
             build_env.make(LOCKS / "build.lock")
             shutil.rmtree(TOOLS / "build", ignore_errors=True)
+
+
+def build(member: Member) -> None:
+    """Build a member's wheel."""
+    with step(member.name):
+        folder = member.wheels / member.key()[:16]
         forget_removed_files(member)
         scratch = member.wheels / "new"
         shutil.rmtree(scratch, ignore_errors=True)
@@ -180,7 +192,6 @@ def build(member: Member) -> Path:
         scratch.rename(folder)
         for old in sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-WHEELS_KEPT]:
             shutil.rmtree(old)
-    return next(folder.glob("*.whl"))
 
 
 def forget_removed_files(member: Member) -> None:
@@ -251,13 +262,17 @@ def only_one() -> Iterator[None]:
 def set_up() -> None:
     """Run every unfinished step."""
     install_uv()
-    lanes: list[Callable[[], object]] = [install_gl, install_packages, build_members]
+    at_once([install_gl, install_packages, build_members])
+    install_ours(build_members())
+
+
+def at_once(lanes: Sequence[Callable[[], object]]) -> None:
+    """Run functions in threads; raise the first error."""
     with ThreadPoolExecutor(len(lanes)) as pool:
         futures = [pool.submit(lane) for lane in lanes]
         wait(futures, return_when=FIRST_EXCEPTION)
         for future in futures:
             future.result()
-    install_ours(build_members())
 
 
 def interrupt(number: int, frame: object) -> NoReturn:

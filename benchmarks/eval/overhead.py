@@ -3,7 +3,8 @@
 First the share of each port of the episode loop, in one process: drawing the scene, simulator, policy, judge, recorder
 and the loop itself. Then three evaluations as an experiment runs them, with two workers: one whose workers start, a
 short one in the same processes, and a longer one, which together tell the time of a start from that of an episode. The
-headline counts processor time, since other jobs of the machine change it little.
+headline counts processor time, since other jobs of the machine change it little. Both sides run the same episodes; the
+program ends with an error if they take another number of steps.
 
 Wall time is compared with one worker, by a short and a longer evaluation: the simulator alone draws with several
 threads, so two workers on two cores slow each other down, and their wall time cannot be compared with that of one
@@ -30,11 +31,13 @@ from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.executors import KeptProcesses, LocalExecutor
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_policies.base import load_policy
 
 SHORT = 2
 """Episodes of the short evaluations, one for each worker."""
+TASK = "pick_cube"
 TYPICAL = 120
 """Episodes of the evaluation that the headline is about: six held-out cells with 20 rollouts each."""
 
@@ -89,18 +92,21 @@ def main() -> None:
 
     bench = Bench("overhead", __doc__, options)
     given = {"checkpoint": bench.options.checkpoint} if bench.options.checkpoint else {}
-    episodes = 2 if bench.quick else 6
+    episodes = 2 if bench.quick else 12
     with tempfile.TemporaryDirectory(prefix="roboxim-overhead-") as name:
         folder = Path(name)
-        cpu, wall = _ports(folder, bench, given, episodes)
+        cpu, wall, steps = _ports(folder, bench, given, range(SHORT, SHORT + episodes))
         spec = PolicySpec(spec=bench.options.policy, options=given)
         with KeptProcesses() as kept:
 
             def evaluated(name: str, count: int, workers: int) -> Spent:
-                return _evaluation(folder / name, spec, count, workers, bench.options.size, kept)
+                spent, found = _evaluation(folder / name, spec, count, workers, bench.options.size, kept)
+                if found[SHORT:] not in ([], steps):
+                    raise SystemExit(f"steps of the episodes: {found[SHORT:]} in {name}, {steps} in one process")
+                return spent
 
             first, again = evaluated("first", SHORT, 2), evaluated("again", SHORT, 2)
-            longer = evaluated("longer", SHORT + 2 * episodes, 2)
+            longer = evaluated("longer", SHORT + episodes, 2)
             alone, alone_longer = evaluated("alone", SHORT, 1), evaluated("alone-longer", SHORT + episodes, 1)
     for part, value in cpu.most_common():
         bench.row(
@@ -108,7 +114,7 @@ def main() -> None:
             percent=_percent(value, cpu.total()), wall_s=round(wall[part] / episodes, 2),
         )  # fmt: skip
     wanted = Spent(cpu_s=_wanted(cpu) / episodes, wall_s=_wanted(wall) / episodes)
-    episode, episode_alone = (longer - again) * (0.5 / episodes), (alone_longer - alone) * (1 / episodes)
+    episode, episode_alone = (longer - again) * (1 / episodes), (alone_longer - alone) * (1 / episodes)
     start, start_alone = again - episode * SHORT, alone - episode_alone * SHORT
     for part, spent in (
         ("episode of an evaluation, two workers", episode),
@@ -139,15 +145,19 @@ def _percent(part: float, whole: float) -> float:
     return round(100 * part / whole, 1)
 
 
-def _evaluation(out: Path, policy: PolicySpec, episodes: int, workers: int, size: int, kept: KeptProcesses) -> Spent:
-    """Return the time of an evaluation."""
+def _evaluation(
+    out: Path, policy: PolicySpec, episodes: int, workers: int, size: int, kept: KeptProcesses
+) -> tuple[Spent, list[int]]:
+    """Return the time of an evaluation, and the steps of its episodes."""
     config = EvaluationConfig(
-        policies=policy, task="pick_cube", out=out, episodes=episodes, workers=workers, size=size, page=False
+        policies=policy, task=TASK, out=out, episodes=episodes, workers=workers, size=size, page=False
     )
     executor = LocalExecutor(workers, log_dir=out.with_name(f"{out.name}-logs"), kept=kept)
     cpu, wall = _cpu_s(kept), time.monotonic()
-    evaluate(config, executor=executor).require_measured()
-    return Spent(cpu_s=_cpu_s(kept) - cpu, wall_s=time.monotonic() - wall)
+    result = evaluate(config, executor=executor)
+    spent = Spent(cpu_s=_cpu_s(kept) - cpu, wall_s=time.monotonic() - wall)
+    result.require_measured()
+    return spent, [one.steps for one in sorted(result.first.results, key=lambda one: one.index)]
 
 
 def _cpu_s(kept: KeptProcesses) -> float:
@@ -160,8 +170,10 @@ def _cpu_s(kept: KeptProcesses) -> float:
     return found
 
 
-def _ports(folder: Path, bench: Bench, given: dict[str, str], episodes: int) -> tuple[Counter[str], Counter[str]]:
-    """Return the processor time and the wall time of each part of some episodes [s]."""
+def _ports(
+    folder: Path, bench: Bench, given: dict[str, str], episodes: range
+) -> tuple[Counter[str], Counter[str], list[int]]:
+    """Return the processor time and the wall time of each part of some episodes [s], and their steps."""
     cpu: Counter[str] = Counter()
     wall: Counter[str] = Counter()
     names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
@@ -177,17 +189,16 @@ def _ports(folder: Path, bench: Bench, given: dict[str, str], episodes: int) -> 
             recorder=_Timed(ports.recorder, lambda name: "recorder", cpu, wall),
         )
         side = bench.options.size
-        config = RunConfig(output_dir=str(folder), image_width=side, image_height=side)
+        config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=side, image_height=side)
         runner = EpisodeRunner(timed, config)
-        runner.run_index(1000)  # loads and compiles
+        runner.run_index(0)  # loads and compiles
         cpu.clear()
         wall.clear()
         cpu_began, wall_began = time.process_time(), time.monotonic()
-        for index in range(episodes):
-            runner.run_index(index)
+        steps = [runner.run_index(index).steps for index in episodes]
         cpu["loop"] = time.process_time() - cpu_began - cpu.total()
         wall["loop"] = time.monotonic() - wall_began - wall.total()
-    return cpu, wall
+    return cpu, wall, steps
 
 
 if __name__ == "__main__":
