@@ -3,6 +3,7 @@
 A first answer is a command's first line of output. Its processor time is that of the process up to then; ``cpu_s`` is
 the processor time of the whole command, its child processes included. ``tasks list`` and the other lists are measured
 twice: ``new`` is the call after something has changed, which makes the catalogue of names again, ``kept`` the next one.
+Commands find compiled modules (``.pyc``), as after any first call; ``PYTHONDONTWRITEBYTECODE`` is removed for them.
 
 For comparison with commands on a running graph, in turns with them: a bare rclpy script that calls the same service
 once, as a user would write it.
@@ -59,6 +60,7 @@ WITH_DATA = ("runs {runs}", "bag info {bag}", "bag info {runs}", "dataset info {
 def main() -> None:
     """Measure and print."""
     bench = Bench("cli", __doc__, add_options)
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     slowest = max(first_answers(bench, Path(bench.options.runs) if bench.options.runs else None))
     response_times(bench, 2 if bench.quick else 12)
     bench.finish(f"slowest first answer, `roboxim {slowest[1]}`", slowest[0], "s of CPU", at_most=0.6)
