@@ -4,6 +4,8 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 BIN := .venv/bin
+# Container images often set this variable. Without compiled modules each process of a run starts a second later.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
 
