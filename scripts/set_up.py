@@ -9,8 +9,8 @@ Design:
   step has finished. A step whose key is already stored is skipped, so a second run does nothing.
 - An environment that is being written has a `busy` mark. If Ctrl-C or a crash leaves it incomplete, the next run
   discards it.
-- Packages are installed while RoboXim's own compile, because both are independent until the end. The interfaces generate
-  code on one core for a third of their time; meanwhile the planner's kernel compiles on another one.
+- Packages are installed while RoboXim's own compile, because both are independent until the end. The interfaces
+  generate code on one core for a third of their time; meanwhile the planner's kernel compiles on another one.
 """
 
 from __future__ import annotations

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from roboxim_bringup.runs.datasets import merge_datasets
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.export import export_rlds
 from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_bringup.runs.merging import merge_shards
 from roboxim_bringup.testing import recordings, repeatable_results
+from roboxim_recorder.export.rlds import ExportConfig
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -23,6 +26,17 @@ def test_demonstrations_in_three_shards_are_those_of_one_run(tmp_path):
     assert recordings(tmp_path / "out") == recordings(tmp_path / "whole")
     assert repeatable_results(tmp_path / "out") == repeatable_results(tmp_path / "whole")
     assert generate(GenerationConfig(out=tmp_path / "out", episodes=5, **SMALL)).summary.endswith("nothing was run")
+
+    whole = export_rlds(tmp_path / "out", tmp_path / "rlds").path
+    parts = [
+        export_rlds(tmp_path / "out", tmp_path / f"rlds-{number}", ExportConfig(shard=f"{number}/2")).path
+        for number in (1, 2)
+    ]
+    merged = merge_datasets(parts, tmp_path / "rlds-merged").path
+    names = {path.name for path in whole.glob("*.tfrecord*")}
+    assert names
+    assert {path.name for path in merged.glob("*.tfrecord*")} == names
+    assert all((whole / name).read_bytes() == (merged / name).read_bytes() for name in names)
 
 
 def test_rollouts_in_two_shards_are_those_of_one_evaluation_with_its_report(tmp_path):

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
 from roboxim_recorder.export.selection import Selection, choose, splits
 from roboxim_recorder.export.where import Condition
 from roboxim_recorder.run_bags import run_bags
@@ -76,6 +76,25 @@ def test_conditions_that_nothing_meets_are_refused_with_what_there_is(run):
     expected = r"none of the 8 bags can be exported \(not steps>100: 6, recovered: 1, not_lifted: 1\); change the cond"
     with pytest.raises(RecorderError, match=expected):
         chosen(run, where=("steps>100",))
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_shards_one_after_the_other_are_the_whole(run, count):
+    whole, joined = indices(chosen(run, val_fraction=0.34)), {}
+    for number in range(1, count + 1):
+        part = chosen(run, val_fraction=0.34, shard=f"{number}/{count}")
+        for split, found in indices(part).items():
+            joined.setdefault(split, []).extend(found)
+        assert part.left_out["other shards"] == 6 - len(part.sources)
+    assert joined == whole
+    assert set(whole) == {"train", "val"}
+
+
+def test_a_shard_without_an_episode_is_refused(run):
+    with pytest.raises(RecorderError, match="shard 1/9 has no episode: only 6 can be exported"):
+        chosen(run, shard="1/9")
+    with pytest.raises(ConfigError, match="a shard is I/N with I from 1 to N"):
+        Selection(shard="3/2")
 
 
 def test_splits_have_the_counts_asked_for_and_are_spread_over_the_cells(run):

@@ -77,6 +77,10 @@ def _common() -> list[click.Parameter]:
             ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
         ),
         click.Option(
+            ["--shard"], default="", metavar="I/N",
+            help="Export the I-th of N parts of each split; 'roboxim dataset merge' joins the parts.",
+        ),
+        click.Option(
             ["--convention"], default="", metavar="NAME",
             help="Convention (name or YAML file) that says images, state, actions and rate, e.g. libero; see 'roboxim "
             "policy conventions'.",

@@ -27,7 +27,6 @@ from roboxim_bringup.runs.events import (
     telling_interruption,
 )
 from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
-from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.runs.staging import clear_staging, take_over
 from roboxim_bringup.runs.store import RunUpload, Store
 from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
@@ -35,6 +34,7 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
 from roboxim_core.errors import ConfigError
 from roboxim_core.seeds import SeedPath
+from roboxim_core.shards import Shard
 from roboxim_sim.rendering import RENDERERS
 
 WORKER_DIED = "worker_died"

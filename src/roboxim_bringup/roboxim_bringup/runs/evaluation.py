@@ -22,12 +22,12 @@ from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, 
 from roboxim_bringup.runs.folder import RunFolder, require_bags
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
 from roboxim_bringup.runs.results_log import write_atomically
-from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.runs.store import readable_run
 from roboxim_core.config import from_plain, load_config, named_config, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_core.shards import Shard
 from roboxim_core.specs import SceneSpec
 from roboxim_policies.remote import SERVERS_OWN
 

@@ -38,11 +38,11 @@ from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.rates import store_rates, stored_rates
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
-from roboxim_bringup.runs.shards import Shard
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_json_object, read_text
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 

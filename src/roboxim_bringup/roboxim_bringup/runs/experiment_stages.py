@@ -38,11 +38,11 @@ from roboxim_bringup.runs.proving import (
     prove_training,
 )
 from roboxim_bringup.runs.results_log import write_atomically
-from roboxim_bringup.runs.shards import Shard
 from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.seeds import CELL
+from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage
 from roboxim_eval.experiments.proofs import Tally
 

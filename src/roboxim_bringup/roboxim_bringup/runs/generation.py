@@ -12,10 +12,10 @@ from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_envir
 from roboxim_bringup.runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.pictures import write_contact_sheet
-from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.runs.store import readable_run
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.shards import Shard
 
 PICTURE = "first_demonstrations.png"
 PICTURED = 4

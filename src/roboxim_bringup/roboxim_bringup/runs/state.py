@@ -18,8 +18,8 @@ from typing import Any
 from roboxim_bringup.pace import Pace
 from roboxim_bringup.runs.event_log import ENDED, EVENTS_FILE, STARTED
 from roboxim_bringup.runs.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of
-from roboxim_bringup.runs.shards import Shard
 from roboxim_core.errors import ConfigError
+from roboxim_core.shards import Shard
 
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""

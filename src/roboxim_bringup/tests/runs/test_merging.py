@@ -10,9 +10,9 @@ import pytest
 from roboxim_bringup.runs import merging
 from roboxim_bringup.runs.folder import RESULTS_FILE, RunFolder
 from roboxim_bringup.runs.merging import merge_shards, whole_command
-from roboxim_bringup.runs.shards import Shard
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
+from roboxim_core.shards import Shard
 
 CONFIG = {"purpose": "eval", "episodes": 7, "run_seed": 0}
 

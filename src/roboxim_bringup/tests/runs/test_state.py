@@ -14,11 +14,11 @@ from roboxim_bringup.executors import CancelledError, Done
 from roboxim_bringup.runs.episodes import EpisodesJob, run_episodes
 from roboxim_bringup.runs.event_log import EVENTS_FILE
 from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.shards import Shard
 from roboxim_bringup.runs.state import find_runs, run_state
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.shards import Shard
 
 
 class Instant:

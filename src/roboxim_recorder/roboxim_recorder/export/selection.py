@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.shards import Shard
 from roboxim_datasets.dataset import SPLITS
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import REPAIRED
@@ -21,7 +22,7 @@ class Selection:
     """What goes into an export; a format's own configuration is a subclass with the format's fields.
 
     Filters apply in the order of the fields ``only_successful``, ``keep_recovered``, ``where``, ``per_cell``,
-    ``split``.
+    ``split``, ``shard``.
     """
 
     cameras: dict[str, str] = field(default_factory=dict)
@@ -51,6 +52,8 @@ class Selection:
     else the skill."""
     uneven: bool = False
     """Whether cells of a mix may have different numbers of episodes; otherwise such an export is refused."""
+    shard: str = ""
+    """``I/N``: the I-th of N parts of each split, so that several machines export one dataset; empty: all."""
     skip_missing: bool = False
     """Whether to export the other bags when some that the run's results name are missing; otherwise an error."""
     rate_hz: float = 0.0
@@ -88,6 +91,7 @@ class Selection:
             raise InvalidRequestError(f"rate_hz must be at least 0, got {self.rate_hz}")
         for text in self.where:
             Condition.parse(text)
+        Shard.parse(self.shard)
         said = {
             "cameras": self.cameras, "image_width": self.image_width, "actions": self.actions, "state": self.state,
             "rate_hz": self.rate_hz,
@@ -164,7 +168,7 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
     left_out: Counter[str] = Counter()
     kept = _filtered(found, selection, left_out)
     kept = _per_cell(kept, selection, left_out)
-    splits = _split(kept, selection, left_out)
+    splits = _shard(_split(kept, selection, left_out), selection, left_out)
     unexpected = tuple(bag for run in runs for bag in run.unexpected)
     left_out.update({"no_bag": len(missing), "no_result": len(unexpected)})
     return Chosen(
@@ -276,6 +280,21 @@ def _split(sources: Sequence[Source], selection: Selection, left_out: Counter[st
     name_of = dict(zip(order, names, strict=True))
     found = {split: [s for i, s in enumerate(sources) if name_of[i] == split] for split in SPLITS}
     return {split: tuple(group) for split, group in found.items() if group}
+
+
+def _shard(
+    splits: dict[str, tuple[Source, ...]], selection: Selection, left_out: Counter[str]
+) -> dict[str, tuple[Source, ...]]:
+    """Return the shard's part of each split."""
+    shard = Shard.parse(selection.shard)
+    if shard.count == 1:
+        return splits
+    found = {split: sources[shard.part(len(sources))] for split, sources in splits.items()}
+    whole, taken = (sum(map(len, parts.values())) for parts in (splits, found))
+    if not taken:
+        raise _refused(f"shard {shard} has no episode: only {whole} can be exported; divide them into fewer shards")
+    left_out["other shards"] += whole - taken
+    return {split: sources for split, sources in found.items() if sources}
 
 
 def _counted(total: int, wanted: Mapping[str, int]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Shards: one run divided among machines that need not know each other; `roboxim_bringup.runs.merging` joins them."""
+"""Shards: one run, or one export, divided among machines that need not know each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboxim_core.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Shard:
-    """One part of a run: every ``count``-th episode. An episode does not depend on how its run is divided."""
+    """One part of a run. An episode does not depend on how its run is divided."""
 
     number: int = 1
     """Which part, from 1."""
@@ -34,6 +34,10 @@ class Shard:
     def indices(self, episodes: int) -> range:
         """Return the indices of the shard's episodes, of a run with so many."""
         return range(self.number - 1, episodes, self.count)
+
+    def part(self, episodes: int) -> slice:
+        """Return the shard's part of so many episodes in a row; the parts, one after the other, are the whole."""
+        return slice(episodes * (self.number - 1) // self.count, episodes * self.number // self.count)
 
     def __str__(self) -> str:
         """Return ``I/N``; empty for a whole run."""
