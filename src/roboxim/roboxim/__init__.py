@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from roboxim_bringup.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs import events
-    from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult
+    from roboxim_bringup.runs.evaluation import EvaluationConfig
+    from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
     from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
     from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
     from roboxim_bringup.runs.policies import PolicySpec
@@ -71,7 +72,8 @@ _HOMES = {
     "roboxim_bringup.executors": ("CancelledError", "Executor", "InlineExecutor", "LocalExecutor"),
     "roboxim_bringup.printer": ("EventPrinter",),
     "roboxim_bringup.runs": ("events",),
-    "roboxim_bringup.runs.evaluation": ("EvaluationConfig", "EvaluationResult", "PolicyResult"),
+    "roboxim_bringup.runs.evaluation": ("EvaluationConfig",),
+    "roboxim_bringup.runs.evaluation_results": ("EvaluationResult", "PolicyResult"),
     "roboxim_bringup.runs.export": ("ExportConfig", "ExportReport", "Hdf5Config", "LeRobotConfig"),
     "roboxim_bringup.runs.generation": ("GenerationConfig", "GenerationResult"),
     "roboxim_bringup.runs.policies": ("PolicySpec",),

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 
 from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.runs import evaluation, export, generation, rerendering, training
-from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult
+from roboxim_bringup.runs.evaluation import EvaluationConfig
+from roboxim_bringup.runs.evaluation_results import EvaluationResult
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
 from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult

@@ -10,7 +10,7 @@ import click
 
 from roboxim_bringup.progress import ProgressLine
 from roboxim_bringup.runs.episodes import failures
-from roboxim_bringup.runs.evaluation import rate_line
+from roboxim_bringup.runs.evaluation_results import rate_line
 from roboxim_bringup.runs.event_log import VARIABLE, EventLog
 from roboxim_bringup.runs.events import (
     Event,

@@ -21,7 +21,9 @@ from roboxim_bringup.executors import Cancellation, KeptProcesses, LocalExecutor
 from roboxim_bringup.runs.delivery_demands import demands_of
 from roboxim_bringup.runs.delivery_reader import DeliveryReader
 from roboxim_bringup.runs.delivery_worker import BagJob
-from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, evaluate, report_of
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.evaluation_report import report_of
+from roboxim_bringup.runs.evaluation_results import EvaluationResult
 from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.experiment_stages import started
 from roboxim_bringup.runs.export import ExportConfig, export_rlds

@@ -152,7 +152,7 @@ def write_evaluation_pages(folder: ExperimentFolder) -> list[Path]:
         ConfigError: When an evaluation is not finished, or its files are damaged.
         RecorderError: With code ``BAG_DAMAGED`` when a bag that a page shows is not whole.
     """
-    from roboxim_bringup.runs.evaluation import report_of
+    from roboxim_bringup.runs.evaluation_report import report_of
 
     pages = (
         report_of(folder.path / stage_name(one.condition, one.replicate, one.checkpoint)).report

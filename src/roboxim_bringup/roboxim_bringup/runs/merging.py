@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.runs.episodes import WORKER_DIED
-from roboxim_bringup.runs.evaluation import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of
+from roboxim_bringup.runs.evaluation_report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of
 from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
 from roboxim_bringup.runs.generation import write_first_demonstrations

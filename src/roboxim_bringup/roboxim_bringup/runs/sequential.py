@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from roboxim_bringup.executors import Cancellation, Executor
-from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationResult, PolicyResult, evaluate
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_core.errors import ConfigError
 

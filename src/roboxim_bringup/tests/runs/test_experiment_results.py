@@ -12,7 +12,9 @@ from roboxim_bringup.experiment_card import collect_card, evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs import benchmark, experiment_pack, sequential
 from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark, stored_benchmark_card
-from roboxim_bringup.runs.evaluation import EvaluationConfig, EvaluationRecord, EvaluationResult, PolicyResult
+from roboxim_bringup.runs.evaluation import EvaluationConfig
+from roboxim_bringup.runs.evaluation_report import EvaluationRecord
+from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
 from roboxim_bringup.runs.experiment import ExperimentResult
 from roboxim_bringup.runs.experiment_models import compared
 from roboxim_bringup.runs.experiment_pack import pack, packed_files, unpack

@@ -1,0 +1,127 @@
+"""Results of evaluated policies.
+
+Statistics are imported where they are needed: the import takes seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError, EvaluationError, one_of
+
+if TYPE_CHECKING:
+    from roboxim_eval.statistics import SuccessRate
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyResult:
+    """Result of one policy."""
+
+    name: str
+    """Its name."""
+    results: tuple[EpisodeResult, ...]
+    """Results by episode, in the order of their indices."""
+    folder: Path
+    """Folder of its run, with the bags."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the results measure the policy; false when most episodes ended in errors."""
+        from roboxim_eval.statistics import is_measured
+
+        return is_measured(self.results)
+
+    @property
+    def rate(self) -> SuccessRate:
+        """Success rate with its interval; an error counts as a failure."""
+        from roboxim_eval.statistics import rate_of
+
+        return rate_of(self.results)
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of successes, 0..1; none when `measured` is false."""
+        return self.rate.rate if self.measured else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of the success rate; none when `measured` is false."""
+        return (self.rate.low, self.rate.high) if self.measured else None
+
+    @property
+    def summary(self) -> str:
+        """Rate, interval and errors in one line."""
+        return rate_line(self.results)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationResult:
+    """Result of an evaluation; ``evaluation["bc"]`` is one policy's result."""
+
+    policies: Mapping[str, PolicyResult]
+    """Name to result, the policy under test first."""
+    report: Path | None
+    """The report, ``<out>/report.html``; none: not written."""
+    comparison: str
+    """Comparison of the first policy with the others, in words; empty for one policy."""
+    privileged: tuple[str, ...]
+    """Policies that received the task, scene and state, which a policy under test must not see."""
+
+    def __getitem__(self, name: str) -> PolicyResult:
+        """Return a policy's result.
+
+        Raises:
+            ConfigError: When no policy has the name.
+        """
+        if name not in self.policies:
+            raise ConfigError(f"no policy '{name}' in this evaluation; {one_of(self.policies, name)}")
+        return self.policies[name]
+
+    @property
+    def first(self) -> PolicyResult:
+        """The result of the policy under test."""
+        return next(iter(self.policies.values()))
+
+    @property
+    def success_rate(self) -> float | None:
+        """Success rate of the policy under test, 0..1; none when it was not measured."""
+        return self.first.success_rate
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of that rate; none when the policy was not measured."""
+        return self.first.interval
+
+    @property
+    def results(self) -> tuple[EpisodeResult, ...]:
+        """Results by episode of the policy under test."""
+        return self.first.results
+
+    def require_measured(self) -> None:
+        """Refuse a result in which most episodes of a policy ended in errors.
+
+        Raises:
+            EvaluationError: Naming the policies.
+        """
+        broken = [policy for policy in self.policies.values() if not policy.measured]
+        if broken:
+            names = " and ".join(policy.name for policy in broken)
+            raise EvaluationError(
+                f"{names} could not be measured: most episodes ended in errors. Fix what their "
+                f"reasons name; then choose another output folder (--out or out=) or remove "
+                f"{', '.join(str(policy.folder) for policy in broken)}"
+            )
+
+
+def rate_line(results: Sequence[EpisodeResult]) -> str:
+    """Return a policy's success rate with its interval, and its errors; only the errors when they are most episodes."""
+    from roboxim_eval.statistics import error_line, is_measured, rate_of
+
+    errors = error_line(results)
+    if not is_measured(results):
+        return errors
+    return f"{rate_of(results)}" + (f"; {errors}" if errors else "")
