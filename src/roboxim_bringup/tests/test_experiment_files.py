@@ -21,15 +21,9 @@ from roboxim_bringup.experiment_provenance import packages_sha256
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import Rates, design_of, scale_names
+from roboxim_eval.experiments import design_of, scale_names
+from roboxim_eval.testing import RATES
 from roboxim_tasks.config import load_task_config, task_mix
-
-RATES = Rates(
-    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
-    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
-    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
-    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
-)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)

@@ -1,21 +1,52 @@
-"""Tables of policies with planted behaviour, for tests of what reports say."""
+"""Experiments for tests, and tables of policies with planted behaviour, for tests of what reports say."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.config import load_yaml, named_config
+from roboxim_core.config import load_yaml, named_config, parse_yaml
 from roboxim_core.merging import merged
-from roboxim_eval.experiments import Cell, Design, design_of, experiment_config
+from roboxim_eval.experiments import Cell, Design, ExperimentConfig, Rates, design_of, experiment_config
 from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining, JudgedAgain
 from roboxim_eval.experiments.card_checks import concluded
 
 Won = dict[tuple[str, int, str], npt.NDArray[np.bool_]]
 """Condition, replicate and cell to the outcome of each episode."""
+RATES = Rates(
+    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
+    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
+    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
+    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
+)  # fmt: skip
+"""Rates of a machine."""
+SKILL_AND_OBJECT = """
+about: Do policies combine a skill and an object that they never saw together?
+factors: {task: [pick_up, place_on], target: [cube, soda_can]}
+unseen: [{task: pick_up, target: cube}, {task: place_on, target: soda_can}]
+set: {distractors: {minimum: 0, maximum: 0}}
+datasets:
+  leave_out: {cells: seen, per_cell: 3}
+  baseline: {cells: all, per_cell: 2}
+conditions:
+  leave_out: {train: leave_out}
+  baseline: {train: baseline}
+  blind: {checkpoint_of: leave_out, instruction: ""}
+replicates: {count: 3}
+image_size: 64x64
+"""
+"""An experiment without trainers, evaluation and comparisons."""
+
+
+def experiment_of(text: str, *, scale: str = "full", **changes: Any) -> ExperimentConfig:
+    """Return the experiment of a file's text at a scale, with some of its keys replaced."""
+    data = parse_yaml(text)  # it knows the lines of its keys, for messages
+    data.update(changes)
+    return experiment_config(data, source="mine.yaml", scale=scale)
 
 
 @lru_cache(maxsize=32)

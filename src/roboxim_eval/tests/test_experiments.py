@@ -16,7 +16,6 @@ from roboxim_eval.experiments import (
     cells_of,
     cost_of,
     design_of,
-    experiment_config,
     mix_of,
     scale_names,
     stages_of,
@@ -24,6 +23,7 @@ from roboxim_eval.experiments import (
 from roboxim_eval.experiments.cost import fitted
 from roboxim_eval.statistics.paired import Pairs
 from roboxim_eval.statistics.tables import Count
+from roboxim_eval.testing import RATES, experiment_of
 
 TEXT = """
 about: Do policies combine a skill and an object that they never saw together?
@@ -54,18 +54,10 @@ compare:
 scales:
   smoke: {replicates: {count: 1}, evaluate: {per_cell: 2}, trainers: {bc: {steps: 50}}}
 """
-RATES = Rates(
-    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
-    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
-    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
-    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
-)  # fmt: skip
 
 
-def config(text=TEXT, scale="full", **changes):
-    data = parse_yaml(text)
-    data.update(changes)
-    return experiment_config(data, source="test.yaml", scale=scale)
+def config(text=TEXT, **changes):
+    return experiment_of(text, **changes)
 
 
 # ------------------------------------------------------------------ the file

@@ -1,5 +1,7 @@
 """The rates that a finished run of an experiment teaches, from planted times."""
 
+from dataclasses import replace
+
 import pytest
 
 from roboxim_bringup.experiment_card import evaluation_folder
@@ -7,9 +9,9 @@ from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs.calibration import rates_of_run
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
-from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
-from roboxim_eval.experiments import Rates, experiment_config, stages_of
+from roboxim_eval.experiments import stages_of
+from roboxim_eval.testing import RATES, experiment_of
 
 TEXT = """
 about: Is a short training enough?
@@ -25,12 +27,7 @@ replicates: {count: 1}
 compare: []
 image_size: 64x64
 """
-BEFORE = Rates(
-    machine="test", measured="2026-01-01", source="test", size="64x64", workers=2, demonstration_s=1.2,
-    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
-    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
-    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
-)  # fmt: skip
+BEFORE = replace(RATES, size="64x64")
 WALL = {"generate": 60.0, "export": 2.0, "train": 210.0, "evaluate": 80.0, "prove": 9.0}
 
 
@@ -43,7 +40,7 @@ def episodes(folder, first_s, wall_s):
 
 
 def finished(out, **more):
-    design = checked_design("mine", experiment_config(parse_yaml(TEXT), source="mine.yaml"))
+    design = checked_design("mine", experiment_of(TEXT))
     log = ResultsLog(out / "stages.jsonl")
     for stage in stages_of(design):
         log.append(stage.name, {"stage": stage.name, "wall_s": WALL[stage.kind], **more})

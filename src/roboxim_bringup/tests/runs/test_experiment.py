@@ -16,30 +16,18 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.proofs import Fault, Tally
+from roboxim_eval.testing import SKILL_AND_OBJECT
 from roboxim_tasks.config import task_mix
 
-TEXT = """
-about: Do policies combine a skill and an object that they never saw together?
-factors: {task: [pick_up, place_on], target: [cube, soda_can]}
-unseen: [{task: pick_up, target: cube}, {task: place_on, target: soda_can}]
-set: {distractors: {minimum: 0, maximum: 0}}
-datasets:
-  leave_out: {cells: seen, per_cell: 3}
-  baseline: {cells: all, per_cell: 2}
-conditions:
-  leave_out: {train: leave_out}
-  baseline: {train: baseline}
-  blind: {checkpoint_of: leave_out, instruction: ""}
+TEXT = SKILL_AND_OBJECT + """
 trainers:
   mine: {command: "sh -c 'mkdir -p {out} && echo {seed} {steps} > {out}/model; : {dataset}'", policy: bc, steps: 7}
   external: {}
 evaluate: {per_cell: 10, cells: {blind: unseen}}
-replicates: {count: 3}
 compare:
   - {first: leave_out, second: baseline, where: unseen, primary: true}
   - {first: leave_out, second: blind, where: unseen}
-image_size: 64x64
-"""
+"""  # fmt: skip
 UNSEEN = ("pick_up target=cube", "place_on target=soda_can")
 
 

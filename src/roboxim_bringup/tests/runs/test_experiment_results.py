@@ -28,39 +28,27 @@ from roboxim_bringup.runs.experiment_report import (
 )
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
-from roboxim_core.config import parse_yaml, to_json, to_plain
+from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import experiment_config, stages_of
+from roboxim_eval.experiments import stages_of
+from roboxim_eval.testing import SKILL_AND_OBJECT, experiment_of
 from roboxim_tasks.config import task_mix
 
-TEXT = """
-about: Do policies combine a skill and an object that they never saw together?
-factors: {task: [pick_up, place_on], target: [cube, soda_can]}
+TEXT = SKILL_AND_OBJECT + """
 dimensions: {task: skill, target: object}
-unseen: [{task: pick_up, target: cube}, {task: place_on, target: soda_can}]
-set: {distractors: {minimum: 0, maximum: 0}}
-datasets:
-  leave_out: {cells: seen, per_cell: 3}
-  baseline: {cells: all, per_cell: 2}
-conditions:
-  leave_out: {train: leave_out}
-  baseline: {train: baseline}
-  blind: {checkpoint_of: leave_out, instruction: ""}
 trainers:
   mine: {command: "train {dataset} {out} {seed}", policy: bc, steps: 7}
 evaluate: {per_cell: 20, cells: {blind: unseen}}
-replicates: {count: 3}
 compare:
   - {first: leave_out, second: baseline, where: unseen, primary: true}
-image_size: 64x64
-"""
+"""  # fmt: skip
 RATES = {"leave_out": 0.4, "baseline": 0.9, "blind": 0.0}
 
 
 def planted_folder(out, rates, text=TEXT):
     """Write an experiment's folder with results: scene k of a cell is solved if its number is below the rate."""
-    config = experiment_config(parse_yaml(text), source="mine.yaml")
+    config = experiment_of(text)
     design = checked_design("mine", config)
     out.mkdir(parents=True)
     state = {"experiment": "mine.yaml", "scale": "full", "config": to_plain(config), "stages": {}}
