@@ -157,16 +157,16 @@ def build_members() -> dict[Member, Path]:
     Returns:
         The wheel of each.
     """
-    missing = [member for member in MEMBERS if member.wheel() is None]
-    if missing:
-        require_build_tools()
-        make_build_environment()
+    if missing := [member for member in MEMBERS if member.wheel() is None]:
         at_once([partial(build, member) for member in missing])
     return {member: wheel for member in MEMBERS if (wheel := member.wheel()) is not None}
 
 
 def make_build_environment() -> None:
-    """Install the build tools, unless they are there."""
+    """Install the build tools, unless they are there or nothing has to be built."""
+    if all(member.wheel() for member in MEMBERS):
+        return
+    require_build_tools()
     if not build_env.has("packages", packages_key(LOCKS / "build.lock")):
         with step("build tools"):
             build_env.make(LOCKS / "build.lock")
@@ -262,6 +262,7 @@ def only_one() -> Iterator[None]:
 def set_up() -> None:
     """Run every unfinished step."""
     install_uv()
+    make_build_environment()  # alone, so that nothing delays the downloads that the longest step waits for
     at_once([install_gl, install_packages, build_members])
     install_ours(build_members())
 

@@ -80,7 +80,10 @@ def main() -> None:
     samples = {}
     for name, count in counts.items():
         folder = out / name.replace(" ", "_")
-        samples[name] = soak(name, folder, count, options.workers, 0.5 if bench.quick else options.every)
+        try:
+            samples[name] = soak(name, folder, count, options.workers, 0.5 if bench.quick else options.every)
+        except KeyboardInterrupt:
+            raise SystemExit(f"interrupted; the same command continues {folder}") from None
         bench.row(part=name, **summary(samples[name]))
     draw(samples, out / "soak.png")
     click.echo(f"curves: {out / 'soak.png'}")

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.registry import Registry
 
 if TYPE_CHECKING:
     import trimesh
+    from PIL import Image
 
 Field = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
@@ -59,6 +59,7 @@ def pixels(name: str) -> Pixels:
 def _image(name: str) -> Image.Image:
     path, _, geometry = name.partition("#")
     import trimesh  # imported here: it costs 0.5 s and 20 MiB, and procedural textures do not need it
+    from PIL import Image
 
     try:
         if not geometry:
@@ -76,12 +77,16 @@ def _image(name: str) -> Image.Image:
 
 def base_color_image(mesh: trimesh.Trimesh) -> Image.Image | None:
     """Return the base colour image of a mesh; None if it has none."""
+    from PIL import Image
+
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     return image if isinstance(image, Image.Image) else None
 
 
 def _linear(image: Image.Image) -> Field:
+    from PIL import Image
+
     srgb = np.asarray(image.convert("RGB").resize((SIZE, SIZE), Image.Resampling.LANCZOS), dtype=np.float64) / 255.0
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
