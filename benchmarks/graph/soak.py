@@ -14,7 +14,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -36,7 +36,7 @@ reset: {{cameras: {{names: [{cameras}]}}}}
 """
 CAMERAS = {"no cameras": "", "two cameras": "workspace, wrist"}
 SHARED_MEMORY = Path("/dev/shm")
-SETTLED = 0.2
+SETTLED = 0.5
 """Fraction of a stretch in which caches fill; growth is measured after it."""
 MOST_GROWTH = 5.0
 """Goal: growth of all processes together [MiB per 1,000 episodes]."""
@@ -77,20 +77,19 @@ def main() -> None:
     options = bench.options
     counts = dict(zip(CAMERAS, (40, 20) if bench.quick else (options.episodes, options.with_cameras), strict=True))
     out = options.out.absolute()
-    samples = {}
+    samples, before = {}, segments()
     for name, count in counts.items():
         folder = out / name.replace(" ", "_")
         try:
             samples[name] = soak(name, folder, count, options.workers, 0.5 if bench.quick else options.every)
         except KeyboardInterrupt:
             raise SystemExit(f"interrupted; the same command continues {folder}") from None
-        bench.row(part=name, **summary(samples[name]))
-    draw(samples, out / "soak.png")
+        bench.row(part=name, episodes=count, **summary(samples[name]))
+    draw({f"{name}: {counts[name]:,} episodes": found for name, found in samples.items()}, out / "soak.png")
     click.echo(f"curves: {out / 'soak.png'}")
-    left = segments()
-    if left:
+    if left := segments() - before:
         raise SystemExit(
-            f"{left} shared-memory segments are left behind in {SHARED_MEMORY}, or another run is going on"
+            f"{len(left)} shared-memory segments are left behind in {SHARED_MEMORY}, or another run is going on"
         )
     worst = max(float(row["growth_mib_per_1000"]) for row in bench.rows)
     bench.finish("growth of memory per 1,000 episodes, the worse part", worst, "MiB", at_most=MOST_GROWTH)
@@ -141,7 +140,7 @@ def sampling(folder: Path, every_s: float) -> Iterator[object]:
             while not finished.wait(every_s):
                 sample = Sample(
                     stretch=stretch, seconds=round(time.monotonic() - begun, 1), episodes=before + done,
-                    **_processes(), segments=segments(), disk_mib=round(bags.mib(), 2),
+                    **_processes(), segments=len(segments()), disk_mib=round(bags.mib(), 2),
                 )  # fmt: skip
                 file.write(json.dumps(asdict(sample)) + "\n")
                 file.flush()
@@ -168,9 +167,14 @@ def _processes() -> dict[str, float]:
     return {"memory_mib": round(memory / 2**20, 2), "handles": handles, "threads": threads}
 
 
-def segments() -> int:
-    """Return the number of shared-memory segments of this user."""
-    return sum(path.stat().st_uid == os.getuid() for path in SHARED_MEMORY.iterdir() if path.exists())
+def segments() -> set[str]:
+    """Return the names of this user's shared-memory segments of ROS."""
+    found = set()
+    for path in (*SHARED_MEMORY.glob("fastrtps_*"), *SHARED_MEMORY.glob("sem.fastrtps_*")):
+        with suppress(FileNotFoundError):  # it has just been removed
+            if path.stat().st_uid == os.getuid():
+                found.add(path.name)
+    return found
 
 
 class _Bags:
@@ -198,7 +202,6 @@ def summary(samples: list[Sample]) -> dict[str, float | str]:
     minutes = sum(found[-1].seconds for found in stretches.values()) / 60
     made = last.episodes - longest[0].episodes
     return {
-        "episodes": samples[-1].episodes,
         "stretches": len(stretches),
         "minutes": round(minutes, 1),
         "episodes_per_hour": round(3600 * made / max(last.seconds - longest[0].seconds, 1e-9)),
@@ -225,13 +228,13 @@ def draw(samples: dict[str, list[Sample]], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(PANELS), len(samples), squeeze=False, sharex="col")
     for column, (name, found) in enumerate(samples.items()):
-        axes[0][column].set_title(f"{name}: {found[-1].episodes:,} episodes")
+        axes[0][column].set_title(name)
         for row, (key, label) in enumerate(PANELS.items()):
             axis = axes[row][column]
             for stretch in dict.fromkeys(sample.stretch for sample in found):
                 mine = [sample for sample in found if sample.stretch == stretch]
                 axis.plot([sample.episodes for sample in mine], [getattr(sample, key) for sample in mine], lw=1.2)
-            axis.set_ylim(bottom=0)
+            axis.set_ylim(0, 1.15 * max(getattr(sample, key) for sample in found))
             axis.grid(alpha=0.3)
             if not column:
                 axis.set_ylabel(label)
