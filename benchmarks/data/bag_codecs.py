@@ -4,6 +4,8 @@ Today's bags store raw images in chunks of 16 MiB that zstd compresses (level 3)
 one by one, or in chunks of the same size where the codec says so. Times are processor time of one thread per image, as
 CPU time hardly depends on what else the machine does. Every image is compared after reading.
 
+JPEG XL is measured if the plug-in ``pillow-jxl-plugin`` of Pillow is installed.
+
 ``standard`` says whether a ``sensor_msgs/CompressedImage`` of the codec is read by ROS's and Foxglove's own tools.
 """
 
@@ -148,8 +150,8 @@ def codecs() -> list[Codec]:
         import pillow_jxl  # noqa: F401 (registers itself)
     except ImportError:
         return found
-    return [*found, pillow_codec("JPEG XL, effort 1", "JXL", standard=False, lossless=True, effort=1),
-            pillow_codec("JPEG XL, effort 3", "JXL", standard=False, lossless=True, effort=3)]  # fmt: skip
+    jpeg_xl = {"kind": "JXL", "standard": False, "lossless": True, "num_threads": 1}
+    return [*found, *(pillow_codec(f"JPEG XL, effort {effort}", effort=effort, **jpeg_xl) for effort in (1, 3))]
 
 
 def main() -> None:
