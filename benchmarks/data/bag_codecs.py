@@ -150,7 +150,7 @@ def codecs() -> list[Codec]:
         import pillow_jxl  # noqa: F401 (registers itself)
     except ImportError:
         return found
-    jpeg_xl = {"kind": "JXL", "standard": False, "lossless": True, "num_threads": 1}
+    jpeg_xl: dict[str, Any] = {"kind": "JXL", "standard": False, "lossless": True, "num_threads": 1}
     return [*found, *(pillow_codec(f"JPEG XL, effort {effort}", effort=effort, **jpeg_xl) for effort in (1, 3))]
 
 
