@@ -1,10 +1,11 @@
 """What an evaluation spends on anything but the policy and the simulator, in processor time and in wall time.
 
-First the share of each port of the episode loop, in one process: drawing the scene, simulator, policy, judge, recorder
-and the loop itself. Then three evaluations as an experiment runs them, with two workers: one whose workers start, a
-short one in the same processes, and a longer one, which together tell the time of a start from that of an episode. The
-headline counts processor time, since other jobs of the machine change it little. Both sides run the same episodes; the
-program ends with an error if they take another number of steps.
+First the share of each port of the episode loop, in one process: drawing the scene, simulator (building the world,
+settling, physics, rendering), observation (proprioception), policy, judge, recorder and the loop itself. Then three
+evaluations as an experiment runs them, with two workers: one whose workers start, a short one in the same processes,
+and a longer one, which together tell the time of a start from that of an episode. The headline counts processor time,
+since other jobs of the machine change it little. Both sides run the same episodes; the program ends with an error if
+they take another number of steps.
 
 Wall time is compared with one worker, by a short and a longer evaluation: the simulator alone draws with several
 threads, so two workers on two cores slow each other down, and their wall time cannot be compared with that of one
@@ -184,7 +185,7 @@ def _ports(
             ports,
             scenes=_Timed(ports.scenes, lambda name: names[name], cpu, wall),
             judge=_Timed(ports.judge, lambda name: "judge", cpu, wall),
-            sim=_Timed(ports.sim, lambda name: "simulator", cpu, wall),
+            sim=_Timed(ports.sim, lambda name: "observation" if name == "observe" else "simulator", cpu, wall),
             actor=_Timed(ports.actor, lambda name: "policy", cpu, wall),
             recorder=_Timed(ports.recorder, lambda name: "recorder", cpu, wall),
         )

@@ -24,9 +24,10 @@ def main() -> None:
     def options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--experiment", default="skill_object", help="experiment of config/experiments")
         parser.add_argument("--scale", default="smoke", help="its scale")
+        parser.add_argument("--trainings", type=int, default=1, help="trainings at a time")
 
     bench = Bench("plan_accuracy", __doc__, options)
-    chosen = [bench.options.experiment, "--scale", bench.options.scale]
+    chosen = [bench.options.experiment, "--trainings", str(bench.options.trainings), "--scale", bench.options.scale]
     with tempfile.TemporaryDirectory(prefix="roboxim-plan-") as name:
         folder = Path(name)
         environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}

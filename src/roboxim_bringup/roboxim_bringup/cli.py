@@ -93,7 +93,7 @@ def short_help(name: str) -> str:
 def group(events: Path | None) -> None:
     """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
     if events is not None:
-        os.environ["ROBOXIM_EVENTS"] = str(events.absolute())  # trainings that the command starts write into it too
+        os.environ["ROBOXIM_EVENTS"] = str(events.absolute())  # EventPrinter writes into it
 
 
 def _terminate(number: int, _: FrameType | None) -> None:

@@ -6,10 +6,10 @@ For tests (an episode through the nodes must equal this one, bit for bit) and fo
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
@@ -32,6 +32,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
+from roboxim_ros.cdr_writer import to_cdr
 from roboxim_ros.conversions import to_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
@@ -91,7 +92,7 @@ class CoreSim:
         self.world = World(library)
         self._renderer = make_renderer(renderer)
         self._rig = CameraRig(self._renderer)
-        self._messages: dict[str, Any] = {}
+        self._messages: Mapping[str, bytearray] = {}
         self._tick_messages: TickMessages | None = None
         self.images: dict[str, CameraImages] = {}
 
@@ -143,8 +144,8 @@ class CoreSim:
             self.images = self._rig.capture(record.seq, self.world.body_poses(), views)
 
     @property
-    def messages(self) -> dict[str, Any]:
-        """The newest tick's messages, by topic."""
+    def messages(self) -> Mapping[str, bytearray]:
+        """The newest tick's serialised messages, by topic."""
         if not self._messages:
             assert self._tick_messages is not None
             self._messages = self._tick_messages.make(self.world.record, self.images)
@@ -168,8 +169,8 @@ class CoreRecorder:
         """Write a tick."""
         assert self._recording is not None
         for topic, message in self._sim.messages.items():
-            self._recording.message(f"/{topic}", serialize_message(message))
-        self._recording.message("/evaluator/step", serialize_message(to_msg(step, EpisodeStepMsg)))
+            self._recording.message(f"/{topic}", message)
+        self._recording.message("/evaluator/step", to_cdr(step, EpisodeStepMsg))
         self._recording.flush()
 
     def wait_written(self) -> None:

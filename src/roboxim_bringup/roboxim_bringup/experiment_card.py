@@ -144,7 +144,11 @@ def collect_card(
         judged_again=_judged(out),
         proofs=_proofs(out),
         statements=_statements(out),
-        times={stage: float(data.get("wall_s", 0.0)) for stage, data in products.items()},
+        times={
+            stage.name: float(products[stage.name].get("wall_s", 0.0))
+            for stage in stages_of(design)  # the log has them in the order in which they ended
+            if stage.name in products
+        },
     )  # fmt: skip
     return concluded(card, design)
 

@@ -6,13 +6,27 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
+from roboxim_eval.experiments.cost import trainings_at_once
 
 NO_RATES = (
     "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"
 )
 
 
-def plan_lines(name: str, scale: str, design: Design, rates: Rates | None) -> Iterator[str]:
+def known_cost(design: Design, rates: Rates | None, trainings: int) -> Cost | None:
+    """Return the cost of an experiment; none: a rate that it needs was never measured.
+
+    Args:
+        design: The experiment.
+        rates: This machine's rates; none: never measured.
+        trainings: Largest number of trainings at a time.
+    """
+    if rates is None or rates.at_once(trainings_at_once(design, trainings)) is None:
+        return None
+    return cost_of(design, rates, trainings)
+
+
+def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, trainings: int = 1) -> Iterator[str]:
     """Yield the plan of an experiment, line by line.
 
     Args:
@@ -20,6 +34,7 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None) -> It
         scale: Its scale.
         design: The experiment.
         rates: This machine's rates; none: never measured.
+        trainings: Largest number of trainings at a time.
     """
     config = design.config
     yield f"{name}, scale {scale}" + (f" (thesis {config.thesis})" if config.thesis else "")
@@ -33,15 +48,33 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None) -> It
     if design.trainings:
         steps = f"{design.steps:,} steps in all" if design.steps else "steps unknown"
         where = "" if design.trainer.command else ", elsewhere: name each policy with --policy CONDITION.R=SPEC"
-        yield f"  trainings       {len(design.trainings)}, {steps}{where}"
+        at_once = trainings_at_once(design, trainings)
+        beside = f", {at_once} at a time" if at_once > 1 else ""
+        yield f"  trainings       {len(design.trainings)}, {steps}{beside}{where}"
     yield f"  rollouts        {design.rollouts:,} of {len(design.evaluations)} policies"
-    cost = None if rates is None else cost_of(design, rates)
-    yield f"  time            {NO_RATES if cost is None else time_text(cost)}"
+    cost = known_cost(design, rates, trainings)
+    yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"
     if cost is not None and rates is not None:
         yield f"  disk            {cost.disk_bytes / 1e9:.1f} GB"
         yield f"  rates           of {rates.measured}: {rates.source}; {rates.workers} workers on {rates.machine}"
+        rate = rates.at_once(trainings_at_once(design, trainings))
+        if rate is not None and rate.trainings > 1 and cost.train_s is not None:
+            yield (
+                f"                  {rate.trainings} trainings at a time: {rate.steps_per_s:.1f} steps a second each, "
+                f"{rates.steps_per_s:.1f} alone; of {rate.measured}: {rate.source}"
+            )
     yield from _power_lines(design)
     yield from (f"  deviation       {sentence}" for sentence in config.deviations)
+
+
+def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:
+    if rates is None:
+        return NO_RATES
+    most = trainings_at_once(design, trainings)
+    return (
+        f"unknown: the rate of {most} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
+        f"{most}' measures it"
+    )
 
 
 def time_text(cost: Cost) -> str:
@@ -102,9 +135,9 @@ def _table(design: Design) -> Iterator[str]:
         yield " ".join((f"{row:<{width}}", *(f"{cells.get(level, ''):>{widths[level]}}" for level in levels)))
 
 
-def plan_data(name: str, scale: str, design: Design, rates: Rates | None) -> Mapping[str, Any]:
-    """Return the plan as plain data, for scripts."""
-    cost = None if rates is None else cost_of(design, rates)
+def plan_data(name: str, scale: str, design: Design, rates: Rates | None, trainings: int = 1) -> Mapping[str, Any]:
+    """Return the plan as plain data, for scripts; for the arguments see `plan_lines`."""
+    cost = known_cost(design, rates, trainings)
     return {
         "experiment": name,
         "scale": scale,
@@ -113,6 +146,7 @@ def plan_data(name: str, scale: str, design: Design, rates: Rates | None) -> Map
         "generations": design.generations,
         "datasets": design.datasets,
         "trainings": len(design.trainings),
+        "trainings_at_a_time": trainings_at_once(design, trainings),
         "steps": design.steps,
         "rollouts": design.rollouts,
         "scenes": design.compared_scenes,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
 from types import TracebackType
 
 import click
 
-from roboxim_bringup.progress import ProgressLine
+from roboxim_bringup.progress import Bars, ProgressLine
 from roboxim_bringup.runs.episodes import failures
 from roboxim_bringup.runs.evaluation_results import rate_line
 from roboxim_bringup.runs.event_log import VARIABLE, EventLog
@@ -26,14 +25,14 @@ from roboxim_bringup.runs.events import (
 
 
 class EventPrinter:
-    """Prints each event it is called with. A context manager, so that a bar ends with the run."""
+    """Prints each event it is called with; stages side by side have a bar each. A context manager: bars end with it."""
 
     def __init__(self) -> None:
         """Make the printer. The events also go to the file that ``$ROBOXIM_EVENTS`` names, if it is set."""
-        self._stack = ExitStack()
         file = os.environ.get(VARIABLE)
         self._log = EventLog(file) if file else None
-        self._bar: ProgressLine | None = None
+        self._bars = Bars()
+        self._lines: dict[str, ProgressLine] = {}
 
     def __call__(self, event: Event) -> None:
         """Print an event."""
@@ -41,14 +40,14 @@ class EventPrinter:
             self._log(event)
         match event:
             case StageStarted():
-                bar = ProgressLine(event.title, event.total, event.done, unit=event.unit)
-                self._bar = self._stack.enter_context(bar)
+                self._end(event.name)
+                bar = ProgressLine(event.title, event.total, event.done, unit=event.unit, bars=self._bars)
+                self._lines[event.name] = bar.__enter__()
             case StageProgress():
-                if self._bar is not None:
-                    self._bar.update(event.done, event.note, total=event.total)
+                if event.name in self._lines:
+                    self._lines[event.name].update(event.done, event.note, total=event.total)
             case StageFinished():
-                self._stack.close()
-                self._bar = None
+                self._end(event.name)
             case Notice():
                 self._print(event.text)
             case PictureWritten():
@@ -66,10 +65,15 @@ class EventPrinter:
             case Interrupted():
                 click.echo(event.text, err=True)
 
+    def _end(self, name: str) -> None:
+        """End the line of a stage, if it has one."""
+        if line := self._lines.pop(name, None):
+            line.__exit__(None, None, None)
+
     def _print(self, text: str) -> None:
-        """Print a line, above the bar if one is shown."""
-        if self._bar is not None:
-            self._bar.say(text)
+        """Print a line, above the bars if some are shown."""
+        if self._lines:
+            next(iter(self._lines.values())).say(text)
         else:
             click.echo(text)
 
@@ -80,5 +84,7 @@ class EventPrinter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the bar's last state on the screen."""
-        self._stack.__exit__(kind, error, trace)
+        """Leave the last state of the bars on the screen."""
+        for line in self._lines.values():
+            line.__exit__(kind, error, trace)
+        self._lines.clear()

@@ -6,13 +6,15 @@ The kernel's request to kill this process with its parent outlives `exec`, so an
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 from roboxim_bringup.process import die_with_parent
 
 
 def main() -> None:
-    """Become the command."""
+    """Become the command, which SIGINT interrupts even where a shell's background job ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # becomes the default action in the command
     die_with_parent(int(os.environ["ROBOXIM_PARENT"]))
     program, *_ = words = sys.argv[1:]
     os.execvp(program, words)

@@ -18,10 +18,11 @@ from roboxim_bringup.experiment_files import (
 )
 from roboxim_bringup.experiment_plan import plan_lines
 from roboxim_bringup.experiment_provenance import packages_sha256
+from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import design_of, scale_names
+from roboxim_eval.experiments import SideBySide, design_of, scale_names
 from roboxim_eval.testing import RATES
 from roboxim_tasks.config import load_task_config, task_mix
 
@@ -141,6 +142,45 @@ def test_the_command_plans_and_lists():
         run.invoke(command, ["plan", "skill_objec"], catch_exceptions=False)
     with pytest.raises(ConfigError, match="one experiment"):
         run.invoke(command, ["plan"], catch_exceptions=False)
+
+
+TWO = SideBySide(trainings=2, steps_per_s=4.2, start_s=14.0, measured="2026-01-02", source="probe of 40 steps")
+
+
+def test_a_plan_of_trainings_side_by_side_says_how_their_rate_was_measured():
+    design = design_of(load_experiment("skill_object", "laptop"))
+    text = "\n".join(plan_lines("skill_object", "laptop", design, RATES.learned(TWO), 2))
+    assert "6, 24,000 steps in all, 2 at a time" in text
+    assert "48 min trainings" in text, "3 x (4,000 / 4.2 + 14) s"
+    assert "2 trainings at a time: 4.2 steps a second each, 5.7 alone; of 2026-01-02: probe of 40 steps" in text
+    unknown = "\n".join(plan_lines("skill_object", "laptop", design, RATES, 2))
+    assert "the rate of 2 trainings at a time was not measured; 'roboxim experiment calibrate --trainings 2'" in unknown
+    elsewhere = design_of(load_experiment("skill_object", "laptop"), "external")
+    assert "trainings elsewhere" in "\n".join(plan_lines("skill_object", "laptop", elsewhere, RATES, 2))
+
+
+def test_the_command_measures_trainings_side_by_side_once(monkeypatch):
+    store_rates(RATES)
+    probed = []
+
+    def probe(config, **_):
+        probed.append(config.trainings)
+        return TWO
+
+    monkeypatch.setattr(calibration, "calibrate_trainings", probe)
+    words = ["plan", "skill_object", "--scale", "laptop", "--trainings", "2"]
+    run = CliRunner()
+    unknown = run.invoke(command, [*words, "--no-probe", "--json"], catch_exceptions=False)
+    assert json.loads(unknown.stdout)[0]["hours"] is None
+    for _ in range(2):
+        planned = run.invoke(command, [*words, "--json"], catch_exceptions=False)
+        data = json.loads(planned.stdout)[0]
+        assert (data["trainings"], data["trainings_at_a_time"]) == (6, 2)
+        assert data["hours"] < 2.7, "3.0 h with one at a time"
+    assert probed == [2]
+    assert stored_rates("128x128") == RATES.learned(TWO)
+    run.invoke(command, ["plan", "skill_object", "--scale", "laptop"], catch_exceptions=False)
+    assert probed == [2], "one at a time was measured before"
 
 
 def test_the_benchmark_has_the_three_experiments_and_fits_a_night():

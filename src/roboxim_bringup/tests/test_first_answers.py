@@ -46,6 +46,10 @@ def test_help_of_exports_imports_no_library_of_a_format():
     assert "SOURCE" in imports_none(NUMERICS | {"mcap"}, "dataset", "convert", "lerobot", "--help")
 
 
+def test_a_task_is_sampled_without_a_library_of_images():
+    assert imports_none({"PIL", "cv2"}, "tasks", "sample", "--seed", "1")
+
+
 def test_a_folder_and_a_dataset_are_described_without_numerics(tmp_path):
     (tmp_path / "run.json").write_text("{}")
     imports_none(NUMERICS, "runs", tmp_path)

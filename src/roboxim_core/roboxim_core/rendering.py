@@ -78,6 +78,12 @@ class CameraImages:
     segmentation: npt.NDArray[np.uint16] | None = None
     """Entity ids (see `RenderWorld`), shape (height, width)."""
 
+    def freeze(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.rgb, self.depth, self.segmentation):
+            if array is not None:
+                array.flags.writeable = False
+
 
 class Renderer(Protocol):
     """A renderer of worlds. Only the thread that made a renderer may call it; calls of other threads are refused.

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -30,8 +31,9 @@ ENDING_S = 60.0
 VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
 
 
+@cache
 def versions() -> dict[str, str]:
-    """Return package to version, for the packages that an episode's bytes depend on."""
+    """Return package to version, for the packages that an episode's bytes depend on; do not change it."""
     found = {}
     for name in VERSIONED:
         try:

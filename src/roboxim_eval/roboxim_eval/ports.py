@@ -6,6 +6,7 @@ import array
 import json
 import threading
 import zlib
+from collections.abc import Iterable
 from typing import Any
 
 from rclpy.context import Context
@@ -49,12 +50,12 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_ros import qos
+from roboxim_ros import local_ticks, qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.policy_service import PolicyClient
-from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
+from roboxim_ros.recording_calls import RECORD_STEP
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
@@ -83,21 +84,26 @@ class TaskClient:
 
     def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
         """Start judging an episode; return the verdict on tick 0."""
-        return self._judge(
-            Judge.Request(episode_id=episode_id, task=[to_msg(task, TaskSpecMsg)], state=to_msg(state, StateRecordMsg))
-        )
+        return self._judge(episode_id, state, task)
 
     def judge(self, state: StateRecord) -> Verdict:
         """Judge the next tick of the episode."""
-        return self._judge(Judge.Request(episode_id=state.episode_id, state=to_msg(state, StateRecordMsg)))
+        return self._judge(state.episode_id, state, None)
 
-    def _judge(self, request: Judge.Request) -> Verdict:
+    def _judge(self, episode_id: str, state: StateRecord, task: TaskSpec | None) -> Verdict:
+        call = self._clients.send_local("tasks/judge", episode_id, state, task)
+        if call is not None:
+            verdict: Verdict = self._clients.value_of(call, "tasks/judge", SERVICE_TIMEOUT_S)
+            return verdict
+        request = Judge.Request(
+            episode_id=episode_id, task=[to_msg(task, TaskSpecMsg)] if task else [], state=to_msg(state, StateRecordMsg)
+        )
         answer = self._clients.call(Judge, "tasks/judge", request, timeout_s=SERVICE_TIMEOUT_S)
         return from_msg(answer.verdict, Verdict)
 
 
 class SimClient:
-    """Client of the simulator: services for states, topics for images."""
+    """Client of the simulator: services for states, topics for images; values, if the sim is in this process."""
 
     def __init__(self, clients: Clients, holder: str = "") -> None:
         """Store the clients.
@@ -115,6 +121,7 @@ class SimClient:
         self._subscriptions: dict[str, Subscription] = {}
         self._renderer = ""
         self._base = IDENTITY
+        self._notices = clients.node.resolve_topic_name("sim/ticks")
 
     @property
     def renderer(self) -> str:
@@ -150,6 +157,10 @@ class SimClient:
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action; return tick ``seq``."""
+        call = self._clients.send_local("sim/tick", episode_id, seq, action)
+        if call is not None:
+            record: StateRecord = self._clients.value_of(call, "sim/tick", SERVICE_TIMEOUT_S)
+            return record
         request = Tick.Request(episode_id=episode_id, seq=seq, action=array.array("f", action.tolist()))
         answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S)
         return from_msg(answer.state, StateRecord)
@@ -173,7 +184,11 @@ class SimClient:
             EvaluationError: ``OBSERVATION_MISSING``, with the names of the missing images.
         """
         images: dict[str, Any] = {}
-        if cameras:
+        tick = local_ticks.shown(self._clients.node.context, self._notices, state.episode_id, state.seq)
+        if tick is not None:
+            images = {camera: tick.images[camera].rgb for camera in cameras if camera in tick.images}
+            _require_cameras(cameras, tick.images)
+        elif cameras:
             self.watch(cameras)
             with self._arrived:
                 complete = self._arrived.wait_for(
@@ -197,12 +212,7 @@ class SimClient:
         expected = dict(zip(notice.topics, notice.image_crc32, strict=True))
         for camera in cameras:
             topic = f"camera/{camera}/image"
-            if topic not in expected:
-                raise EvaluationError(
-                    f"the sim publishes no camera '{camera}'; it has "
-                    f"{[name.split('/')[1] for name in expected if name.endswith('/image')]}",
-                    ErrorCode.OBSERVATION_MISSING,
-                )
+            _require_cameras((camera,), [name.split("/")[1] for name in expected if name.endswith("/image")])
             msg = self._images[camera].get(state.stamp_ns)
             if msg is not None and camera not in images and zlib.crc32(msg.data) == expected[topic]:
                 images[camera] = image_from_msg(msg)
@@ -220,6 +230,16 @@ class SimClient:
             while len(kept) > 4:
                 del kept[next(iter(kept))]
             self._arrived.notify_all()
+
+
+def _require_cameras(wanted: Iterable[str], there: Iterable[str]) -> None:
+    """Refuse cameras that the sim does not have."""
+    there = list(there)
+    for camera in wanted:
+        if camera not in there:
+            raise EvaluationError(
+                f"the sim publishes no camera '{camera}'; it has {there}", ErrorCode.OBSERVATION_MISSING
+            )
 
 
 class RecorderClient:
@@ -256,10 +276,9 @@ class RecorderClient:
         A recorder of this process gets it by a call. It is then published only if others than the recorder listen.
         """
         self._sent = step.episode_id, step.seq
-        message = to_msg(step, EpisodeStepMsg)
-        self._call = self._clients.send_local(RecordStep, RECORD_STEP, message)
+        self._call = self._clients.send_local(RECORD_STEP, step)
         if self._call is None or self._publisher.get_subscription_count() > 1:
-            self._publisher.publish(message)
+            self._publisher.publish(to_msg(step, EpisodeStepMsg))
 
     def wait_written(self) -> None:
         """Wait until the bag has the whole tick of the last step.
@@ -271,8 +290,7 @@ class RecorderClient:
             return
         (episode_id, seq), self._sent = self._sent, None
         if self._call is not None:
-            answer = self._clients.answer_of(self._call, RECORD_STEP, MESSAGE_TIMEOUT_S)
-            raise_for_code(answer.error_code, answer.error_msg)
+            self._clients.value_of(self._call, RECORD_STEP, MESSAGE_TIMEOUT_S)
             return
         with self._acknowledged:
             done = self._acknowledged.wait_for(

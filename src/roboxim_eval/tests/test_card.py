@@ -4,14 +4,16 @@ import json
 
 import pytest
 
+from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
-from roboxim_eval.benchmark import BenchmarkCard, check_benchmark_card, concluded_benchmark
+from roboxim_eval.benchmark import BenchmarkCard, benchmark_config, check_benchmark_card, concluded_benchmark
 from roboxim_eval.experiments.card import sha256_of
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.benchmark import benchmark_page
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
 from roboxim_eval.testing import planted_card, shipped
 
@@ -137,6 +139,42 @@ def test_a_benchmarks_card_is_checked_through_its_experiments(card):
         check_benchmark_card(changed)
     page = benchmark_page(whole)
     assert all(sentence in page for sentence in whole.sentences[:3])
+
+
+def tables_of(text):
+    """Return the tables of a Markdown text as lists of rows, by their first heading."""
+    tables, rows = {}, []
+    for line in [*text.splitlines(), ""]:
+        if line.startswith("|"):
+            rows.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif rows:
+            assert len({len(row) for row in rows}) == 1, "every row has a cell for each column"
+            tables.setdefault(rows[0][0], rows[2:])
+            rows = []
+    return tables
+
+
+def test_a_cards_markdown_has_its_sentences_and_counts(card):
+    text = experiment_markdown(card)
+    assert all(sentence in text for sentence in card.sentences)
+    tables = tables_of(text)
+    won, met, _ = (sum(column) for column in zip(
+        *(e.by_cell["pick_up target=cube"] for e in card.evaluations if e.condition == "leave_out"), strict=True
+    ))  # fmt: skip
+    assert ["**pick_up target=cube**", f"{won} of {met}"] == tables["cell, **held out**"][0][:2]
+    assert [row[0] for row in tables["condition"]] == ["leave_out", "baseline", "blind"]
+    assert card.sha256 in text
+    wide = tables_of(experiment_markdown(planted_card(shipped("robustness", replicates=3), lambda *_: 0.8)))
+    assert len(wide["cell, **held out**"][0]) == 2, "one cell: conditions are the rows"
+
+
+def test_a_benchmarks_markdown_shows_published_scores(card):
+    config = benchmark_config(load_yaml(named_config("benchmark", "transfer")))
+    whole = BenchmarkCard(name="transfer", scale="full", experiments={"skill_object": card}, reference=config.reference)
+    tables = tables_of(benchmark_markdown(concluded_benchmark(whole)))
+    rows = {row[0]: row[1:] for row in tables["dimension or experiment"]}
+    assert rows["skill_object"][2:] == ["0.19", "72 %"], "the thesis's scores"
+    assert rows["skill"][:2] == rows["skill_object"][:2], "its only experiment"
 
 
 # ------------------------------------------------------------------ models

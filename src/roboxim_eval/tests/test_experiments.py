@@ -2,6 +2,7 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from roboxim_eval.benchmark import benchmark_config, benchmark_scores
 from roboxim_eval.experiments import (
     Outcomes,
     Rates,
+    SideBySide,
     analyse,
     cells_of,
     cost_of,
@@ -221,6 +223,45 @@ def test_the_cost_follows_from_measured_rates():
     assert away.total_s == pytest.approx(cost.generate_s + cost.evaluate_s)
     with pytest.raises(ConfigError, match="steps_per_s"):
         Rates(**{**vars(RATES), "steps_per_s": 0.0})
+
+
+def side_by_side(trainings, steps_per_s, start_s):
+    return SideBySide(
+        trainings=trainings, steps_per_s=steps_per_s, start_s=start_s, measured="2026-01-02", source="test"
+    )
+
+
+def test_trainings_side_by_side_share_what_there_is():
+    rates, design = RATES.learned(side_by_side(2, 4.0, 20.0)), design_of(config())
+    one = design.trainings[0]
+
+    def train_s(trainings, *, of, known=rates):
+        return cost_of(
+            replace(design, trainings=tuple(replace(one, steps=steps) for steps in of)), known, trainings
+        ).train_s
+
+    assert cost_of(design, rates).train_s == pytest.approx(10 * (4000 / 5.7 + 10)), "one at a time"
+    assert cost_of(design, rates, 2).train_s == pytest.approx(5 * (4000 / 4.0 + 20))
+    assert train_s(2, of=[4000] * 3) == pytest.approx(4000 / 4.0 + 20 + 4000 / 5.7 + 10), "the last one is alone"
+    left = 1 - (1000 / 4.0 + 20) / (2000 / 4.0 + 20)
+    assert train_s(2, of=[2000, 1000]) == pytest.approx(1000 / 4.0 + 20 + left * (2000 / 5.7 + 10)), "the rest is alone"
+    assert train_s(8, of=[4000], known=RATES) == pytest.approx(4000 / 5.7 + 10)
+    with pytest.raises(ConfigError, match="rate of 4 trainings at a time was not measured.*--trainings 4"):
+        cost_of(design, rates, 4)
+    one_after_the_other, two = (fitted(config(), rates, 6 * 3600, trainings=number) for number in (1, 2))
+    assert two.replicates.count > one_after_the_other.replicates.count
+
+
+def test_rates_of_trainings_are_kept_by_their_number():
+    rates = RATES.learned(side_by_side(4, 3.0, 40.0)).learned(side_by_side(2, 4.0, 20.0), side_by_side(4, 2.0, 30.0))
+    assert [(rate.trainings, rate.steps_per_s) for rate in rates.side_by_side] == [(2, 4.0), (4, 2.0)]
+    assert (rates.at_once(1).steps_per_s, rates.at_once(4).steps_per_s) == (RATES.steps_per_s, 2.0)
+    between = rates.at_once(3)
+    assert (between.steps_per_s, between.start_s) == (pytest.approx(3.0), pytest.approx(25.0))
+    assert between.source == "between 2 and 4 at a time, which were measured"
+    assert rates.at_once(5) is None
+    with pytest.raises(ConfigError, match="start_s"):
+        side_by_side(2, 4.0, 0.0)
 
 
 def test_a_budget_buys_the_smallest_difference_that_can_be_found():

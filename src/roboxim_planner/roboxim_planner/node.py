@@ -55,8 +55,10 @@ from roboxim_planner.queries import Answer, Query, run_query
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.scene_conversions import scene_from_msg
 from roboxim_planner.tracker import SceneTracker
-from roboxim_ros import qos
+from roboxim_ros import local_ticks, qos
+from roboxim_ros.clients import wait_until
 from roboxim_ros.conversions import fill_pose, from_msg
+from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 
@@ -104,7 +106,10 @@ class PlannerNode(RoboximNode):
         )
         self._waiting = False
         self._states = OnDemandGroup()  # receives states only at a new scene's start and for requests, not every tick
-        self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
+        self._notices = self.resolve_topic_name("sim/ticks")
+        self._taken: LocalTick | None = None
+        if not local_ticks.announced(context, self._notices):
+            self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
             (PlanToPose, "plan_to_pose", self._planning("plan_to_pose")),
@@ -148,6 +153,9 @@ class PlannerNode(RoboximNode):
         """Return a revision of the scene; wait for it if it has not arrived yet."""
         if episode_id == LATEST:
             return self._latest()
+        if local_ticks.announced(self.context, self._notices):
+            wait_until(lambda: self._is_shown(episode_id, seq), self._config.scene_wait_s)
+            return self._tracker.revision(episode_id, seq)
         self._states.take()
         self._waiting = True
         try:
@@ -156,6 +164,14 @@ class PlannerNode(RoboximNode):
             return self._tracker.revision(episode_id, seq, self._config.scene_wait_s)
         finally:
             self._waiting = self._states.open = False
+
+    def _is_shown(self, episode_id: str, seq: int) -> bool:
+        """Take the newest state of a sim of this process; return whether the tracker can answer for a revision."""
+        tick = local_ticks.newest(self.context, self._notices)
+        if tick is not None and tick is not self._taken:
+            self._taken, state = tick, tick.state
+            self._tracker.state_arrived(state.episode_id, state.seq, state.scene_hash, lambda: state, time.time_ns())
+        return self._tracker.knows(episode_id, seq)
 
     def _latest(self) -> PlanningScene:
         """Ask the sim for its newest state: the newest one received on the topics may be older."""

@@ -73,6 +73,11 @@ class SceneTracker:
         with self._changed:
             return self._has(episode_id, seq)
 
+    def knows(self, episode_id: str, seq: int) -> bool:
+        """Tell whether the revision has arrived, or a later one of its episode."""
+        with self._changed:
+            return self._has(episode_id, seq) or self._is_past(episode_id, seq)
+
     def revision(self, episode_id: str, seq: int, wait_s: float = 0.0) -> PlanningScene:
         """Return the planning scene of a revision.
 

@@ -122,7 +122,7 @@ class MessageLayout:
         """The type's own fields to their order."""
         self._walk = _WalkSource(store, name).compile()
 
-    def clean(self, cdr: bytes) -> CleanMessage:
+    def clean(self, cdr: bytes | bytearray) -> CleanMessage:
         """Copy a message without its undefined bytes.
 
         Args:

@@ -6,15 +6,17 @@ timestamps and ignored. Subscriptions are created once and kept, because matchin
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 
 An evaluator of the same process hands the step over by a call (`roboxim_ros.recording_calls`), whose answer replaces
-the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored. If the sim
-is in the same process too, its messages are taken from `roboxim_ros.local_ticks`; those in the queues are left there.
+the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
+
+A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local_ticks`). The recorder then
+does not subscribe to its topics; it keeps the values and makes a chunk's messages together.
 """
 
 from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
@@ -32,18 +34,19 @@ from roboxim_interfaces.msg import RecordedTick
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
 from roboxim_core import limits
-from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
-from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros import local_calls, local_ticks, qos
-from roboxim_ros.conversions import from_msg, stamp_to_ns
-from roboxim_ros.guard import guarded_service
+from roboxim_recorder.recording import EpisodeRecording, TickContent
+from roboxim_ros import local_ticks, qos
+from roboxim_ros.cdr_writer import to_cdr
+from roboxim_ros.conversions import from_msg
+from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
-from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
+from roboxim_ros.recording_calls import RECORD_STEP
 
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
@@ -79,12 +82,10 @@ class RecorderNode(RoboximNode):
         self._info_out = self.create_publisher(EpisodeInfoMsg, "episode/info", qos.LATCHED)
         self._notices = self.resolve_topic_name(topics.NOTICE[1:])
         self._of_ticks = OnDemandGroup()
-        for topic, kind in topics.ALWAYS.items():
-            self._subscribe_tick(topic, kind)
+        self._subscribe_ticks(topics.ALWAYS)
         self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
         self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
-        handler = guarded_service(self.get_logger(), RECORD_STEP, self._on_step_call, RecordedTick)
-        local_calls.offer(self, RecordStep, self.resolve_service_name(RECORD_STEP), handler, lockstep=True)
+        self.offer(RECORD_STEP, self._on_step_call)
 
     def destroy_node(self) -> None:
         """Destroy the node; an open bag is removed."""
@@ -105,8 +106,7 @@ class RecorderNode(RoboximNode):
         self._opened_ns = time.time_ns()
         self._failed = ""
         self._called = False
-        for topic, kind in recording.expected.items():
-            self._subscribe_tick(topic, kind)
+        self._subscribe_ticks(recording.expected)
         for name, kind in extra.items():
             self._subscribe(name, kind, self._matching_qos(name))
         self._recording = recording
@@ -144,9 +144,17 @@ class RecorderNode(RoboximNode):
 
     # ---------------------------------------------------------------- messages
 
-    def _subscribe_tick(self, topic: str, kind: str) -> None:
-        """Subscribe to a topic of every tick, by its name in the bag; only the step wakes the node."""
-        self._subscribe(topic[1:], kind, qos.EVENTS, None if topic == topics.STEP else self._of_ticks)
+    def _subscribe_ticks(self, expected: Mapping[str, str]) -> None:
+        """Subscribe to the topics of ticks, given with their types by their names in the bag.
+
+        Only the step wakes the node. A sim of this process shows its ticks without topics.
+        """
+        local = local_ticks.announced(self.context, self._notices)
+        for topic, kind in expected.items():
+            if topic == topics.STEP:
+                self._subscribe(topic[1:], kind, qos.EVENTS)
+            elif not local:
+                self._subscribe(topic[1:], kind, qos.EVENTS, self._of_ticks)
 
     def _subscribe(self, name: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None) -> None:
         """Subscribe to a topic by its name in the graph, unless that is done; another type replaces it."""
@@ -173,11 +181,13 @@ class RecorderNode(RoboximNode):
 
         return received
 
-    def _on_message(self, topic: str, cdr: bytes, source_ns: int) -> None:
+    def _on_message(self, topic: str, cdr: bytes | bytearray, source_ns: int) -> None:
         recording = self._recording
         if recording is None or source_ns < self._opened_ns or not recording.wants(topic):
             return
         try:
+            if topic == topics.STEP:
+                self._take_shown(recording, cdr)
             whole = recording.message(topic, cdr)
             if not self._called:
                 for seq in whole:
@@ -188,48 +198,46 @@ class RecorderNode(RoboximNode):
             if not self._called:
                 self._recorded_out.publish(_refusal(recording, error))
 
+    def _take_shown(self, recording: EpisodeRecording, step_cdr: bytes | bytearray) -> None:
+        """Give the recording the tick of a step that came as a message, if a sim of this process shows it."""
+        step = deserialize_message(bytes(step_cdr), EpisodeStepMsg)
+        tick = local_ticks.shown(self.context, self._notices, step.episode_id, int(step.seq))
+        if tick is not None:
+            for topic, cdr in tick.messages().items():
+                recording.message(topics.absolute(topic), cdr)
+
     def _drop_faulty(self, recording: EpisodeRecording, error: RoboximError) -> None:
         self._fault, self._failed = error, recording.info.episode_id
         self._abort(str(error))
 
-    def _on_step_call(self, request: EpisodeStepMsg, response: RecordedTick) -> None:
-        """Record the tick that a step ends; the answer does not wait for the compression."""
-        response.episode_id, response.seq = request.episode_id, request.seq
+    def _on_step_call(self, step: EpisodeStep) -> None:
+        """Record the tick that a step ends; the answer does not wait for the messages and their compression."""
         recording = self._recording
-        if recording is None or recording.info.episode_id != request.episode_id:
-            raise self._not_open(request.episode_id)
+        if recording is None or recording.info.episode_id != step.episode_id:
+            raise self._not_open(step.episode_id)
         self._called, self._fault = True, None
-        if not self._record_shown(recording, request):
-            self._record_arriving(recording, request)
+        tick = local_ticks.shown(self.context, self._notices, step.episode_id, step.seq)
+        if tick is not None and recording.next_seq == step.seq:
+            try:
+                recording.add_tick(step.stamp_ns, lambda: _content(tick, step))
+            except RoboximError as error:
+                self._drop_faulty(recording, error)
+        else:
+            self._record_arriving(recording, step)
         if self._fault is not None:
             raise self._fault
         self.executor.post(_Flush(self, recording))
 
-    def _record_shown(self, recording: EpisodeRecording, request: EpisodeStepMsg) -> bool:
-        """Record the tick of a sim of this process; return false if there is none."""
-        tick = local_ticks.shown(self.context, self._notices)
-        if tick is None or recording.next_seq != request.seq or recording.begun:
-            return False
-        asked = (request.episode_id, request.seq, stamp_to_ns(request.header.stamp))
-        if (tick.episode_id, tick.seq, tick.stamp_ns) != asked:
-            return False
-        messages = {topics.absolute(topic): cdr for topic, cdr in tick.messages.items()}
-        try:
-            recording.whole_tick(tick.stamp_ns, messages, serialize_message(request))
-        except RoboximError as error:
-            self._drop_faulty(recording, error)
-        return True
-
-    def _record_arriving(self, recording: EpisodeRecording, request: EpisodeStepMsg) -> None:
+    def _record_arriving(self, recording: EpisodeRecording, step: EpisodeStep) -> None:
         """Record the tick whose messages come from the middleware."""
         self._of_ticks.take()
-        if recording.next_seq <= request.seq:  # the message may have been faster than the first call
-            self._on_message(topics.STEP, serialize_message(request), self._opened_ns)
+        if recording.next_seq <= step.seq:  # the message may have been faster than the first call
+            self._on_message(topics.STEP, to_cdr(step, EpisodeStepMsg), self._opened_ns)
         deadline = time.monotonic() + TICK_S
-        while self._fault is None and recording.next_seq <= request.seq:
+        while self._fault is None and recording.next_seq <= step.seq:
             if time.monotonic() > deadline:
                 raise RecorderError(
-                    f"tick {request.seq} of '{request.episode_id}' lacks {', '.join(recording.missing(request.seq))} "
+                    f"tick {step.seq} of '{step.episode_id}' lacks {', '.join(recording.missing(step.seq))} "
                     f"after {TICK_S:g} s; is the sim's publisher alive?",
                     ErrorCode.EPISODE_GAP,
                 )
@@ -279,6 +287,12 @@ class _Flush:
 
     def abandon(self) -> None:
         """Do nothing: the node's end removes the bag."""
+
+
+def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:
+    """Return the messages of a tick of this process."""
+    messages = {topics.absolute(topic): cdr for topic, cdr in tick.messages().items()}
+    return TickContent(messages=messages, step=to_cdr(step, EpisodeStepMsg))
 
 
 def _refusal(recording: EpisodeRecording, error: RoboximError) -> RecordedTick:

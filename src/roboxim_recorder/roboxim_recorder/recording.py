@@ -9,7 +9,7 @@ Nothing here knows rclpy.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -40,6 +40,16 @@ class _Notice:
     """The tick's stamp [ns]."""
     wanted: dict[str, int]
     """Topic, by its name in the bag, to the CRC-32 of the image on it; 0: not an image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TickContent:
+    """The messages of a whole tick, serialised."""
+
+    messages: Mapping[str, bytes | bytearray]
+    """The sim's messages by their topics in the bag, the notice among them."""
+    step: bytes | bytearray
+    """The loop's step."""
 
 
 def outcome_metadata(info: EpisodeInfo, result: EpisodeResult) -> dict[str, str]:
@@ -84,6 +94,7 @@ class EpisodeRecording:
         self._arrived: dict[tuple[str, int], CleanMessage] = {}
         self._stampless: dict[str, CleanMessage] = {}
         self._extras: list[tuple[str, CleanMessage]] = []
+        self._due: list[tuple[int, int, Callable[[], TickContent]]] = []
         self._flush_due = False
         self._flush_error: RecorderError | None = None
         self._writer = BagWriter(output_dir, info.episode_id)
@@ -120,7 +131,7 @@ class EpisodeRecording:
         """Tell whether a topic, by its name in the bag, is recorded."""
         return topic in self.expected or topic in self.extra
 
-    def message(self, topic: str, cdr: bytes) -> list[int]:
+    def message(self, topic: str, cdr: bytes | bytearray) -> list[int]:
         """Add a message.
 
         Args:
@@ -153,7 +164,7 @@ class EpisodeRecording:
                 self._arrived[topic, stamp] = message
         return self._write_whole_ticks()
 
-    def _clean(self, topic: str, cdr: bytes) -> CleanMessage:
+    def _clean(self, topic: str, cdr: bytes | bytearray) -> CleanMessage:
         try:
             message = self._layouts[topic].clean(cdr)
         except SerdeError as error:
@@ -185,23 +196,36 @@ class EpisodeRecording:
                 ErrorCode.EPISODE_GAP,
             )
 
-    def whole_tick(self, stamp_ns: int, messages: Mapping[str, bytes], step_cdr: bytes) -> None:
-        """Add the next tick, all of whose messages are at hand. Call `flush` afterwards.
+    def add_tick(self, stamp_ns: int, content: Callable[[], TickContent]) -> None:
+        """Add the next tick, whose messages can be made at any time. Call `flush` afterwards.
+
+        The messages of several ticks are made together, when their chunk is due: at once they cost less than half.
 
         Args:
             stamp_ns: Its stamp [ns].
-            messages: The sim's messages, serialised, by their topics in the bag, the notice among them.
-            step_cdr: The loop's step, serialised.
+            content: Returns the tick's messages; called by `flush` or `close`.
 
         Raises:
-            RecorderError: As `message` raises it.
+            RecorderError: What an earlier `flush` met with.
         """
         self._raise_flush_error()
-        self._require_expected(f"tick {self._next} of '{self.info.episode_id}'", messages)
-        others = {topic: self._clean(topic, messages[topic]) for topic in sorted(messages) if topic != topics.NOTICE}
-        notice, step = self._clean(topics.NOTICE, messages[topics.NOTICE]), self._clean(topics.STEP, step_cdr)
-        self._write_tick(self._next, stamp_ns, notice, others, step)
+        self._due.append((self._next, stamp_ns, content))
+        self._flush_due |= self._next % FLUSH_TICKS == 0
         self._next += 1
+
+    def _write_due(self) -> None:
+        """Write the added ticks."""
+        due, self._due = self._due, []
+        for seq, stamp_ns, content in due:
+            made = content()
+            self._require_expected(f"tick {seq} of '{self.info.episode_id}'", made.messages)
+            others = {
+                topic: self._clean(topic, made.messages[topic])
+                for topic in sorted(made.messages)
+                if topic != topics.NOTICE
+            }
+            notice = self._clean(topics.NOTICE, made.messages[topics.NOTICE])
+            self._write(stamp_ns, notice, others, self._clean(topics.STEP, made.step))
 
     def missing(self, seq: int) -> list[str]:
         """Return the names of what tick ``seq`` lacks."""
@@ -246,9 +270,15 @@ class EpisodeRecording:
             return
         self._flush_due = False
         try:
+            self._write_due()
             self._writer.flush()
         except RecorderError as error:
             self._flush_error = error
+        except Exception as error:
+            self._flush_error = RecorderError(
+                f"a tick of '{self.info.episode_id}' before tick {self._next} cannot be recorded: "
+                f"{type(error).__name__}: {error}"
+            )
 
     def _raise_flush_error(self) -> None:
         if self._flush_error is not None:
@@ -268,13 +298,19 @@ class EpisodeRecording:
     ) -> None:
         self.flush()
         self._raise_flush_error()
+        self._write_due()
+        self._write(stamp_ns, notice, others, step)
+        self._flush_due = seq % FLUSH_TICKS == 0
+
+    def _write(
+        self, stamp_ns: int, notice: CleanMessage, others: Mapping[str, CleanMessage], step: CleanMessage
+    ) -> None:
         self._last_stamp_ns = stamp_ns
         self._writer.write(topics.NOTICE, notice.data, stamp_ns)
         for topic, message in others.items():
             self._writer.write(topic, message.data, stamp_ns)
         self._writer.write(topics.STEP, step.data, stamp_ns)
         self._write_extras()
-        self._flush_due = seq % FLUSH_TICKS == 0
 
     def _write_extras(self) -> None:
         for topic, message in sorted(self._extras, key=itemgetter(0)):
@@ -302,6 +338,7 @@ class EpisodeRecording:
         try:
             self.flush()
             self._raise_flush_error()
+            self._write_due()
             self._write_extras()
             self._writer.write(topics.RESULT, self._clean(topics.RESULT, result_cdr).data, self._last_stamp_ns)
         except RecorderError:

@@ -10,7 +10,7 @@ import importlib.util
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -32,7 +32,7 @@ class MessageSchema:
     text: str
     """Definition with those of all nested types, in the format ``ros2msg``."""
 
-    @property
+    @cached_property
     def type_hash(self) -> str:
         """The type's REP-2011 hash, ``RIHS01_...``."""
         return typestore((self,)).hash_rihs01(self.name)

@@ -12,16 +12,16 @@ from roboxim_interfaces import msg as ours
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 from std_msgs.msg import String
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import McapFile
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.node import RecorderNode
 from roboxim_ros import local_ticks, qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import stamp_to_ns, to_msg
-from roboxim_ros.local_ticks import PublishedTick
-from roboxim_ros.recording_calls import RECORD_STEP, RecordStep
+from roboxim_ros.conversions import to_msg
+from roboxim_ros.local_ticks import LocalTick
+from roboxim_ros.recording_calls import RECORD_STEP
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros
@@ -154,12 +154,10 @@ def test_a_tick_whose_step_is_handed_over_is_recorded(graph, tmp_path, fake):
     episode = fake()
     graph.open(episode, tmp_path)
     for seq in range(episode.last_seq + 1):
-        tick = episode.tick(seq)
-        call = graph.clients.send_local(RecordStep, RECORD_STEP, tick["/evaluator/step"])
-        for topic, message in tick.items():
+        call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
+        for topic, message in episode.tick(seq).items():
             graph.publish(topic, message)
-        answer = graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S)
-        assert (answer.episode_id, answer.seq, answer.error_code) == (episode.info.episode_id, seq, 0)
+        graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
     bag = graph.close(episode)
     report = check_bag(tmp_path / bag)
     assert report.ok, report.problems
@@ -167,32 +165,39 @@ def test_a_tick_whose_step_is_handed_over_is_recorded(graph, tmp_path, fake):
 
 
 def test_a_tick_of_a_sim_of_the_same_process_needs_no_middleware(graph, tmp_path, fake):
-    """The bag has the bytes of one whose messages came from the middleware."""
+    """The bag has the bytes of one whose messages came from the middleware, wherever its steps come from."""
     episode = fake()
+
+    def show_and_publish_step(seq):
+        show(graph, episode, seq)
+        graph.publish("/evaluator/step", episode.tick(seq)["/evaluator/step"])
+        assert graph.acknowledgement().error_code == ErrorCode.OK
+
     bags = []
-    for folder in (tmp_path / "messages", tmp_path / "shown"):
-        graph.open(episode, folder)
-        if folder.name == "messages":
+    for number, play_tick in enumerate((None, lambda seq: show_and_step(graph, episode, seq), show_and_publish_step)):
+        graph.open(episode, tmp_path / str(number))
+        if play_tick is None:
             graph.play(episode)
         else:
             for seq in range(episode.last_seq + 1):
-                show_and_step(graph, episode, seq)
-        bags.append(next((folder / graph.close(episode)).glob("*.mcap")).read_bytes())
-    assert bags[0] == bags[1]
+                play_tick(seq)
+        bags.append(next((tmp_path / str(number) / graph.close(episode)).glob("*.mcap")).read_bytes())
+    assert bags[0] == bags[1] == bags[2]
+
+
+def show(graph, episode, seq):
+    """Show a tick as a sim of the same process does."""
+    tick = {topic[1:]: message for topic, message in episode.tick(seq).items()}
+    del tick["evaluator/step"]
+    messages = {topic: serialize_message(message) for topic, message in tick.items()}
+    shown = LocalTick(state=episode.state(seq), images={}, messages=lambda: messages)
+    local_ticks.show(graph.node.context, "/w1/sim/ticks", shown)
 
 
 def show_and_step(graph, episode, seq):
-    tick = {topic[1:]: message for topic, message in episode.tick(seq).items()}
-    step = tick.pop("evaluator/step")
-    shown = PublishedTick(
-        episode_id=episode.info.episode_id,
-        seq=seq,
-        stamp_ns=stamp_to_ns(step.header.stamp),
-        messages={topic: serialize_message(message) for topic, message in tick.items()},
-    )
-    local_ticks.show(graph.node.context, "/w1/sim/ticks", shown)
-    call = graph.clients.send_local(RecordStep, RECORD_STEP, step)
-    assert graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S).error_code == ErrorCode.OK
+    show(graph, episode, seq)
+    call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
+    graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
 
 
 def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkeypatch):
@@ -201,9 +206,12 @@ def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkey
 
     def hand_over(seq):
         graph.tick(episode, seq, without=("/evaluator/step",))
-        call = graph.clients.send_local(RecordStep, RECORD_STEP, episode.tick(seq)["/evaluator/step"])
-        answer = graph.clients.answer_of(call, RECORD_STEP, PATIENCE_S)
-        return answer.error_code, answer.error_msg
+        call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
+        try:
+            graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
+        except RoboximError as error:
+            return error.code, str(error)
+        return ErrorCode.OK, ""
 
     episode = fake()
     assert hand_over(0)[0] == ErrorCode.EPISODE_NOT_OPEN

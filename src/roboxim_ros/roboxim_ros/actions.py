@@ -15,6 +15,8 @@ from rclpy.task import Future
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError
 from roboxim_ros.clients import Clients, wait_until
 
+POLL_S = 0.5
+"""Time between two looks whether a goal's server is still there [s]."""
 _STATUS = {
     GoalStatus.STATUS_SUCCEEDED: "succeeded",
     GoalStatus.STATUS_ABORTED: "aborted",
@@ -67,7 +69,7 @@ class ActionCall:
             feedback: Called with each feedback message, in another thread.
             timeout_s: Longest wait for the result [s].
             wait_s: Longest wait for the server to appear [s].
-            check: Called ten times a second; raises to stop waiting.
+            check: Called every `POLL_S`; raises to stop waiting.
 
         Raises:
             UnavailableError: When the server does not appear, or goes away.
@@ -96,7 +98,7 @@ class ActionCall:
     def _wait(self, future: Future, deadline: float, check: Callable[[], None]) -> Any:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
-        while not done.wait(0.1):
+        while not done.wait(POLL_S):
             check()
             if time.monotonic() > deadline:
                 raise RequestTimeoutError(f"action '{self.name}' did not end in time; its node hangs or has died")

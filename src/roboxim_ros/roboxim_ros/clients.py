@@ -1,7 +1,7 @@
 """Blocking service calls from any thread, callbacks included.
 
-`Clients.call` hands the request of a tick to a server of the same process directly (`roboxim_ros.local_calls`). Other
-answers it takes from the middleware itself (`roboxim_ros.direct_calls`). Everything else on the clients' node needs an
+`Clients.call` takes answers from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` hands the
+calls of a tick to a node of the same process (`roboxim_ros.local_calls`). Everything else on the clients' node needs an
 executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own executor, it
 would wait forever. A separate thread therefore spins this node.
 """
@@ -129,11 +129,8 @@ class Clients:
             RequestTimeoutError: When the answer does not come in time.
             RoboximError: As the response's ``error_code`` and ``error_msg`` state, when it has them.
         """
-        local = local_calls.find(self.node.context, srv_type, self._full_name(name))
-        if local is not None and (call := local.send(request)) is not None:
-            response = self.answer_of(call, name, timeout_s)
-        else:
-            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, local)
+        local = local_calls.find_service(self.node.context, self._full_name(name))
+        response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, local)
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
@@ -152,31 +149,31 @@ class Clients:
             self._full_names[name] = self.node.resolve_service_name(name)
         return self._full_names[name]
 
-    def send_local(self, srv_type: Any, name: str, request: Any) -> LocalCall | None:
-        """Hand a request to a server of this process; `answer_of` waits for the answer.
+    def send_local(self, name: str, *arguments: Any) -> LocalCall | None:
+        """Call a function that a node of this process offers; `value_of` waits for its value.
 
         Args:
-            srv_type: Service class.
-            name: Service name, relative to the namespace.
-            request: The request.
+            name: Name, relative to the namespace.
+            *arguments: Its arguments; see `roboxim_ros.local_calls`.
 
         Returns:
-            The call; None when this process has no such server.
+            The call; None when no node of this process offers the function.
         """
-        local = local_calls.find(self.node.context, srv_type, self._full_name(name))
-        return None if local is None else local.send(request)
+        function = local_calls.find_function(self.node.context, self._full_name(name))
+        return None if function is None else function.send(*arguments)
 
-    def answer_of(self, call: LocalCall, name: str, timeout_s: float) -> Any:
-        """Wait for the answer of a server of this process, and return it.
+    def value_of(self, call: LocalCall, name: str, timeout_s: float) -> Any:
+        """Wait for the value of a function of this process, and return it.
 
         Args:
             call: From `send_local`.
-            name: Service name, for errors.
+            name: Name of the function, for errors.
             timeout_s: Longest wait [s].
 
         Raises:
-            UnavailableError: When the server ends, or these clients are closed.
-            RequestTimeoutError: When the answer does not come in time.
+            UnavailableError: When the node ends, or these clients are closed.
+            RequestTimeoutError: When the value does not come in time.
+            RoboximError: As the function raises it.
         """
         deadline = time.monotonic() + timeout_s
         while not call.wait(min(1.0, deadline - time.monotonic())):
@@ -186,9 +183,10 @@ class Clients:
                 break
             if time.monotonic() >= deadline:
                 raise _late(self._full_name(name), timeout_s)
-        if call.response is None:
+        if not call.served:
             raise _disappeared(self._full_name(name))
-        return call.response
+        raise_for_code(call.error_code, call.error_msg)
+        return call.value
 
     def _answer_of_middleware(
         self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None, local: LocalService | None

@@ -67,7 +67,7 @@ def fill_pose(msg: Any, pose: Pose) -> Any:
     return msg
 
 
-def _element_class(msg_cls: Any, field: str) -> Any:
+def element_class(msg_cls: Any, field: str) -> Any:
     """Return the message class of a field or of its elements."""
     kind = msg_cls.get_fields_and_field_types()[field].removeprefix("sequence<").rstrip(">")
     package, _, name = kind.split("[")[0].split(",")[0].partition("/")
@@ -120,17 +120,17 @@ def _setter(name: str, kind: Any, msg_cls: Any) -> Callable[[Any, Any], None]:
 
 def _encoder(name: str, kind: Any, msg_cls: Any) -> Convert:
     if dataclasses.is_dataclass(kind):
-        inner = _element_class(msg_cls, name)
+        inner = element_class(msg_cls, name)
         return lambda value: to_msg(value, inner)
     optional = _optional_of(kind)
     if optional is not None:
-        inner = _element_class(msg_cls, name)
+        inner = element_class(msg_cls, name)
         return lambda value: [] if value is None else [to_msg(value, inner)]
     origin, args = get_origin(kind), get_args(kind)
     if origin is dict:
-        return _dict_encoder(args[1], _element_class(msg_cls, name))
+        return _dict_encoder(args[1], element_class(msg_cls, name))
     if origin is tuple and dataclasses.is_dataclass(args[0]):
-        inner = _element_class(msg_cls, name)
+        inner = element_class(msg_cls, name)
         return lambda value: [to_msg(item, inner) for item in value]
     if origin is tuple and args[0] is float and _is_sequence_of_doubles(msg_cls, name):
         return lambda value: array.array("d", value)
@@ -148,7 +148,7 @@ def _is_sequence_of_doubles(msg_cls: Any, name: str) -> bool:
 def _dict_encoder(kind: Any, pair: Any) -> Convert:
     key_field, value_field = pair.get_fields_and_field_types()
     if dataclasses.is_dataclass(kind):
-        inner = _element_class(pair, value_field)
+        inner = element_class(pair, value_field)
         encode: Convert = lambda value: to_msg(value, inner)  # noqa: E731
     elif kind in (str, float):
         encode = kind

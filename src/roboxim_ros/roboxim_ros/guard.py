@@ -205,7 +205,6 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         srv_name: str,
         callback: Callable[[Any, Any], Any],
         *args: Any,
-        lockstep: bool = False,
         **kwargs: Any,
     ) -> Any:
         """Offer a service as rclpy does; an exception of its callback becomes the answer.
@@ -215,15 +214,30 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
             srv_name: Name, relative to the namespace.
             callback: The handler.
             *args: Passed to rclpy.
-            lockstep: Whether it is called every tick: callers of this process then need no middleware, see
-                `roboxim_ros.local_calls`. The handler must not be a coroutine function.
             **kwargs: Passed to rclpy.
         """
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
         service = super().create_service(srv_type, srv_name, guarded, *args, **kwargs)
         guard_sending(self.get_logger(), service, srv_type.Response)
-        local_calls.offer(self, srv_type, service.service_name, guarded, lockstep=lockstep)
+        local_calls.register_service(self, service.service_name)
         return service
+
+    def offer(self, name: str, function: Callable[..., Any]) -> None:
+        """Offer a function to callers of this process, which call it with values; see `roboxim_ros.local_calls`.
+
+        Args:
+            name: Name, relative to the namespace; a service of the same name serves other processes.
+            function: Called in the node's thread; not a coroutine function. An exception is raised at the caller, with
+                the same code and message as from a service.
+        """
+
+        def described(error: BaseException) -> tuple[ErrorCode, str] | None:
+            if not isinstance(error, CAUGHT):
+                return None
+            report(self.get_logger(), error, name)
+            return describe(error, name)
+
+        local_calls.offer(self, self.resolve_service_name(name), function, described)
 
     def destroy_node(self) -> None:
         """Destroy the node and end its offers to this process."""

@@ -1,12 +1,12 @@
-"""Calls of the services of a tick between nodes of one process, without the middleware.
+"""Calls between nodes of one process, without messages and without the middleware.
 
-A service that is created with ``lockstep=True`` is offered to the middleware and here. A caller of the same process
-gives the request object to the thread that spins the server, and gets the response object. Nothing is serialised, and
-no wait set is built. Neither side may change a message that it has handed over, and handlers must set only values that
-could be serialised: nothing else checks them on this way. The server needs a `LockstepExecutor`.
+A node offers a function of the core's values to its process (`LocalFunction`). A caller of the same process hands the
+arguments to the thread that spins the node, and gets the returned value. Nothing is converted or serialised, and no
+wait set is built. Values are shared, so neither side may change what it has handed over: frozen dataclasses, and arrays
+that are read-only or given away. The node needs a `LockstepExecutor`.
 
-Other services are registered here too: the server may be waiting for the next tick, so a caller of the same process
-makes it look at the middleware.
+Services are registered here too: their node may be waiting for the next call of a function, so a caller of the same
+process makes it look at the middleware.
 """
 
 from __future__ import annotations
@@ -19,49 +19,24 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.node import Node
 
+from roboxim_core.errors import ErrorCode
 from roboxim_ros.lockstep_executor import LockstepExecutor
 
-_services: weakref.WeakKeyDictionary[Context, dict[str, LocalService]] = weakref.WeakKeyDictionary()
-_lock = threading.Lock()
+Describe = Callable[[BaseException], tuple[ErrorCode, str] | None]
+"""Returns the code and the message that answer an exception; None: it is not to be caught."""
 
 
-class LocalService:
-    """A service of a node of this process."""
+class _Offer:
+    """What a node of this process offers."""
 
-    def __init__(self, node: Node, srv_type: Any, handler: Callable[[Any, Any], Any], *, lockstep: bool) -> None:
-        """Describe it.
-
-        Args:
-            node: The node that serves.
-            srv_type: Service class.
-            handler: Called with (request, response) in the node's thread; returns the response and raises nothing. Not
-                a coroutine function, if the service is called in lockstep.
-            lockstep: Whether it is called without the middleware.
-        """
-        self._node, self._lockstep = weakref.ref(node), lockstep
-        self.srv_type, self.handler = srv_type, handler
+    def __init__(self, node: Node) -> None:
+        self._node = weakref.ref(node)
         self.open = True
         """Whether the node still serves."""
 
-    def send(self, request: Any) -> LocalCall | None:
-        """Hand a request over; None when the service must be called through the middleware.
-
-        Raises:
-            TypeError: If the request belongs to another service.
-        """
-        if not isinstance(request, self.srv_type.Request):
-            raise TypeError(f"expected a {self.srv_type.Request}, got a {type(request)}")
-        executor = self._executor() if self._lockstep else None
-        if executor is None:
-            return None
-        call = LocalCall(self, request)
-        return call if executor.post(call) else None
-
-    def look(self) -> None:
-        """Make the server look at the middleware, where a request has been sent to."""
-        executor = self._executor()
-        if executor is not None:
-            executor.look()
+    def belongs_to(self, node: Node) -> bool:
+        """Tell whether a node offers it."""
+        return self._node() is node
 
     def _executor(self) -> LockstepExecutor | None:
         node = self._node()
@@ -69,69 +44,125 @@ class LocalService:
         return executor if isinstance(executor, LockstepExecutor) else None
 
 
+class LocalService(_Offer):
+    """A service of a node of this process, which is called through the middleware."""
+
+    def look(self) -> None:
+        """Make the server look at the middleware, where a request has been sent to."""
+        executor = self._executor()
+        if executor is not None:
+            executor.look()
+
+
+class LocalFunction(_Offer):
+    """A function of a node of this process."""
+
+    def __init__(self, node: Node, function: Callable[..., Any], describe: Describe) -> None:
+        """Describe it.
+
+        Args:
+            node: The node that offers it.
+            function: Called in the node's thread.
+            describe: Called with what the function raises.
+        """
+        super().__init__(node)
+        self._function, self._describe = function, describe
+
+    def send(self, *arguments: Any) -> LocalCall | None:
+        """Hand a call over; None when the node does not serve."""
+        executor = self._executor()
+        if executor is None:
+            return None
+        call = LocalCall(self, arguments)
+        return call if executor.post(call) else None
+
+    def answer(self, call: LocalCall, arguments: tuple[Any, ...]) -> None:
+        """Call the function and keep its value or its error."""
+        try:
+            call.value = self._function(*arguments)
+        except BaseException as error:
+            described = self._describe(error)
+            if described is None:
+                raise
+            call.error_code, call.error_msg = described
+        call.served = True
+
+
 class LocalCall:
-    """A request that waits in an executor's queue, is served, or is answered."""
+    """A call that waits in an executor's queue, is being served, or has ended."""
 
-    __slots__ = ("_answered", "_request", "_service", "response")
+    __slots__ = ("_arguments", "_ended", "_function", "error_code", "error_msg", "served", "value")
 
-    def __init__(self, service: LocalService, request: Any) -> None:
-        """Keep the request."""
-        self._service, self._request = service, request
-        self._answered = threading.Lock()
-        self._answered.acquire()
-        self.response: Any = None
-        """The response; None: there is none yet, or the server has ended."""
+    def __init__(self, function: LocalFunction, arguments: tuple[Any, ...]) -> None:
+        """Keep the arguments."""
+        self._function, self._arguments = function, arguments
+        self._ended = threading.Lock()
+        self._ended.acquire()
+        self.served = False
+        """Whether the function has returned or raised; false after the end: the node has ended."""
+        self.value: Any = None
+        """What it has returned."""
+        self.error_code, self.error_msg = ErrorCode.OK, ""
 
     def __call__(self) -> None:
-        """Serve the request; the executor calls this."""
+        """Call the function; the executor does this."""
         try:
-            self.response = self._service.handler(self._request, self._service.srv_type.Response())
+            self._function.answer(self, self._arguments)
         finally:
-            self._answered.release()
+            self._ended.release()
 
     def abandon(self) -> None:
-        """Release the caller without a response."""
-        self._answered.release()
+        """Release the caller without an answer."""
+        self._ended.release()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for the end of the call; returns whether it has ended."""
-        return self._answered.acquire(timeout=max(0.0, timeout_s))
+        return self._ended.acquire(timeout=max(0.0, timeout_s))
 
     @property
     def possible(self) -> bool:
-        """Whether the server can still answer."""
-        return self._service.open
+        """Whether the node can still answer."""
+        return self._function.open
 
 
-def offer(node: Node, srv_type: Any, name: str, handler: Callable[[Any, Any], Any], *, lockstep: bool) -> None:
-    """Register a service for the callers of this process; see `LocalService`.
+_services: weakref.WeakKeyDictionary[Context, dict[str, LocalService]] = weakref.WeakKeyDictionary()
+_functions: weakref.WeakKeyDictionary[Context, dict[str, LocalFunction]] = weakref.WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def register_service(node: Node, name: str) -> None:
+    """Register a service, by its full name, for the callers of this process."""
+    with _lock:
+        _services.setdefault(node.context, {})[name] = LocalService(node)
+
+
+def offer(node: Node, name: str, function: Callable[..., Any], describe: Describe) -> None:
+    """Offer a function to this process.
 
     Args:
-        node: The node that serves.
-        srv_type: Service class.
-        name: Full name of the service.
-        handler: See `LocalService`.
-        lockstep: See `LocalService`.
+        node: The node that offers it.
+        name: Full name, e.g. that of the service that does the same for other processes.
+        function: See `LocalFunction`.
+        describe: See `LocalFunction`.
     """
     with _lock:
-        _services.setdefault(node.context, {})[name] = LocalService(node, srv_type, handler, lockstep=lockstep)
+        _functions.setdefault(node.context, {})[name] = LocalFunction(node, function, describe)
 
 
 def withdraw(node: Node) -> None:
-    """Remove the services of a node."""
+    """Remove what a node offers."""
     with _lock:
-        offered = _services.get(node.context, {})
-        for name in [name for name, service in offered.items() if service._node() is node]:
-            offered.pop(name).open = False
+        for registry in (_services, _functions):
+            offered: dict[str, Any] = registry.get(node.context, {})
+            for name in [name for name, one in offered.items() if one.belongs_to(node)]:
+                offered.pop(name).open = False
 
 
-def find(context: Context, srv_type: Any, name: str) -> LocalService | None:
-    """Return a service of this process; None when there is none.
+def find_service(context: Context, name: str) -> LocalService | None:
+    """Return a service of this process, by its full name; None when there is none."""
+    return _services.get(context, {}).get(name)
 
-    Args:
-        context: Context of the caller.
-        srv_type: Service class.
-        name: Full name of the service.
-    """
-    service = _services.get(context, {}).get(name)
-    return service if service is not None and service.srv_type is srv_type else None
+
+def find_function(context: Context, name: str) -> LocalFunction | None:
+    """Return a function that a node of this process offers, by its full name; None when there is none."""
+    return _functions.get(context, {}).get(name)

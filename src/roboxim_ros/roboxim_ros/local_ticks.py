@@ -1,50 +1,72 @@
-"""The newest tick of a sim of this process, as it was published: a recorder of the same process takes it from here.
+"""The newest tick of a sim of this process: nodes of the same process take it from here, as values.
 
-Everybody else gets the same messages from the middleware.
+Everybody else gets the tick's messages from the middleware.
 """
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rclpy.context import Context
 
+from roboxim_core.rendering import CameraImages
+from roboxim_core.state import StateRecord
+
 
 @dataclass(frozen=True, kw_only=True)
-class PublishedTick:
-    """A tick's messages."""
+class LocalTick:
+    """A tick of a sim of this process."""
 
-    episode_id: str
-    """Episode; empty: none."""
-    seq: int
-    """Number of the tick."""
-    stamp_ns: int
-    """Its stamp [ns]."""
-    messages: Mapping[str, bytes]
-    """Topic, relative to the graph's namespace, to the serialised message; the notice is last."""
-
-
-_ticks: weakref.WeakKeyDictionary[Context, dict[str, PublishedTick]] = weakref.WeakKeyDictionary()
+    state: StateRecord
+    """The state."""
+    images: Mapping[str, CameraImages]
+    """Images by camera name; the arrays are read-only."""
+    messages: Callable[[], Mapping[str, bytes | bytearray]]
+    """Returns topic, relative to the graph's namespace, to the serialised message; the notice is last. Any thread may
+    call it. The messages are made by the first call, so a tick costs none if nobody needs them."""
 
 
-def show(context: Context, notices: str, tick: PublishedTick) -> None:
-    """Replace the newest tick.
+_ticks: weakref.WeakKeyDictionary[Context, dict[str, LocalTick | None]] = weakref.WeakKeyDictionary()
+
+
+def announce(context: Context, notices: str) -> None:
+    """Say that a sim of this process will show its ticks.
 
     Args:
         context: Context of the sim.
         notices: Full name of the topic of its notices.
-        tick: The tick.
     """
+    _ticks.setdefault(context, {})[notices] = None
+
+
+def show(context: Context, notices: str, tick: LocalTick) -> None:
+    """Replace the newest tick; see `announce`."""
     _ticks.setdefault(context, {})[notices] = tick
 
 
-def shown(context: Context, notices: str) -> PublishedTick | None:
-    """Return the newest tick; None: no sim of this process has published one.
+def withdraw(context: Context, notices: str) -> None:
+    """Say that the sim has ended; see `announce`."""
+    _ticks.get(context, {}).pop(notices, None)
+
+
+def announced(context: Context, notices: str) -> bool:
+    """Tell whether a sim of this process shows its ticks; see `announce`."""
+    return notices in _ticks.get(context, {})
+
+
+def newest(context: Context, notices: str) -> LocalTick | None:
+    """Return the newest tick; None: no sim of this process has shown one.
 
     Args:
         context: Context of the caller.
-        notices: See `show`.
+        notices: See `announce`.
     """
     return _ticks.get(context, {}).get(notices)
+
+
+def shown(context: Context, notices: str, episode_id: str, seq: int) -> LocalTick | None:
+    """Return a tick if it is the newest one; see `newest`."""
+    tick = newest(context, notices)
+    return tick if tick is not None and (tick.state.episode_id, tick.state.seq) == (episode_id, seq) else None

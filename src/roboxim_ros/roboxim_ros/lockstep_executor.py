@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.task import Task
 
-LOOK_S = 0.2
+LOOK_S = 0.5
 """Longest time for which an executor in lockstep leaves the middleware unserved [s]."""
 
 

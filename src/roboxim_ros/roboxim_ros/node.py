@@ -62,7 +62,7 @@ class RoboximNode(GuardedNode):
             name: Name, relative to the namespace.
             handler: Called with (request, response); a function or a coroutine function. Fills the response or raises:
                 `roboxim_ros.guard.fill_error` turns the exception into the answer.
-            **kwargs: Passed to `GuardedNode.create_service`, e.g. ``lockstep``.
+            **kwargs: Passed to `GuardedNode.create_service`.
         """
         self.create_service(srv_type, name, handler, **kwargs)
 

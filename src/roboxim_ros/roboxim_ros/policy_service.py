@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -164,7 +166,8 @@ class PolicyService:
         prefix = f"{namespace}/" if namespace else ""
         node.serve(DescribePolicy, f"{prefix}describe_policy", self._on_describe)
         node.serve(ResetPolicy, f"{prefix}reset_policy", self._on_reset)
-        node.serve(Act, f"{prefix}act", self._on_act, lockstep=True)
+        node.serve(Act, f"{prefix}act", self._on_act)
+        node.offer(f"{prefix}act", guard.act)
 
     def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
         response.description = to_msg(self.guard.description, PolicyDescriptionMsg)
@@ -223,16 +226,28 @@ class PolicyClient:
             PolicyError: With the failure's code, e.g. ``POLICY_LATE``, ``POLICY_DIED``, ``INVALID_ACTION``.
         """
         description = self._description or self.describe()
+        name = f"{self._namespace}/act"
+        with _policys_faults():
+            call = self._clients.send_local(name, window)
+            if call is not None:
+                return checked_answer(self._clients.value_of(call, name, self._timeout_s), description)
         return decode_answer(self._call(Act, "act", encode_window(window)), description)
 
     def _call(self, srv_type: Any, name: str, request: Any) -> Any:
-        try:
+        with _policys_faults():
             return self._clients.call(
                 srv_type, f"{self._namespace}/{name}", request, timeout_s=self._timeout_s, wait_s=self._timeout_s
             )
-        except RequestTimeoutError as error:
-            raise PolicyError(str(error), ErrorCode.POLICY_LATE) from None
-        except UnavailableError as error:
-            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
-        except RoboximError as error:
-            raise PolicyError(str(error), error.code) from None
+
+
+@contextmanager
+def _policys_faults() -> Iterator[None]:
+    """Turn every error of a call into a `PolicyError`."""
+    try:
+        yield
+    except RequestTimeoutError as error:
+        raise PolicyError(str(error), ErrorCode.POLICY_LATE) from None
+    except UnavailableError as error:
+        raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
+    except RoboximError as error:
+        raise PolicyError(str(error), error.code) from None

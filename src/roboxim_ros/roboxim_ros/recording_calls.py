@@ -5,15 +5,6 @@ Between processes the step is a message on ``evaluator/step`` and the acknowledg
 
 from __future__ import annotations
 
-from roboxim_interfaces.msg import EpisodeStep, RecordedTick
-
-
-class RecordStep:
-    """The call's types, in the form of a service class; `roboxim_ros.local_calls` offers and finds it."""
-
-    Request = EpisodeStep
-    Response = RecordedTick
-
-
 RECORD_STEP = "recorder/record_step"
-"""Name of the call, relative to the graph's namespace."""
+"""Name, relative to the graph's namespace, of the function that takes a `roboxim_core.episode.EpisodeStep`
+(`roboxim_ros.local_calls`)."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 
 import pytest
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
-from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RequestTimeoutError, RoboximError, UnavailableError
 from roboxim_ros.clients import Clients
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.host import NodeHost
@@ -19,27 +19,31 @@ pytestmark = pytest.mark.ros
 
 
 class _Server(RoboximNode):
-    """Serves ``tick`` in lockstep, and ``slow``, which answers when it may."""
+    """Offers ``tick``, and ``slow``, which answers when it may."""
 
     def __init__(self, context) -> None:
         super().__init__("server", context=context)
         self.received = []
         self.threads = set()
         self.busy, self.may_answer = threading.Event(), threading.Event()
-        self.serve(SetBool, "tick", self._tick, lockstep=True)
-        self.serve(Trigger, "slow", self._slow, lockstep=True)
+        self.offer("tick", self._tick)
+        self.offer("slow", self._slow)
         self.serve(Trigger, "other", lambda _, response: setattr(response, "message", "other"))
 
-    def _tick(self, request, response) -> None:
-        self.received.append(request)
+    def _tick(self, value) -> list:
+        self.received.append(value)
         self.threads.add(threading.get_ident())
-        if not request.data:
+        if not value:
             raise InvalidRequestError("no data")
-        response.message = "done"
+        return [*value, "done"]
 
-    def _slow(self, _, response) -> None:
+    def _slow(self) -> None:
         self.busy.set()
         self.may_answer.wait(PATIENCE_S)
+
+
+def call(clients, name, *arguments, timeout_s=PATIENCE_S):
+    return clients.value_of(clients.send_local(name, *arguments), name, timeout_s)
 
 
 @pytest.fixture
@@ -53,38 +57,43 @@ def clients(graph_host, server):
         yield made
 
 
-def test_a_request_of_this_process_is_not_serialised(server, clients):
-    requests = [SetBool.Request(data=True) for _ in range(3)]
-    assert [clients.call(SetBool, "tick", request).message for request in requests] == ["done"] * 3
-    assert [id(request) for request in server.received] == [id(request) for request in requests]
+def test_a_function_of_this_process_gets_the_callers_values(server, clients):
+    values = [[number] for number in range(3)]
+    assert [call(clients, "tick", value) for value in values] == [[0, "done"], [1, "done"], [2, "done"]]
+    assert [id(value) for value in server.received] == [id(value) for value in values]
     assert len(server.threads) == 1
     assert threading.get_ident() not in server.threads
 
 
-def test_a_handlers_error_is_the_answer(clients):
-    answer = clients.call(SetBool, "tick", SetBool.Request())
-    assert not answer.success
-    assert "no data" in answer.message
-    with pytest.raises(TypeError, match="SetBool"):
-        clients.call(SetBool, "tick", Trigger.Request())
+def test_an_error_is_raised_at_the_caller(server, clients):
+    with pytest.raises(InvalidRequestError, match="no data"):
+        call(clients, "tick", [])
+    with pytest.raises(RoboximError, match="TypeError in tick") as raised:
+        call(clients, "tick", 1)
+    assert raised.value.code == ErrorCode.INTERNAL
+    assert call(clients, "tick", [2]) == [2, "done"]
+
+
+def test_other_processes_functions_are_not_called(clients):
+    assert clients.send_local("unknown") is None
 
 
 def test_the_middleware_is_served_during_lockstep(server, clients):
-    """A request of another process is answered while requests of this process leave no pause."""
+    """A service is answered while calls of this process leave no pause."""
     ended = threading.Event()
 
     def lockstep():
         while not ended.is_set():
-            clients.call(SetBool, "tick", SetBool.Request(data=True))
+            call(clients, "tick", [1])
 
     threads = [threading.Thread(target=lockstep) for _ in range(3)]
     for thread in threads:
         thread.start()
     try:
         assert clients.call(Trigger, "other", Trigger.Request(), timeout_s=PATIENCE_S).message == "other"
-        foreign = DirectClient(clients.node, SetBool, "tick")
-        number = foreign.send(SetBool.Request(data=True))
-        assert foreign.receive(number, PATIENCE_S).message == "done"
+        foreign = DirectClient(clients.node, Trigger, "other")
+        number = foreign.send(Trigger.Request())
+        assert foreign.receive(number, PATIENCE_S).message == "other"
     finally:
         ended.set()
         for thread in threads:
@@ -96,17 +105,17 @@ def test_a_caller_learns_that_the_server_hangs_or_has_ended():
         server = host.add(_Server)
         with Clients("clients", context=host.context) as clients:
             with pytest.raises(RequestTimeoutError, match="/slow"):
-                clients.call(Trigger, "slow", Trigger.Request(), timeout_s=0.1)
+                call(clients, "slow", timeout_s=0.1)
             assert server.busy.wait(PATIENCE_S)
             errors = []
 
-            def call():
+            def late():
                 try:
-                    clients.call(SetBool, "tick", SetBool.Request(data=True), timeout_s=PATIENCE_S)
+                    call(clients, "tick", [1])
                 except UnavailableError as error:
                     errors.append(str(error))
 
-            waiting = threading.Thread(target=call)
+            waiting = threading.Thread(target=late)
             waiting.start()
             while not server.executor._posts:  # until the call is in the queue
                 waiting.join(0.01)

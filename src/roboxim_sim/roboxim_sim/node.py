@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import CameraImage
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
@@ -26,7 +25,7 @@ from roboxim_interfaces.srv import (
 )
 
 from roboxim_core import limits
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
@@ -36,8 +35,8 @@ from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros import local_ticks, qos
 from roboxim_ros.conversions import from_msg, to_msg
-from roboxim_ros.local_ticks import PublishedTick
-from roboxim_sim.conversions import camera_msgs
+from roboxim_ros.local_ticks import LocalTick
+from roboxim_sim.conversions import camera_kind, camera_msgs
 from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
@@ -74,11 +73,13 @@ class SimNode(SimServer):
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self._outputs: dict[str, Publisher] = {}
         self._notices = self.resolve_topic_name(NOTICE)
-        for topic, kind in KINDS.items():
-            self._publisher(topic, kind)
+        local_ticks.announce(context, self._notices)
+        for topic in KINDS:
+            self._publisher(topic)
 
         self.serve(LoadScene, "sim/load_scene", self._on_load_scene)
-        self.serve(Tick, "sim/tick", self._on_tick, lockstep=True)
+        self.serve(Tick, "sim/tick", self._on_tick)
+        self.offer("sim/tick", self.tick)
         self.serve(ReleaseEpisode, "sim/release_episode", self._on_release)
         self.serve(GetState, "sim/get_state", self._on_get_state)
         self.serve(TakeSnapshot, "sim/take_snapshot", self._on_take_snapshot)
@@ -91,6 +92,7 @@ class SimNode(SimServer):
 
     def destroy_node(self) -> None:
         """Free the world and the renderers."""
+        local_ticks.withdraw(self.context, self._notices)
         self._motions.destroy()
         for renderer in self._renderers.values():
             renderer.close()
@@ -122,7 +124,7 @@ class SimNode(SimServer):
         episode_id: str = "",
         renderer: str = "",
         semantics: ActionSemantics | None = None,
-    ) -> StateRecordMsg:
+    ) -> StateRecord:
         """Load a scene and publish tick 0; after a failure no episode holds the sim."""
         for camera in scene.cameras:
             limits.require_name("camera", camera.name, topic=True)
@@ -130,31 +132,38 @@ class SimNode(SimServer):
             self._renderer(renderer or self.config.renderer, "live")
         self._renderer_name = renderer or self.config.renderer
         record = self.world.load(scene, episode_id, semantics)
-        return self._publish_or_release(record)
+        self._publish_or_release(record)
+        return record
 
-    def scene_changed(self) -> StateRecordMsg:
+    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
+        """Execute an action of an episode and publish the tick."""
+        record = self.world.tick(seq, np.asarray(action, dtype=np.float32), episode_id=episode_id)
+        self.publish(record)
+        return record
+
+    def scene_changed(self) -> None:
         """Publish the scene and its state after entities were added or removed."""
         self._show_world()
-        return self.publish(self.world.record)
+        self.publish(self.world.record)
 
-    def publish(self, record: StateRecord) -> StateRecordMsg:
-        """Publish all topics of a state and return its message."""
+    def publish(self, record: StateRecord) -> None:
+        """Publish all topics of a state, unless nobody listens (`SimConfig.publish_unheard`)."""
         assert self._tick_messages is not None
-        messages = self._tick_messages.make(record, self._capture(record))
-        serialised = {topic: serialize_message(message) for topic, message in messages.items()}
-        for topic, cdr in serialised.items():
-            self._publisher(topic, type(messages[topic])).publish(cdr)
-        tick = PublishedTick(
-            episode_id=record.episode_id, seq=record.seq, stamp_ns=record.stamp_ns, messages=serialised
-        )
-        local_ticks.show(self.context, self._notices, tick)
-        state: StateRecordMsg = messages["sim/state"]
-        return state
+        images = self._capture(record)
+        tick = self._tick_messages.prepare(record, images)
+        if tick.first or self.config.publish_unheard or self._is_heard():
+            for topic, cdr in tick.messages().items():
+                self._publisher(topic).publish(bytes(cdr))
+        shown = LocalTick(state=record, images=images, messages=tick.messages)
+        local_ticks.show(self.context, self._notices, shown)
 
-    def _publish_or_release(self, record: StateRecord) -> StateRecordMsg:
+    def _is_heard(self) -> bool:
+        return any(publisher.get_subscription_count() for publisher in self._outputs.values())
+
+    def _publish_or_release(self, record: StateRecord) -> None:
         try:
             self._show_world()
-            return self.publish(record)
+            self.publish(record)
         except Exception:
             self.world.release()
             raise
@@ -175,18 +184,21 @@ class SimNode(SimServer):
         return self._renderers[name, use]
 
     def _capture(self, record: StateRecord) -> dict[str, CameraImages]:
-        """Return the images of the scene's cameras by camera name."""
+        """Return the images of the scene's cameras by camera name; read-only, since the whole process shares them."""
         cameras = self.world.scene.cameras
         if not cameras:
             return {}
         assert self._rig is not None
         poses = self.world.camera_poses()
-        return self._rig.capture(
-            record.seq, self.world.body_poses(), [(camera, poses[camera.name]) for camera in cameras]
-        )
+        views = [(camera, poses[camera.name]) for camera in cameras]
+        images = self._rig.capture(record.seq, self.world.body_poses(), views)
+        for one in images.values():
+            one.freeze()
+        return images
 
-    def _publisher(self, topic: str, kind: Any) -> Publisher:
+    def _publisher(self, topic: str) -> Publisher:
         if topic not in self._outputs:
+            kind = KINDS.get(topic) or camera_kind(topic)
             self._outputs[topic] = self.create_publisher(kind, topic, PROFILES.get(topic, qos.SENSOR))
         return self._outputs[topic]
 
@@ -198,13 +210,14 @@ class SimNode(SimServer):
         limits.require_count("semantics of an episode", len(request.semantics), 1)
         semantics = from_msg(request.semantics[0], ActionSemantics) if request.semantics else None
         scene = from_msg(request.scene, SceneSpec)
-        response.state = self.load(scene, request.episode_id, request.renderer, semantics)
+        record = self.load(scene, request.episode_id, request.renderer, semantics)
+        response.state = to_msg(record, StateRecordMsg)
         self._holder = request.holder
         response.renderer = self._renderer_text()
 
     def _on_tick(self, request: Tick.Request, response: Tick.Response) -> None:
-        record = self.world.tick(request.seq, np.asarray(request.action), episode_id=request.episode_id)
-        response.state = self.publish(record)
+        record = self.tick(request.episode_id, request.seq, request.action)
+        response.state = to_msg(record, StateRecordMsg)
 
     def _on_release(self, request: ReleaseEpisode.Request, response: ReleaseEpisode.Response) -> None:
         self.world.release(request.episode_id)
@@ -225,7 +238,8 @@ class SimNode(SimServer):
         if snapshot.scene.cameras:
             self._renderer(self._renderer_name, "live")
         record = self.world.restore(snapshot, request.episode_id)
-        response.state = self._publish_or_release(record)
+        self._publish_or_release(record)
+        response.state = to_msg(record, StateRecordMsg)
         self._holder = ""
 
     def _on_render_state(self, request: RenderState.Request, response: RenderState.Response) -> None:

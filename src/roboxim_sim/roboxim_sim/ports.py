@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from roboxim_interfaces.msg import StateRecord as StateRecordMsg
-
 from roboxim_core.errors import RequestTimeoutError
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
@@ -32,6 +30,15 @@ class SimConfig:
         },
     )
     """Wall-clock limit of motions that advance time outside an episode."""
+    publish_unheard: bool = field(
+        default=True,
+        metadata={
+            "description": "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
+            "one; otherwise it gets the scene's topics and the next tick"
+        },
+    )
+    """Whether ticks are published when nobody listens. The workers of runs leave it out: nodes of their process take
+    ticks from `roboxim_ros.local_ticks`, and the next tick comes within milliseconds."""
 
 
 class SimServer(RoboximNode):
@@ -51,14 +58,14 @@ class SimServer(RoboximNode):
         """Return the error for a motion that takes too long."""
         raise NotImplementedError
 
-    def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecordMsg:
+    def load(self, scene: SceneSpec, episode_id: str = "", renderer: str = "") -> StateRecord:
         """Load a scene and publish tick 0."""
         raise NotImplementedError
 
-    def scene_changed(self) -> StateRecordMsg:
+    def scene_changed(self) -> None:
         """Publish the scene and its state after entities were added or removed."""
         raise NotImplementedError
 
-    def publish(self, record: StateRecord) -> StateRecordMsg:
-        """Publish all topics of a state and return its message."""
+    def publish(self, record: StateRecord) -> None:
+        """Publish all topics of a state."""
         raise NotImplementedError

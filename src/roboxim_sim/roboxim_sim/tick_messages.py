@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.msg import TickNotice
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -20,10 +20,18 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros.conversions import fill_stamp, to_msg
-from roboxim_sim.conversions import TfMessage, camera_msgs, joint_state_msg, optical_frame
+from roboxim_ros.cdr_writer import CdrWriter, to_cdr
+from roboxim_sim.conversions import (
+    arrays_of,
+    camera_cdrs,
+    clock_cdr,
+    joint_state_cdr,
+    optical_frame,
+    text_cdr,
+    tf_cdr,
+)
 from roboxim_sim.robot_description import robot_description
-from roboxim_sim.scene_markers import scene_markers
+from roboxim_sim.scene_markers import scene_markers_cdr
 
 NOTICE = "sim/ticks"
 """Topic of the notice, which lists the tick's other topics; published last."""
@@ -47,13 +55,10 @@ OF_STATE = ("clock", "joint_states", "sim/state")
 
 
 class TickMessages:
-    """Creates the messages of a scene's ticks, by topic. Create another instance when the scene changes.
-
-    Non-obvious: the message of ``tf`` is the same object in every tick, because it consists of a hundred others.
-    Serialise it before making the next tick.
+    """Creates the serialised messages of a scene's ticks, by topic. Create another instance when the scene changes.
 
     Frames that never move (the robot's base, cameras whose parent is ``world``) are in ``tf_static``. The messages of
-    `OF_SCENE` come with the first tick that is made and with every tick 0.
+    `OF_SCENE` come with the first tick that is prepared and with every tick 0.
     """
 
     def __init__(self, scene: SceneSpec, robot: RobotModel, poses: ScenePoses) -> None:
@@ -69,35 +74,50 @@ class TickMessages:
         self._fixed = {f"{robot.id}_base": base, robot.base_link: base}
         self._fixed |= {optical_frame(camera.name): camera.pose for camera in scene.cameras if camera.parent == "world"}
         self._fresh = True
-        self._tf = TfMessage()
 
-    def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
-        """Return all messages of a tick by topic, the notice last.
+    def prepare(self, record: StateRecord, images: Mapping[str, CameraImages]) -> PreparedTick:
+        """Return a tick whose messages can be made later, by any thread.
 
         Args:
             record: The tick's state.
             images: Images by camera name.
         """
-        messages: dict[str, Any] = {
-            "clock": Clock(clock=fill_stamp(Clock().clock, record.stamp_ns)),
-            "joint_states": joint_state_msg(record, self._robot),
-            "sim/state": to_msg(record, StateRecordMsg),
-            **self.make_seen(record, images),
-        }
-        messages[NOTICE] = tick_notice(record, messages)
+        first, self._fresh = self._fresh or record.seq == 0, False
+        return PreparedTick(self, record, images, self._moving_frames(record), first=first)
+
+    def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> Mapping[str, bytearray]:
+        """Return all messages of a tick by topic, the notice last; see `prepare`."""
+        return self.prepare(record, images).messages()
+
+    def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, bytearray]:
+        """Return the messages that depend on the scene's cameras, by topic: frames, images and the notice."""
+        tick = self.prepare(record, images)
+        messages = self.seen_by(tick)
+        messages[NOTICE] = notice_cdr(record, [*OF_STATE, *messages], images)
         return messages
 
-    def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, Any]:
-        """Return the messages that depend on the scene's cameras: frames and images, by topic."""
-        moving, stamp_ns = self._moving_frames(record), record.stamp_ns
-        messages: dict[str, Any] = {"tf": self._tf.filled(stamp_ns, moving)}
-        if self._fresh or record.seq == 0:
-            self._fresh = False
-            messages["tf_static"] = TfMessage().filled(stamp_ns, self._fixed)
-            messages["robot_description"] = String(data=robot_description(self._robot.urdf))
-            messages[MARKERS] = scene_markers(self._scene, self._poses.library, stamp_ns)
+    def all_of(self, tick: PreparedTick) -> dict[str, bytearray]:
+        """Return all messages of a tick by topic, the notice last."""
+        record = tick.record
+        messages = {
+            "clock": clock_cdr(record.stamp_ns),
+            "joint_states": joint_state_cdr(record, self._robot),
+            "sim/state": to_cdr(record, StateRecordMsg),
+            **self.seen_by(tick),
+        }
+        messages[NOTICE] = notice_cdr(record, list(messages), tick.images)
+        return messages
+
+    def seen_by(self, tick: PreparedTick) -> dict[str, bytearray]:
+        """Return the messages of a tick that depend on the scene's cameras, without the notice."""
+        stamp_ns = tick.record.stamp_ns
+        messages = {"tf": tf_cdr(stamp_ns, tick.moving)}
+        if tick.first:
+            messages["tf_static"] = tf_cdr(stamp_ns, self._fixed)
+            messages["robot_description"] = text_cdr(robot_description(self._robot.urdf))
+            messages[MARKERS] = scene_markers_cdr(self._scene, self._poses.library, stamp_ns)
         for camera in self._scene.cameras:
-            for kind, message in camera_msgs(stamp_ns, camera, images[camera.name]).items():
+            for kind, message in camera_cdrs(stamp_ns, camera, tick.images[camera.name]).items():
                 messages[f"camera/{camera.name}/{kind}"] = message
         return messages
 
@@ -112,19 +132,58 @@ class TickMessages:
         return {name: pose for name, pose in frames.items() if name not in self._fixed}
 
 
-def tick_notice(record: StateRecord, messages: Mapping[str, Any]) -> TickNotice:
-    """Return the notice of a tick.
+class PreparedTick:
+    """What a tick's messages are made of. Made by `TickMessages.prepare`."""
+
+    def __init__(
+        self,
+        maker: TickMessages,
+        record: StateRecord,
+        images: Mapping[str, CameraImages],
+        moving: Mapping[str, Pose],
+        *,
+        first: bool,
+    ) -> None:
+        """Keep the values; nobody may change them.
+
+        Args:
+            maker: Makes the messages.
+            record: The tick's state.
+            images: Images by camera name.
+            moving: World poses of the moving frames, by name.
+            first: Whether the messages of `OF_SCENE` belong to the tick.
+        """
+        self._maker = maker
+        self.record, self.images, self.moving, self.first = record, images, moving, first
+        self._messages: dict[str, bytearray] = {}
+
+    def messages(self) -> Mapping[str, bytearray]:
+        """Return the serialised messages by topic, the notice last; they are kept. Any thread may call it."""
+        if not self._messages:
+            self._messages = self._maker.all_of(self)
+        return self._messages
+
+
+def notice_cdr(record: StateRecord, topics: Sequence[str], images: Mapping[str, CameraImages]) -> bytearray:
+    """Return the serialised notice of a tick.
 
     Args:
         record: The tick's state.
-        messages: The tick's messages by topic; the notice lists images with their checksums.
+        topics: Topics of the tick's other messages; the notice lists images with their checksums.
+        images: Images by camera name.
     """
-    notice = TickNotice(
-        episode_id=record.episode_id,
-        seq=record.seq,
-        topics=list(messages),
-        image_crc32=[zlib.crc32(msg.data) if isinstance(msg, Image) else 0 for msg in messages.values()],
-        reset=record.seq == 0,
-    )
-    fill_stamp(notice.stamp, record.stamp_ns)
-    return notice
+    checksums = {
+        f"camera/{name}/{kind}": zlib.crc32(array.data)
+        for name, one in images.items()
+        for kind, array in arrays_of(one).items()
+    }
+    writer = CdrWriter()
+    writer.text(record.episode_id)
+    writer.uint32(record.seq)
+    writer.time(record.stamp_ns)
+    writer.texts(topics)
+    writer.uint32(len(topics))
+    for topic in topics:
+        writer.uint32(checksums.get(topic, 0))
+    writer.data.append(record.seq == 0)  # reset
+    return writer.data

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from ament_index_python.packages import get_package_share_directory
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.srv import LoadScene
 from roboxim_interfaces.srv import Tick as TickSrv
@@ -25,7 +26,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import stamp_to_ns, to_msg
-from roboxim_ros.testing import graph_host  # noqa: F401
+from roboxim_ros.testing import PATIENCE_S, graph_host  # noqa: F401
 from roboxim_sim.node import SimNode
 from roboxim_sim.robot_description import robot_description
 from roboxim_sim.tick_messages import TickMessages
@@ -37,9 +38,9 @@ CABINET = EntitySpec(
 SCENE = SceneSpec(entities=(CABINET,))
 
 
-def frames(message: Any) -> dict[str, tuple[float, float, float]]:
+def frames(cdr: bytearray) -> dict[str, tuple[float, float, float]]:
     found = {}
-    for transform in message.transforms:
+    for transform in deserialize_message(bytes(cdr), TFMessage).transforms:
         position = transform.transform.translation
         found[transform.child_frame_id] = (position.x, position.y, position.z)
     return found
@@ -118,3 +119,31 @@ def test_a_late_subscriber_gets_only_the_newest_state(graph_host: Any, depth: in
                 late.node.create_subscription(kind, topic, heard.put, profile)
                 late.wake()
                 heard.get(timeout=20.0)
+
+
+@pytest.mark.ros
+def test_a_sim_that_publishes_what_is_heard_serves_late_subscribers(graph_host: Any) -> None:  # noqa: F811
+    """It publishes tick 0 and the scene; the next tick after somebody came, and none in between."""
+    parameters = {"scene": "", "publish_unheard": False}
+    graph_host.add(lambda context: SimNode(context=context, namespace="/quiet", parameters=parameters))
+    scene = SceneSpec()
+    profile = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with Clients("clients", context=graph_host.context, namespace="/quiet") as clients:
+
+        def tick(seq: int) -> None:
+            request = TickSrv.Request(episode_id="e", seq=seq, action=hold_action(1.0))
+            clients.call(TickSrv, "sim/tick", request)
+
+        clients.call(LoadScene, "sim/load_scene", LoadScene.Request(scene=to_msg(scene, SceneSpecMsg), episode_id="e"))
+        tick(1)
+        tick(2)
+        heard: dict[str, Queue[Any]] = {}
+        for topic, kind in (("joint_states", JointState), ("tf_static", TFMessage), ("sim/markers", MarkerArray)):
+            heard[topic] = Queue()
+            clients.node.create_subscription(kind, topic, heard[topic].put, profile)
+        clients.wake()
+        for queue in (heard["tf_static"], heard["sim/markers"]):
+            queue.get(timeout=PATIENCE_S)
+        assert stamp_to_ns(heard["joint_states"].get(timeout=PATIENCE_S).header.stamp) == 0
+        tick(3)
+        assert stamp_to_ns(heard["joint_states"].get(timeout=PATIENCE_S).header.stamp) == 3 * scene.tick_ns

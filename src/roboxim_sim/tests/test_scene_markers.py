@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from visualization_msgs.msg import Marker
+from rclpy.serialization import deserialize_message
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, RobotSpec, SceneSpec
-from roboxim_sim.scene_markers import FACES, scene_markers
+from roboxim_sim.scene_markers import FACES, scene_markers_cdr
 from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World
 
 
 def scene_with(*entities: EntitySpec, robot: str = "panda") -> SceneSpec:
     return SceneSpec(robot=RobotSpec(model=robot), entities=entities, cameras=())
+
+
+def scene_markers(scene: SceneSpec) -> list[Marker]:
+    message = deserialize_message(bytes(scene_markers_cdr(scene, ModelLibrary(), 0)), MarkerArray)
+    return list(message.markers)
 
 
 def corners(markers: list[Marker]) -> np.ndarray:
@@ -29,8 +35,9 @@ def test_every_shape_is_in_a_frame_that_tf_has(robot):
     with World() as world:
         world.load(scene_with(cabinet, EntitySpec(name="target", model="mug"), robot=robot))
         messages = TickMessages(world.scene, world.robot, world.scene_poses).make(world.record, {})
-    frames = {t.child_frame_id for topic in ("tf", "tf_static") for t in messages[topic].transforms}
-    first, *shapes = messages["sim/markers"].markers
+    tf = [deserialize_message(bytes(messages[topic]), TFMessage) for topic in ("tf", "tf_static")]
+    frames = {transform.child_frame_id for message in tf for transform in message.transforms}
+    first, *shapes = deserialize_message(bytes(messages["sim/markers"]), MarkerArray).markers
     assert first.action == Marker.DELETEALL, "the markers of an earlier scene vanish"
     assert {marker.header.frame_id for marker in shapes} <= {*frames, "world"}
     assert {marker.ns for marker in shapes} == {"robot", "table", "cabinet", "target"}
@@ -47,7 +54,7 @@ def test_every_shape_is_in_a_frame_that_tf_has(robot):
 
 def test_a_shape_has_the_size_and_colour_of_its_object():
     cube = EntitySpec(name="target", model="cube", modifiers={"color": "red", "scale": 1.3})
-    markers = [m for m in scene_markers(scene_with(cube), ModelLibrary(), 0).markers if m.ns == "target"]
+    markers = [marker for marker in scene_markers(scene_with(cube)) if marker.ns == "target"]
     size = np.ptp(corners(markers), axis=0)
     model = ModelLibrary().entity_model(cube)
     fine = np.concatenate([part.mesh.vertices for part in _parts(model)])
@@ -63,11 +70,11 @@ def _parts(model):
 
 def test_markers_are_small_and_the_same_every_time():
     scene = scene_with(EntitySpec(name="target", model="milk_carton"), EntitySpec(name="b", model="banana"))
-    message = scene_markers(scene, ModelLibrary(), 0)
-    assert message == scene_markers(scene, ModelLibrary(), 0)
-    assert len(serialize_message(message)) < 1_000_000
+    message = scene_markers_cdr(scene, ModelLibrary(), 0)
+    assert message == scene_markers_cdr(scene, ModelLibrary(), 0)
+    assert len(message) < 1_000_000
     per_body: dict[str, int] = {}
-    for marker in message.markers:
+    for marker in scene_markers(scene):
         per_body[marker.header.frame_id] = per_body.get(marker.header.frame_id, 0) + len(marker.points) // 3
     assert max(count for frame, count in per_body.items() if frame != "world") < 2 * FACES
 
@@ -76,4 +83,4 @@ def test_markers_do_not_depend_on_cameras():
     scene = scene_with(EntitySpec(name="target", model="cube"))
     seen = SceneSpec(robot=scene.robot, entities=scene.entities, cameras=(CameraSpec(name="eye"),))
     library = ModelLibrary()
-    assert scene_markers(scene, library, 0) == scene_markers(seen, library, 0)
+    assert scene_markers_cdr(scene, library, 0) == scene_markers_cdr(seen, library, 0)

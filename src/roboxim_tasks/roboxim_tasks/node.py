@@ -19,6 +19,7 @@ from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import Verdict
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.policy_service import PolicyService
@@ -107,7 +108,8 @@ class TaskNode(RoboximNode):
         self._generator = EpisodeGenerator(self._library, solvability if self.config.solvable else None, visibility)
         self._expert = Expert(self._library, planner, speeds, direct=self.config.direct, solvability=solvability)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
-        self.serve(Judge, "tasks/judge", self._on_judge, lockstep=True)
+        self.serve(Judge, "tasks/judge", self._on_judge)
+        self.offer("tasks/judge", self.judge)
         guard = GuardedPolicy(
             self._expert, log=lambda text: self.get_logger().error(text), named_errors=(RoboximError,)
         )
@@ -130,21 +132,35 @@ class TaskNode(RoboximNode):
         response.task_config_json = draw.config_json
 
     def _on_judge(self, request: Judge.Request, response: Judge.Response) -> None:
-        state = from_msg(request.state, StateRecord)
-        if state.episode_id != request.episode_id:
-            raise InvalidRequestError(f"the state belongs to episode '{state.episode_id}', not '{request.episode_id}'")
-        if request.task:
-            judge = TaskJudge(from_msg(request.task[0], TaskSpec))
+        task = from_msg(request.task[0], TaskSpec) if request.task else None
+        verdict = self.judge(request.episode_id, from_msg(request.state, StateRecord), task)
+        response.verdict = to_msg(verdict, VerdictMsg)
+
+    def judge(self, episode_id: str, state: StateRecord, task: TaskSpec | None = None) -> Verdict:
+        """Judge the next tick of an episode.
+
+        Args:
+            episode_id: The episode.
+            state: The tick's state.
+            task: The task, with tick 0; it starts the episode.
+
+        Raises:
+            InvalidRequestError: When the state belongs to another episode.
+            TaskError: ``UNKNOWN_EPISODE`` when the episode was not started.
+        """
+        if state.episode_id != episode_id:
+            raise InvalidRequestError(f"the state belongs to episode '{state.episode_id}', not '{episode_id}'")
+        if task is not None:
+            judge = TaskJudge(task)
             verdict = judge.start(state)
-            self._judges[request.episode_id] = judge
+            self._judges[episode_id] = judge
             if len(self._judges) > MAX_JUDGES:
                 self._judges.popitem(last=False)
-        elif request.episode_id in self._judges:
-            self._judges.move_to_end(request.episode_id)
-            verdict = self._judges[request.episode_id].step(state)
-        else:
+            return verdict
+        if episode_id not in self._judges:
             raise TaskError(
-                f"no episode '{request.episode_id}' is being judged; start with tick 0 and the task",
+                f"no episode '{episode_id}' is being judged; start with tick 0 and the task",
                 ErrorCode.UNKNOWN_EPISODE,
             )
-        response.verdict = to_msg(verdict, VerdictMsg)
+        self._judges.move_to_end(episode_id)
+        return self._judges[episode_id].step(state)

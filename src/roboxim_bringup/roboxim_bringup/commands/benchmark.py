@@ -51,10 +51,14 @@ def _run_command(name: str) -> click.Command:
     )  # fmt: skip
     @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
     @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+    @click.option(
+        "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+        help="Trainings of an experiment at a time; they share processors and GPUs. Results do not depend on it.",
+    )  # fmt: skip
     @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
     def run(
         out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...], only: str,
-        workers: int | None, renderer: str,
+        workers: int | None, trainings: int, renderer: str,
     ) -> None:  # fmt: skip
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from roboxim_bringup.printer import EventPrinter
@@ -62,7 +66,7 @@ def _run_command(name: str) -> click.Command:
         from roboxim_bringup.runs.experiment import KINDS, named_policies
 
         config = BenchmarkRunConfig(
-            benchmark=name, scale=scale, out=out, trainer=trainer, renderer=renderer,
+            benchmark=name, scale=scale, out=out, trainer=trainer, trainings=trainings, renderer=renderer,
             policies=named_policies(policies, policy_options),
             only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
             **({} if workers is None else {"workers": workers}),
@@ -87,7 +91,8 @@ def _run_command(name: str) -> click.Command:
     help="A card.json alone instead of a run's folder.",
 )  # fmt: skip
 @click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
-def report(folder: Path | None, card: Path | None, html: Path | None) -> None:
+@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
+def report(folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None) -> None:
     """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
     from roboxim_bringup.runs.benchmark import stored_benchmark_card, write_benchmark_report
     from roboxim_core.errors import ConfigError
@@ -104,9 +109,14 @@ def report(folder: Path | None, card: Path | None, html: Path | None) -> None:
             from roboxim_eval.report.benchmark import benchmark_page
 
             html.write_text(benchmark_page(found))
+    if markdown is not None:
+        from roboxim_eval.report.markdown import benchmark_markdown
+
+        markdown.write_text(benchmark_markdown(found))
     click.echo(f"{found.name}, scale {found.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")
     click.echo(f"  sha256 {found.sha256}")
-    if page is not None:
-        click.echo(f"report: {page}")
+    for one in (page, markdown):
+        if one is not None:
+            click.echo(f"report: {one}")

@@ -50,20 +50,26 @@ def list_experiments() -> None:
 @click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
 @click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
 @click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
+@click.option(
+    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+    help="Trainings at a time, as for 'experiment run'.",
+)  # fmt: skip
 @click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
-    name: str, benchmark: str, scale: str, trainer: str, budget: str, no_probe: bool, write: Path | None, as_json: bool
+    name: str, benchmark: str, scale: str, trainer: str, budget: str, trainings: int, no_probe: bool,
+    write: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
 
-    Times come from this machine's last runs. If it has none with this image size, a probe of about a minute measures
-    them.
+    Times come from this machine's last runs. If it has none with this image size, or none with so many trainings at a
+    time, a probe of about a minute measures them.
 
     \b
     roboxim experiment plan skill_object --scale laptop
     roboxim experiment plan skill_object --scale laptop --budget 8h
+    roboxim experiment plan skill_object --scale laptop --trainings 2
     roboxim experiment plan --benchmark transfer --scale night
     """
     import json
@@ -75,10 +81,9 @@ def plan(
         load_experiment,
         write_mixes,
     )
-    from roboxim_bringup.experiment_plan import hours, plan_data, plan_lines
+    from roboxim_bringup.experiment_plan import hours, known_cost, plan_data, plan_lines
     from roboxim_bringup.runs.rates import stored_rates
     from roboxim_core.errors import ConfigError
-    from roboxim_eval.experiments import cost_of
     from roboxim_eval.experiments.cost import fitted
 
     if bool(name) == bool(benchmark):
@@ -86,12 +91,13 @@ def plan(
     configs = (
         benchmark_experiments(load_benchmark(benchmark), scale) if benchmark else {name: load_experiment(name, scale)}
     )
+    most = {key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()}
     by_size: dict[str, Rates | None] = {
         config.image_size: stored_rates(config.image_size) for config in configs.values()
     }
     for key, config in configs.items():
-        if by_size[config.image_size] is None and config.datasets and not no_probe:
-            by_size[config.image_size] = _probe(key, config)
+        if config.datasets and not no_probe:
+            by_size[config.image_size] = _probed(key, config, by_size[config.image_size], most[key])
     if budget:
         if None in by_size.values():
             raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
@@ -99,7 +105,7 @@ def plan(
         for key, config in configs.items():
             rates = by_size[config.image_size]
             assert rates is not None
-            sized = fitted(config, rates, seconds, trainer)
+            sized = fitted(config, rates, seconds, trainer, trainings)
             if sized is None:
                 raise ConfigError(
                     f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
@@ -108,14 +114,13 @@ def plan(
     rates_of = {key: by_size[config.image_size] for key, config in configs.items()}
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
-        plans = [plan_data(key, scale, design, rates_of[key]) for key, design in designs.items()]
+        plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]
         click.echo(json.dumps(plans, indent=2))
     else:
         for key, design in designs.items():
-            click.echo("\n".join(plan_lines(key, scale, design, rates_of[key])))
-        known = [(design, rates) for key, design in designs.items() if (rates := rates_of[key]) is not None]
-        if len(designs) > 1 and len(known) == len(designs):
-            costs = [cost_of(design, rates) for design, rates in known]
+            click.echo("\n".join(plan_lines(key, scale, design, rates_of[key], trainings)))
+        costs = [cost for key, design in designs.items() if (cost := known_cost(design, rates_of[key], trainings))]
+        if len(designs) > 1 and len(costs) == len(designs):
             disk = sum(cost.disk_bytes for cost in costs) / 1e9
             click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
     if write is not None:
@@ -139,6 +144,10 @@ def plan(
 )  # fmt: skip
 @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+@click.option(
+    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+    help="Trainings at a time; they share processors and GPUs. Results do not depend on it.",
+)  # fmt: skip
 @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer of the images.")
 @click.option(
     "--shard", default="", metavar="I/N",
@@ -151,18 +160,19 @@ def plan(
 @with_executor
 def run(
     name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
-    only: str, workers: int | None, renderer: str, shard: str, trained: Path | None, executor: str, address: str,
-    resources: str,
+    only: str, workers: int | None, trainings: int, renderer: str, shard: str, trained: Path | None, executor: str,
+    address: str, resources: str,
 ) -> None:  # fmt: skip
     r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
 
     \b
     roboxim experiment run skill_object --scale smoke --out runs/smoke
+    roboxim experiment run skill_object --scale laptop --trainings 2 --out runs/so
     roboxim experiment run skill_object --only generate,export --out runs/so
     roboxim experiment run skill_object --trainer external --out runs/so --policy leave_out.0=client.py:Octo ...
 
-    Ctrl-C stops; the same command continues. A stage whose inputs have changed is refused by name. When all evaluations
-    are there, OUT/card.json has the counts, scores and sentences.
+    Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
+    refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
 
     \b
     On several machines, here two, each with a folder of its own:
@@ -183,7 +193,7 @@ def run(
     config = ExperimentRunConfig(
         experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
         only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
-        shard=shard, trained=trained or "", **given,
+        shard=shard, trained=trained or "", trainings=trainings, **given,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
     with EventPrinter() as printer, runs_on or nullcontext():
@@ -212,9 +222,12 @@ def run(
     help="A card.json alone instead of a run's folder.",
 )  # fmt: skip
 @click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
 @click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
 @click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
-def report(folder: Path | None, card: Path | None, html: Path | None, films: int, evaluations: bool) -> None:
+def report(
+    folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None, films: int, evaluations: bool
+) -> None:
     r"""Check the results of a run's folder or of a card, print them, and write a page.
 
     \b
@@ -253,6 +266,10 @@ def report(folder: Path | None, card: Path | None, html: Path | None, films: int
             from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 
             html.write_text(experiment_page(ExperimentPage(card=found)))
+    if markdown is not None:
+        from roboxim_eval.report.markdown import experiment_markdown
+
+        markdown.write_text(experiment_markdown(found))
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")
@@ -261,7 +278,7 @@ def report(folder: Path | None, card: Path | None, html: Path | None, films: int
     for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
     click.echo(f"  sha256            {found.sha256}")
-    for one in (page, *pages):
+    for one in (page, *pages, markdown):
         if one is not None:
             click.echo(f"report: {one}")
 
@@ -337,7 +354,13 @@ def unpack_run(file: Path, out: Path) -> None:
 @click.option("--rollouts", type=click.IntRange(1), default=4, show_default=True, help="Rollouts.")
 @click.option("--steps", type=click.IntRange(20), default=60, show_default=True, help="Training steps.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
-def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, steps: int, workers: int | None) -> None:
+@click.option(
+    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+    help="Also measure so many trainings at a time.",
+)  # fmt: skip
+def calibrate_rates(
+    experiment: str, scale: str, episodes: int, rollouts: int, steps: int, workers: int | None, trainings: int
+) -> None:
     """Measure this machine's rates by a small run of every stage, and store them for plan and list."""
     import tempfile
 
@@ -345,7 +368,7 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate
-    from roboxim_bringup.runs.rates import store_rates
+    from roboxim_bringup.runs.rates import store_rates, stored_rates
 
     config = load_experiment(experiment, scale)
     design = checked_design(experiment, config)
@@ -355,14 +378,19 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
         more: dict[str, Any] = {} if workers is None else {"workers": workers}
         settings = CalibrationConfig(
             mix=mix, size=size if isinstance(size, tuple) else (size, size), episodes=episodes, rollouts=rollouts,
-            steps=steps, **more,
+            steps=steps, trainings=trainings, **more,
         )  # fmt: skip
         with EventPrinter() as printer:
             rates = calibrate(settings, on_event=printer)
+    if before := stored_rates(rates.size):
+        rates = rates.learned(*before.side_by_side, *rates.side_by_side)  # other numbers of trainings at a time
     hourly = 3600 / rates.demonstration_s
     click.echo(f"demonstrations   {hourly:.0f} an hour, {rates.demonstration_bytes / 1e6:.1f} MB each")
     click.echo(f"exports          {rates.export_s:.2f} s, {rates.dataset_bytes / 1e6:.2f} MB each")
     click.echo(f"training         {rates.steps_per_s:.1f} steps a second")
+    for number, rate in rates.training_rates.items():
+        if number > 1:
+            click.echo(f"{number} trainings      {rate.steps_per_s:.1f} steps a second each ({rate.source})")
     click.echo(f"rollouts         {rates.rollout_s:.1f} s, {rates.rollout_bytes / 1e6:.1f} MB each")
     click.echo(f"proofs           {rates.proof_s:.2f} s each")
     click.echo(
@@ -373,8 +401,19 @@ def calibrate_rates(experiment: str, scale: str, episodes: int, rollouts: int, s
     click.echo(f"stored in {store_rates(rates)}")
 
 
-def _probe(name: str, config: ExperimentConfig) -> Rates:
-    """Measure this machine for about a minute, and store the rates. Its lines go to the error stream."""
+def _at_once(name: str, config: ExperimentConfig, trainer: str, trainings: int) -> int:
+    """Return how many trainings of an experiment run at a time if at most a number of them may."""
+    from roboxim_bringup.experiment_files import checked_design
+    from roboxim_eval.experiments.cost import trainings_at_once
+
+    return 1 if trainings == 1 else trainings_at_once(checked_design(name, config, trainer), trainings)
+
+
+def _probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: int) -> Rates:
+    """Return rates of this machine that include a number of trainings at a time.
+
+    What is not known is measured, for about a minute, and stored. The probe's lines go to the error stream.
+    """
     import sys
     import tempfile
     from contextlib import redirect_stdout
@@ -382,18 +421,24 @@ def _probe(name: str, config: ExperimentConfig) -> Rates:
     from roboxim_bringup.experiment_files import checked_design, write_mixes
     from roboxim_bringup.options import parse_size
     from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate
+    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, calibrate_trainings
     from roboxim_bringup.runs.rates import store_rates
 
+    if known is not None and trainings in known.training_rates:
+        return known
     size = parse_size(config.image_size)
-    click.echo(f"no rates of this machine for images of {config.image_size}: measuring, about a minute", err=True)
+    what = f" and {trainings} trainings at a time" if trainings > 1 else ""
+    click.echo(f"no rates of this machine for images of {config.image_size}{what}: measuring, about a minute", err=True)
     with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
         mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(
             Path(folder) / f"{Path(name).stem}.yaml"
         )
-        settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size))
+        settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size), trainings=trainings)
         with redirect_stdout(sys.stderr), EventPrinter() as printer:
-            rates = calibrate(settings, on_event=printer)
+            if known is None:
+                rates = calibrate(settings, on_event=printer)
+            else:
+                rates = known.learned(calibrate_trainings(settings, on_event=printer))
     store_rates(rates)
     return rates
 

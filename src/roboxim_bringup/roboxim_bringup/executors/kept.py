@@ -25,8 +25,6 @@ from roboxim_bringup.process import stop
 
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
-GRACE_S = 10.0
-"""Longest time for the processes to end [s]."""
 MOST_WORKS = 8
 """Works that a process serves before it ends: what libraries keep of each, e.g. compiled policies, adds up."""
 
@@ -85,7 +83,7 @@ class KeptProcesses:
             for _, connection in self._idle:
                 connection.close()
             self._idle.clear()
-        stop(self._all, grace_s=GRACE_S)
+        stop(self._all)
         self._starter.shutdown()
 
     def __enter__(self) -> KeptProcesses:

@@ -30,8 +30,8 @@ READY_S = 900.0
 """Longest start of a worker [s]; a policy may compile meanwhile, on a machine that has other work."""
 STALL_S = 300.0
 """A worker that is silent for this time counts as dead [s]."""
-GRACE_S = 10.0
-"""Longest time for a worker to end [s]."""
+EXIT_S = 10.0
+"""Longest time for a worker that broke off to exit by itself [s]."""
 REST_S = 30.0
 """Longest time for a worker to close within its process [s]."""
 LOG_LINES = 15
@@ -146,7 +146,7 @@ class WorkerProcess:
         killed = False
         if self.process is not None:
             killed = (self.process.poll() or 0) < 0
-            stop([self.process], grace_s=GRACE_S)
+            stop([self.process])
             self.process = None
         return killed
 
@@ -201,8 +201,8 @@ class WorkerProcess:
     def _describe_death(self) -> str:
         assert self.process is not None
         with contextlib.suppress(subprocess.TimeoutExpired):  # let it exit by itself, for its own exit code
-            self.process.wait(GRACE_S)
-        stop([self.process], grace_s=GRACE_S)
+            self.process.wait(EXIT_S)
+        stop([self.process])
         lines = Path(self.log).read_text(errors="replace").strip().splitlines()
         tail = "\n".join(lines[-LOG_LINES:])
         return describe_exit(self.process.returncode) + (f"; the end of {self.log}:\n{tail}" if tail else "")

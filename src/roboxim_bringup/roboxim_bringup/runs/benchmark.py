@@ -49,6 +49,8 @@ class BenchmarkRunConfig:
     """Kinds of stages to run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
     """Processes that run episodes."""
+    trainings: int = 1
+    """Trainings of an experiment at a time. Results do not depend on it."""
     renderer: str = "raster"
     """Renderer of the images."""
 
@@ -93,7 +95,7 @@ def run_benchmark(
             ExperimentRunConfig(
                 experiment=name, scale=config.scale, changes=experiment_changes(benchmark, config.scale),
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
-                workers=config.workers, renderer=config.renderer,
+                workers=config.workers, trainings=config.trainings, renderer=config.renderer,
             ),
             on_event=on_event, cancellation=cancellation,
         )  # fmt: skip

@@ -1,6 +1,7 @@
-"""Measures this machine's rates for ``roboxim experiment plan``: by a small run of every stage, or from a real run.
+"""Measures this machine's rates for ``roboxim experiment plan`` by a small run of every stage.
 
-Each measurement replaces the stored one; see `roboxim_bringup.runs.rates`.
+Each measurement replaces the stored one, see `roboxim_bringup.runs.rates`; so do the rates that a real run teaches, see
+`roboxim_bringup.runs.learned_rates`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import shlex
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, KeptProcesses, LocalExecutor
+from roboxim_bringup.runs.calibration_trainings import measure_side_by_side
 from roboxim_bringup.runs.delivery_demands import demands_of
 from roboxim_bringup.runs.delivery_reader import DeliveryReader
 from roboxim_bringup.runs.delivery_worker import BagJob
@@ -25,24 +27,18 @@ from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.evaluation_report import report_of
 from roboxim_bringup.runs.evaluation_results import EvaluationResult
 from roboxim_bringup.runs.events import Event, OnEvent, StageProgress, StageStarted, ignore
-from roboxim_bringup.runs.experiment_stages import started
-from roboxim_bringup.runs.export import ExportConfig, export_rlds
-from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_bringup.runs.experiment_trainings import started
+from roboxim_bringup.runs.export import ExportConfig, ExportReport, export_rlds
+from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult, generate
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.proving import Reading
-from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.runs.training import BCConfig, train_bc
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_eval.experiments import Design, Rates
-
-LEAST_START_S = 0.5
-"""Least time of a start, where a measurement is too short to show one [s]."""
-LEAST_EPISODES, LEAST_STEPS = 20, 1000
-"""Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
+from roboxim_eval.experiments import Rates, SideBySide
+from roboxim_eval.experiments.cost import LEAST_START_S
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,20 +57,30 @@ class CalibrationConfig:
     """Training steps; the first ones, which compile, are not counted."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
     """Processes that run episodes."""
+    trainings: int = 1
+    """Trainings at a time, to be measured besides a training alone; 1: no more than one."""
     kind: str = "calibration"
     """What it is, for messages: ``calibration`` or ``probe``."""
 
     @staticmethod
-    def probe(mix: Path, size: tuple[int, int], workers: int | None = None) -> CalibrationConfig:
+    def probe(mix: Path, size: tuple[int, int], workers: int | None = None, *, trainings: int = 1) -> CalibrationConfig:
         """Return a measurement that takes about a minute on two free cores.
 
         Args:
             mix: Task mix, a YAML file.
             size: Image size [px].
             workers: Processes that run episodes; none: 2 or fewer.
+            trainings: Trainings at a time, to be measured besides a training alone.
         """
         more = {} if workers is None else {"workers": workers}
-        return CalibrationConfig(mix=mix, size=size, episodes=6, rollouts=2, steps=40, kind="probe", **more)
+        return CalibrationConfig(
+            mix=mix, size=size, episodes=6, rollouts=2, steps=40, trainings=trainings, kind="probe", **more
+        )
+
+    @property
+    def episode_options(self) -> dict[str, Any]:
+        """Options that generation and evaluation share."""
+        return {"task": str(self.mix), "size": self.size, "workers": self.workers}
 
 
 @dataclass
@@ -130,24 +136,13 @@ def calibrate(
     options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
     with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name, KeptProcesses() as processes:
         folder = Path(name)
-        common: dict[str, Any] = {"task": str(config.mix), "size": config.size, "workers": config.workers}
 
         def episodes(run: str) -> LocalExecutor:
             return LocalExecutor(config.workers, log_dir=folder / f"{run}-logs", kept=processes)
 
-        demos, generate_s = _timed(
-            lambda: generate(
-                GenerationConfig(out=folder / "demos", episodes=config.episodes, **common),
-                executor=episodes("demos"), **options,
-            )
-        )  # fmt: skip
-        demos.require_any()
+        demos, generate_s = _timed(lambda: _demonstrations(config, folder, episodes("demos"), options))
         kept = len(demos.kept)
-        export, export_s = _timed(
-            lambda: export_rlds(
-                folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0, uneven=True), **options
-            )
-        )
+        export, export_s = _timed(lambda: _export(folder, options))
         watch = _Watch(on_event)
         trained = train_bc(
             folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
@@ -155,7 +150,9 @@ def calibrate(
         policy = PolicySpec(spec="bc", options={"checkpoint": str(folder / "bc")})
 
         def evaluation(run: str, number: int) -> EvaluationResult:
-            wanted = EvaluationConfig(policies=policy, out=folder / run, episodes=number, page=False, **common)
+            wanted = EvaluationConfig(
+                policies=policy, out=folder / run, episodes=number, page=False, **config.episode_options
+            )
             return evaluate(wanted, executor=episodes(run), **options)
 
         first, first_s = _timed(lambda: evaluation("first", config.workers))  # loads the policy's libraries
@@ -163,7 +160,7 @@ def calibrate(
         _, page_s = _timed(lambda: report_of(folder / "evaluation"))
         bags = [str(folder / "demos" / result.bag) for result in demos.kept]
         proof_s, proof_start_s = _proof_times(bags, config, folder / "logs", options)
-        demonstration_s = _episode_s(demos.results, config.workers) * len(demos.results) / kept
+        demonstration_s = episode_s(demos.results, config.workers) * len(demos.results) / kept
         rollout_s = sum(result.wall_s for result in rollouts.results) / config.rollouts / config.workers
         evaluate_start_s = max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts)
         return Rates(
@@ -190,13 +187,67 @@ def calibrate(
             evaluate_start_s=evaluate_start_s,
             proof_start_s=proof_start_s,
             film_s=page_s / config.rollouts,
+            side_by_side=(_side_by_side(config, folder, options),) if config.trainings > 1 else (),
         )
 
 
-def _episode_s(results: Sequence[EpisodeResult], workers: int) -> float:
+def calibrate_trainings(
+    config: CalibrationConfig, *, on_event: OnEvent = ignore, cancellation: Cancellation | None = None
+) -> SideBySide:
+    """Measure the rate of trainings side by side alone, in a temporary folder.
+
+    Args:
+        config: What to measure.
+        on_event: Receives the events of the stages.
+        cancellation: Ends the measurement when it is set.
+
+    Raises:
+        CancelledError: When the measurement was cancelled.
+        ConfigError: When the configuration is wrong.
+        RoboximError: When a stage fails.
+    """
+    options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
+    with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name:
+        folder = Path(name)
+        _demonstrations(config, folder, LocalExecutor(config.workers, log_dir=folder / "demos-logs"), options)
+        _export(folder, options)
+        return _side_by_side(config, folder, options)
+
+
+def _demonstrations(
+    config: CalibrationConfig, folder: Path, executor: LocalExecutor, options: Mapping[str, Any]
+) -> GenerationResult:
+    """Generate the demonstrations of a measurement.
+
+    Raises:
+        RoboximError: When all of them fail.
+    """
+    wanted = GenerationConfig(out=folder / "demos", episodes=config.episodes, **config.episode_options)
+    demos = generate(wanted, executor=executor, **options)
+    demos.require_any()
+    return demos
+
+
+def _export(folder: Path, options: Mapping[str, Any]) -> ExportReport:
+    return export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0, uneven=True), **options)
+
+
+def _side_by_side(config: CalibrationConfig, folder: Path, options: Mapping[str, Any]) -> SideBySide:
+    size = f"{config.size[0]} x {config.size[1]} px"
+    return measure_side_by_side(
+        folder / "rlds", folder, config.trainings, config.steps, **options,
+        source=f"{config.kind} of {config.steps} steps of bc, {size}",
+    )  # fmt: skip
+
+
+def episode_s(results: Sequence[EpisodeResult], workers: int) -> float:
     """Return the wall time of an episode with all workers busy [s].
 
     The first episode of each worker is not counted, since it loads the models; its excess is part of the start.
+
+    Args:
+        results: Results in the order of the episodes.
+        workers: Number of workers.
     """
     warm = results[workers:] or results
     return sum(result.wall_s for result in warm) / len(warm) / workers
@@ -247,53 +298,3 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
-    """Return the rates that a finished run of an experiment shows; none: it was too small, or a stage was interrupted.
-
-    What a run does not show, e.g. the start of its trainings, is taken from earlier rates.
-
-    Args:
-        name: Name and scale of the experiment, for messages.
-        out: Its folder.
-        design: The experiment.
-        workers: Processes that ran episodes.
-        before: Earlier rates of this machine.
-
-    Raises:
-        ConfigError: When a file of the folder is damaged.
-    """
-    entries = [entry.data for entry in ResultsLog(out / "stages.jsonl").read()]
-    wall = {entry["stage"]: float(entry["wall_s"]) for entry in entries}
-    of = {kind: [stage for stage in wall if stage.startswith(f"{kind}/")] for kind in ("generate", "train", "evaluate")}
-    small = design.episodes < LEAST_EPISODES or design.rollouts < LEAST_EPISODES or design.steps < LEAST_STEPS
-    if small or not all(of.values()) or any(entry.get("continued") for entry in entries):
-        return None
-    demos = [result for stage in of["generate"] for result in RunFolder(out / stage).results()]
-    rollouts = [
-        result
-        for stage in of["evaluate"]
-        for result in RunFolder(out / stage / stage.removeprefix("evaluate/").rpartition(".")[0]).results()
-    ]
-    demonstration_s = _episode_s(demos, workers)
-    rollout_s = sum(result.wall_s for result in rollouts) / len(rollouts) / workers
-    training_s = sum(wall[stage] for stage in of["train"]) - design.training_starts * before.train_start_s
-    evaluating_s = sum(wall[stage] for stage in of["evaluate"]) - before.first_evaluate_s
-    if not demonstration_s > 0 or not rollout_s > 0 or not training_s > 0:
-        return None
-    proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith("prove/evaluation"))
-    proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
-    return replace(
-        before,
-        measured=datetime.now().isoformat(timespec="minutes"),
-        source=f"run of {name}: {len(demos)} demonstrations, {design.steps:,} steps, {len(rollouts)} rollouts",
-        workers=workers,
-        demonstration_s=demonstration_s,
-        start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
-                    - demonstration_s * len(demos) / len(of["generate"])),
-        steps_per_s=design.steps / training_s,
-        rollout_s=rollout_s,
-        evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
-        proof_s=proof_s if proof_s > 0 else before.proof_s,
-    )  # fmt: skip

@@ -228,8 +228,8 @@ class EpisodesJob:
             environment: Environment variables by which a process takes part in the run.
             staged: Whether each worker records into a folder of its own; see `roboxim_bringup.runs.staging`.
         """
-        parameters = {
-            "sim": {"renderer": self.renderer, "scene": ""},
+        parameters: dict[str, dict[str, Any]] = {
+            "sim": {"renderer": self.renderer, "scene": "", "publish_unheard": False},
             "tasks": {"visible_renderer": self.looking_renderer},
             "recorder": {"output_root": str(Path(self.config.output_dir).absolute())},
         }

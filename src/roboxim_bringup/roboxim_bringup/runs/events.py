@@ -26,6 +26,8 @@ class StageStarted:
     """Units done before."""
     unit: str = ""
     """Unit of the count; empty: as the title names."""
+    name: str = ""
+    """Name of a stage that goes on beside others; its progress and its end have the same. Empty: it is the only one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +40,16 @@ class StageProgress:
     """Units in all."""
     note: str = ""
     """A short note on the progress."""
+    name: str = ""
+    """Name of the stage, see `StageStarted`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageFinished:
     """The stage is done."""
+
+    name: str = ""
+    """Name of the stage, see `StageStarted`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,16 +1,17 @@
 """Runs an experiment: a graph of stages, each an ordinary run in a folder of its own.
 
 ``OUT/experiment.json`` holds the experiment and the inputs of every stage, ``OUT/stages.jsonl`` a line for each
-finished stage. The same call continues: finished stages are skipped, and an unfinished one continues as its run does. A
-stage whose inputs have changed is refused by name.
+finished stage, in the order in which they ended. The same call continues: finished stages are skipped, and an
+unfinished one continues as its run does. A stage whose inputs have changed is refused by name.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from roboxim_bringup.experiment_provenance import (
     attestation_template,
     folder_sha256,
 )
-from roboxim_bringup.runs.calibration import rates_of_run
 from roboxim_bringup.runs.events import Notice, OnEvent, ignore
 from roboxim_bringup.runs.experiment_policies import named_policies, policy_of, require_found, require_known
 from roboxim_bringup.runs.experiment_report import (
@@ -34,7 +34,9 @@ from roboxim_bringup.runs.experiment_report import (
     write_experiment_report,
 )
 from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
+from roboxim_bringup.runs.experiment_trainings import train
 from roboxim_bringup.runs.folder import checked_path, make_folder
+from roboxim_bringup.runs.learned_rates import rates_of_run
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.rates import store_rates, stored_rates
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
@@ -77,6 +79,8 @@ class ExperimentRunConfig:
     """Kinds of stages to run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
     """Processes that run episodes."""
+    trainings: int = 1
+    """Trainings at a time. Results do not depend on it."""
     renderer: str = "raster"
     """Renderer of the images."""
     shard: str = ""
@@ -93,6 +97,8 @@ class ExperimentRunConfig:
         for kind in self.only:
             if kind not in KINDS:
                 raise ConfigError(f"only: no stages of kind '{kind}'; {one_of(KINDS, kind)}")
+        if self.trainings < 1:
+            raise ConfigError(f"trainings: expected at least 1 at a time, got {self.trainings}")
         Shard.parse(self.shard)
         if self.shard and not set(self.only) <= set(SHARDED):
             raise ConfigError(
@@ -147,9 +153,13 @@ def run_experiment(
     with KeptProcesses() as kept:
         run = _Run(config, design, on_event, cancellation, executor, kept)
         run.open()
-        for stage in run.stages:
-            if run.wanted(stage) and run.ready(stage):
-                run.finish(stage)
+        stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
+        for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
+            if kind == "train":
+                run.train(tuple(ones))
+            else:
+                for stage in ones:
+                    run.finish(stage)
     done = run.done
     missing = tuple(stage.name for stage in run.stages if stage.name not in done)
     card = None
@@ -304,11 +314,36 @@ class _Run:
         whole = {stage.name: digest({"sha": stage.sha, "name": stage.name, "policy": None}) for stage in self.stages}
         return {name for name, key in whole.items() if key in keys}
 
+    def train(self, stages: Sequence[Stage]) -> None:
+        """Run the trainings that are not finished, several at a time."""
+        done = self.done
+        missing = [stage for stage in stages if stage.name not in done]
+        for stage in missing:
+            self._require_needs(stage, done)
+        train(
+            missing, self.out, at_once=self.config.trainings, on_event=self._runner.on_event,
+            cancellation=self._runner.cancellation,
+            on_trained=lambda one: self._log(
+                one.stage, one.wall_s, continued=one.continued, at_once=round(one.at_once, 2)
+            ),
+        )  # fmt: skip
+
     def finish(self, stage: Stage) -> None:
         """Run a stage unless it is finished."""
         done = self.done
         if stage.name in done:
             return
+        self._require_needs(stage, done)
+        started, continued = time.monotonic(), (self.out / stage.name).exists()
+        made = self._runner.run(stage, self._by_name)
+        self._log(stage, time.monotonic() - started, continued=continued, **made)
+
+    def _require_needs(self, stage: Stage, done: Collection[str]) -> None:
+        """Check that the stages that a stage needs are finished.
+
+        Raises:
+            ConfigError: Naming those that are not.
+        """
         absent = [need for need in stage.needs if need not in done and need in self._by_name]
         if self.config.shard:
             absent = [need for need in absent if need not in self._done_in_whole()]
@@ -319,10 +354,11 @@ class _Run:
             )
         if absent:
             raise ConfigError(f"stage '{stage.name}' needs {', '.join(absent)}; run these kinds of stages too (--only)")
-        started, continued = time.monotonic(), (self.out / stage.name).exists()
-        made = self._runner.run(stage, self._by_name)
+
+    def _log(self, stage: Stage, wall_s: float, *, continued: bool, **facts: Any) -> None:
+        """Append a finished stage to the log of stages."""
         self._ran = True
-        entry = {"stage": stage.name, "wall_s": round(time.monotonic() - started, 1), **made}
+        entry = {"stage": stage.name, "wall_s": round(wall_s, 1), **facts}
         if continued:
             entry["continued"] = True  # wall_s has not all of it
         if stage.kind in ("export", "train"):

@@ -1,28 +1,25 @@
-"""How each kind of an experiment's stages runs: an ordinary run in a folder of its own, or a proof."""
+"""How an experiment's stages run: each an ordinary run in a folder of its own, or a proof.
+
+Trainings are in `roboxim_bringup.runs.experiment_trainings`.
+"""
 
 from __future__ import annotations
 
 import json
-import os
-import shlex
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import yaml
 
-from roboxim_bringup.executors import Cancellation, CancelledError, Executor, KeptProcesses, LocalExecutor
+from roboxim_bringup.executors import Cancellation, Executor, KeptProcesses, LocalExecutor
 from roboxim_bringup.experiment_card import evaluation_folder
-from roboxim_bringup.process import spawn
 from roboxim_bringup.runs.corruption import corrupt
 from roboxim_bringup.runs.delivery_demands import task_mix_of
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import Notice, OnEvent, StageFinished, StageStarted
+from roboxim_bringup.runs.events import Notice, OnEvent
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.generation import GenerationConfig, generate
@@ -40,16 +37,12 @@ from roboxim_bringup.runs.proving import (
 from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
-from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.errors import RoboximError
 from roboxim_core.seeds import CELL
 from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage
 from roboxim_eval.experiments.proofs import Tally
 
-POLL_S = 1.0
-"""Period at which a training is asked whether it has ended [s]."""
-END_S = 60.0
-"""Longest time for an interrupted training to save its checkpoint [s]."""
 PROOF_FILE = "proof.json"
 """File of a proof's folder with its checks, faults and statements."""
 
@@ -174,44 +167,6 @@ class Stages:
 
     # -------------------------------------------------------------- policies
 
-    def _train(self, stage: Stage) -> None:
-        folder = self._folder(stage.name)
-        folder.parent.mkdir(exist_ok=True)
-        command = stage.inputs["command"]
-        for step in stage.inputs["checkpoints"]:
-            kept = folder.with_name(f"{folder.name}@{step}")
-            if not kept.exists():
-                self._command(stage, folder, f"{command} {stage.inputs['until']}", until=step)
-                draft = kept.with_name(f".{kept.name}.draft")
-                shutil.rmtree(draft, ignore_errors=True)
-                shutil.copytree(folder, draft)
-                draft.rename(kept)
-        self._command(stage, folder, command)
-
-    def _command(self, stage: Stage, folder: Path, command: str, **more: int) -> None:
-        """Run a training's command."""
-        words = [
-            word.format(dataset=self._folder(stage.needs[0]), out=folder, seed=stage.inputs["seed"],
-                        steps=stage.inputs["steps"], **more)
-            for word in shlex.split(command)
-        ]  # fmt: skip
-        self.on_event(StageStarted(title=f"training {stage.name}", total=1))
-        with open(folder.parent / f"{folder.name}.log", "a") as log:
-            process = started(words, log)
-            try:
-                while process.poll() is None:
-                    if self.cancellation is not None and self.cancellation.is_set():
-                        raise CancelledError("the experiment was cancelled")
-                    try:
-                        process.wait(POLL_S)
-                    except subprocess.TimeoutExpired:
-                        continue
-            finally:
-                _end(process)
-        if process.returncode:
-            raise RoboximError(f"{shlex.join(words)} ended with code {process.returncode}; see {log.name}")
-        self.on_event(StageFinished())
-
     def _evaluate(self, stage: Stage) -> None:
         policy = self.policies[stage.name]
         assert policy is not None
@@ -312,30 +267,6 @@ class Stages:
             self.on_event(Notice(text=text))
         if refusal := found.refusal(**most):
             raise RoboximError(f"{stage.name}: {refusal}\nall of them are in {folder / PROOF_FILE}")
-
-
-def started(words: Sequence[str], log: IO[str]) -> subprocess.Popen[bytes]:
-    """Start a training command that dies with this process; ``roboxim`` is the one of this environment.
-
-    Raises:
-        ConfigError: When there is no such program.
-    """
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)))
-    if shutil.which(words[0], path=path) is None:
-        raise ConfigError(f"the training command cannot be started: {shlex.join(words)} (no such program)")
-    return spawn("roboxim_bringup.run_command", words, output=log, environment={"PATH": path})
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a training: it may save a checkpoint first."""
-    if process.poll() is not None:
-        return
-    os.killpg(process.pid, signal.SIGINT)
-    try:
-        process.wait(END_S)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
 
 
 def plain(value: Any) -> Any:

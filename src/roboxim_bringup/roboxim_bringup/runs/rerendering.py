@@ -48,7 +48,7 @@ from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.photo import THREADS_VARIABLE
 from roboxim_sim.rendering.textures import pixels
-from roboxim_sim.tick_messages import OF_STATE, TickMessages, tick_notice
+from roboxim_sim.tick_messages import TickMessages
 
 SURFACES = ("table", "floor", "wall")
 
@@ -205,10 +205,8 @@ class Rerenderer:
             if topic in (topics.NOTICE, topics.RESULT) and state is not None:  # extra topics follow a tick's step
                 cameras = poses.camera_poses(state.robot)
                 images = rig.capture(state.seq, poses.body_poses(state), [(c, cameras[c.name]) for c in scene.cameras])
-                made = tick_messages.make_seen(state, images)
-                notice = tick_notice(state, {**dict.fromkeys(OF_STATE), **made})
-                for name, message in {**made, topics.NOTICE: notice}.items():
-                    recording.message(topics.absolute(name), _cdr(message))
+                for name, message in tick_messages.make_seen(state, images).items():
+                    recording.message(topics.absolute(name), message)
                 state = None
                 on_tick()
             if topic == topics.STATE:

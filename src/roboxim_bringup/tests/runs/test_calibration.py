@@ -1,16 +1,21 @@
-"""The rates that a finished run of an experiment teaches, from planted times."""
+"""Rates of a machine, from planted times: those that a finished run teaches, those of trainings side by side."""
 
+import signal
+import sys
 from dataclasses import replace
 
 import pytest
 
 from roboxim_bringup.experiment_card import evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
-from roboxim_bringup.runs.calibration import rates_of_run
+from roboxim_bringup.runs import calibration_trainings, experiment_trainings
+from roboxim_bringup.runs.calibration_trainings import common_rate, common_steps, measure_side_by_side
 from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.learned_rates import rates_of_run
 from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.episode import EpisodeResult
-from roboxim_eval.experiments import stages_of
+from roboxim_core.errors import RoboximError
+from roboxim_eval.experiments import SideBySide, stages_of
 from roboxim_eval.testing import RATES, experiment_of
 
 TEXT = """
@@ -39,11 +44,12 @@ def episodes(folder, first_s, wall_s):
             run.append(EpisodeResult(episode_id=str(index), index=index, outcome="success", wall_s=seconds))
 
 
-def finished(out, **more):
-    design = checked_design("mine", experiment_of(TEXT))
+def finished(out, text=TEXT, training=None, **more):
+    design = checked_design("mine", experiment_of(text))
     log = ResultsLog(out / "stages.jsonl")
     for stage in stages_of(design):
-        log.append(stage.name, {"stage": stage.name, "wall_s": WALL[stage.kind], **more})
+        trained = (training or {}).get(stage.name, {})
+        log.append(stage.name, {"stage": stage.name, "wall_s": WALL[stage.kind], **more, **trained})
     episodes(out / "generate/0", 14.0, 4.0)
     episodes(evaluation_folder(out, "evaluate/all.0"), 6.0, 6.0)
     return design
@@ -58,6 +64,91 @@ def test_a_run_teaches_the_rates_of_its_stages(tmp_path):
     assert found.evaluate_start_s == pytest.approx(80 - 7 - 20 * 3.0)
     assert found.proof_s == pytest.approx((9 - 5) / 20)
     assert (found.film_s, found.train_start_s) == (BEFORE.film_s, BEFORE.train_start_s), "which a run does not show"
+
+
+def test_trainings_side_by_side_teach_a_rate_of_their_own(tmp_path):
+    three = TEXT.replace("count: 1", "count: 4")
+    training = {
+        "train/all.0": {"wall_s": 270.0, "at_once": 2.0}, "train/all.1": {"wall_s": 270.0, "at_once": 1.98},
+        "train/all.2": {"wall_s": 240.0, "at_once": 1.5}, "train/all.3": {"wall_s": 230.0, "at_once": 1.0},
+    }  # fmt: skip
+    design = finished(tmp_path, three, training)
+    for replicate in (1, 2, 3):
+        episodes(evaluation_folder(tmp_path, f"evaluate/all.{replicate}"), 6.0, 6.0)
+    measured = SideBySide(trainings=2, steps_per_s=1.0, start_s=20.0, measured="2026-01-02", source="probe")
+    found = rates_of_run("mine", tmp_path, design, 2, BEFORE.learned(measured))
+    assert found.at_once(2).steps_per_s == pytest.approx(1000 / (270 - 20)), "of those that always ran beside another"
+    assert found.at_once(2).source == "run of mine: 2,000 steps"
+    assert found.steps_per_s == pytest.approx(1000 / (230 - 10)), "of the one that was alone"
+    assert found.source == "run of mine: 20 demonstrations, 1,000 steps, 80 rollouts"
+
+
+def test_a_run_without_a_training_alone_keeps_the_rate_of_one(tmp_path):
+    design = finished(tmp_path, training={"train/all.0": {"wall_s": 510.0, "at_once": 2.0}})
+    found = rates_of_run("mine", tmp_path, design, 2, BEFORE)
+    assert found.steps_per_s == BEFORE.steps_per_s
+    assert found.source == "run of mine: 20 demonstrations, 20 rollouts; trainings alone: test"
+    assert found.at_once(2).steps_per_s == pytest.approx(1000 / (510 - 10)), "its start is not known any better"
+    again = rates_of_run("mine", tmp_path, design, 2, found)
+    assert again.source == found.source
+    assert again.demonstration_s == pytest.approx(2.0)
+
+
+def test_the_rate_side_by_side_is_that_of_the_time_in_which_all_made_steps():
+    first = [(0.0, 10), (1.0, 30), (2.0, 40), (3.0, 50), (9.0, 170)]
+    second = [(1.0, 10), (2.0, 15), (3.0, 20)]
+    assert common_steps([first, second]) == 10
+    assert common_rate([first, second]) == pytest.approx((10 + 5) / 2)
+    assert common_steps([first, []]) == 0
+    assert common_steps([first, [(20.0, 10)]]) == 0, "they were not at the same time"
+
+
+TRAINER = """
+import json, os, signal, sys, time
+seed, fails = int(sys.argv[1]), sys.argv[2]
+if fails == "fails":
+    sys.exit("no memory left")
+with open(os.environ["ROBOXIM_EVENTS"], "a") as events:
+    for tick in range(1, 5):
+        at = f"2026-01-01T00:00:0{tick}+00:00"
+        done = (10 + 5 * seed) * tick
+        print(json.dumps({"event": "stage_progress", "time": at, "done": done, "total": 99}), file=events)
+signal.pause()
+"""
+
+
+@pytest.fixture
+def trainers(monkeypatch):
+    """Let scripts stand in for trainings of bc; the fixture has their processes."""
+    processes = []
+
+    def fake(fails):
+        def started(words, log, reports):
+            seed = words[words.index("--seed") + 1]
+            command = [sys.executable, "-S", "-c", TRAINER, seed, "fails" if seed in fails else ""]
+            processes.append(experiment_trainings.started(command, log, reports))
+            return processes[-1]
+
+        monkeypatch.setattr(calibration_trainings, "started", started)
+        return processes
+
+    return fake
+
+
+def test_trainings_side_by_side_are_measured_and_ended(trainers, tmp_path):
+    processes = trainers(fails=())
+    found = measure_side_by_side(tmp_path / "rlds", tmp_path, 3, 30, source="probe")
+    assert found.trainings == 3
+    assert found.steps_per_s == pytest.approx((10 + 15 + 20) / 3)
+    assert [process.poll() for process in processes] == [-signal.SIGKILL] * 3
+    assert found.source == "probe"
+
+
+def test_a_training_that_fails_ends_the_measurement(trainers, tmp_path):
+    processes = trainers(fails=("1",))
+    with pytest.raises(RoboximError, match=r"--seed 1 ended with exit code 1:\nno memory left"):
+        measure_side_by_side(tmp_path / "rlds", tmp_path, 2, 31, source="probe")
+    assert None not in [process.poll() for process in processes]
 
 
 def test_a_run_in_pieces_teaches_nothing(tmp_path):

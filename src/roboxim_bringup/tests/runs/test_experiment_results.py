@@ -228,9 +228,9 @@ def planted_benchmark(tmp_path, monkeypatch):
 
 def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_path):
     file, calls = planted_benchmark
-    config = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out")
+    config = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", trainings=2)
     result = run_benchmark(config)
-    assert [call.experiment for call in calls] == ["one", "two"]
+    assert [(call.experiment, call.trainings) for call in calls] == [("one", 2), ("two", 2)]
     assert calls[0].changes == {"scales": {"night": {"replicates": {"count": 3}}}}
     assert result.card.dimensions["object"].absolute == pytest.approx(0.4)
     assert result.card.dimensions["object"].relative == pytest.approx(0.4 / 0.9, abs=1e-5)
@@ -268,12 +268,15 @@ def test_pages_of_evaluations_are_written_on_demand(tmp_path):
             name = stage.name.removeprefix("evaluate/").partition(".")[0]
             record = EvaluationRecord(task="mine", seed=1, policies=(name,))
             (folder.path / stage.name / "evaluation.json").write_text(to_json(record))
-    words = ("experiment", "report", str(folder.path), "--evaluations", "--films", "0")
+    tables = tmp_path / "results.md"
+    words = ("experiment", "report", str(folder.path), "--evaluations", "--films", "0", "--markdown", str(tables))
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     pages = sorted((folder.path / "evaluate").glob("*/report.html"))
     assert [page.parent.name for page in pages] == ["baseline.0", "blind.0", "leave_out.0"]
     assert all(f"report: {page}\n" in said for page in pages)
     assert "32 of 80" in pages[-1].read_text(), "by its own results"
+    assert f"report: {tables}\n" in said
+    assert "| leave_out | 32 of 80 |" in tables.read_text()
 
 
 # ------------------------------------------------------------------ stopping early

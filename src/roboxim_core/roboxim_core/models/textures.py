@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise
 
@@ -32,6 +31,8 @@ def _spots(seed: int, cells: float, share: float) -> Field:
 
 def _print(lines: list[tuple[str, float, float]]) -> Field:
     """Return 0..1: centred lines of text, each with its height above the lower edge and its size, as fractions."""
+    from PIL import Image, ImageDraw, ImageFont
+
     image = Image.new("L", (SIZE, SIZE))
     draw = ImageDraw.Draw(image)
     for text, height, size in lines:

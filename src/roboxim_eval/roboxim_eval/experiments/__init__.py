@@ -3,7 +3,7 @@
 from roboxim_eval.experiments.analysis import Analysis, Outcomes, analyse
 from roboxim_eval.experiments.cells import Cell, cells_of, chosen, mix_of
 from roboxim_eval.experiments.config import ExperimentConfig, experiment_config, scale_names
-from roboxim_eval.experiments.cost import Cost, Rates, cost_of
+from roboxim_eval.experiments.cost import Cost, Rates, SideBySide, cost_of
 from roboxim_eval.experiments.design import Design, Stage, design_of, stages_of
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "ExperimentConfig",
     "Outcomes",
     "Rates",
+    "SideBySide",
     "Stage",
     "analyse",
     "cells_of",

@@ -14,6 +14,32 @@ from roboxim_eval.statistics.replicates import LEAST_REPLICATES
 
 FILMS = 8
 """Films of each condition in an experiment's report."""
+LEAST_START_S = 0.5
+"""Least time of a start, where a measurement is too short to show one [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SideBySide:
+    """Measured rate of trainings that run side by side, where they share processors, memory and GPUs."""
+
+    trainings: int
+    """Number of trainings at a time."""
+    steps_per_s: float
+    """Training steps a second of each of them."""
+    start_s: float
+    """Wall time of each before its first step, when all start together [s]."""
+    measured: str
+    """Date of the measurement, ISO 8601."""
+    source: str
+    """What was measured."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: When one is not positive.
+        """
+        _require_positive(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +65,7 @@ class Rates:
     export_s: float
     """Wall time of the export of a demonstration [s]."""
     steps_per_s: float
-    """Training steps a second."""
+    """Training steps a second of a training alone."""
     checkpoint_bytes: float
     """Size of a training's folder."""
     rollout_s: float
@@ -51,7 +77,7 @@ class Rates:
     start_s: float
     """Wall time of a generation beside its episodes: the start of the graph, and the pictures at the end [s]."""
     train_start_s: float
-    """Wall time of a training before its first step: reading the data, compiling [s]."""
+    """Wall time of a training alone before its first step: reading the data, compiling [s]."""
     first_evaluate_s: float
     """Wall time that an experiment's first evaluation takes longer: workers load the policy's libraries [s]."""
     evaluate_start_s: float
@@ -60,6 +86,8 @@ class Rates:
     """Wall time of the start of a proof [s]."""
     film_s: float
     """Wall time of a film of the report, its episode's facts included [s]."""
+    side_by_side: tuple[SideBySide, ...] = ()
+    """Rates of several trainings at a time, for each number that was measured."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -67,9 +95,45 @@ class Rates:
         Raises:
             ConfigError: When one is not positive.
         """
-        for name, value in vars(self).items():
-            if isinstance(value, int | float) and not value > 0:
-                raise ConfigError(f"a rate must be > 0, got {name} {value!r}; measure again")
+        _require_positive(self)
+
+    @property
+    def training_rates(self) -> dict[int, SideBySide]:
+        """Number of trainings at a time to their measured rate, by increasing number; 1 is a training alone."""
+        alone = SideBySide(
+            trainings=1, steps_per_s=self.steps_per_s, start_s=self.train_start_s, measured=self.measured,
+            source=self.source,
+        )  # fmt: skip
+        return {rate.trainings: rate for rate in sorted((alone, *self.side_by_side), key=lambda rate: rate.trainings)}
+
+    def at_once(self, trainings: int) -> SideBySide | None:
+        """Return the rate of a number of trainings at a time; none: no such number nor a larger one was measured.
+
+        A number between two that were measured has a rate between theirs.
+        """
+        known = self.training_rates
+        if trainings in known or trainings > max(known):
+            return known.get(trainings)
+        low, high = max(n for n in known if n < trainings), min(n for n in known if n > trainings)
+        part = (trainings - low) / (high - low)
+        return SideBySide(
+            trainings=trainings,
+            steps_per_s=(1 - part) * known[low].steps_per_s + part * known[high].steps_per_s,
+            start_s=(1 - part) * known[low].start_s + part * known[high].start_s,
+            measured=known[high].measured,
+            source=f"between {low} and {high} at a time, which were measured",
+        )
+
+    def learned(self, *rates: SideBySide) -> Rates:
+        """Return the rates with those of several trainings at a time added; they replace those of the same numbers."""
+        found = {rate.trainings: rate for rate in (*self.side_by_side, *rates)}
+        return replace(self, side_by_side=tuple(found[number] for number in sorted(found)))
+
+
+def _require_positive(rates: Rates | SideBySide) -> None:
+    for name, value in vars(rates).items():
+        if isinstance(value, int | float) and not value > 0:
+            raise ConfigError(f"a rate must be > 0, got {name} {value!r}; measure again")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,16 +158,26 @@ class Cost:
         return self.generate_s + (self.train_s or 0.0) + self.evaluate_s
 
 
-def cost_of(design: Design, rates: Rates) -> Cost:
+def trainings_at_once(design: Design, trainings: int) -> int:
+    """Return how many trainings of an experiment run here at a time if at most a number of them may; at least 1."""
+    here = len(design.trainings) if design.trainer.command else 0
+    return max(1, min(trainings, here))
+
+
+def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
     """Return the cost of an experiment.
 
     Args:
         design: The experiment.
         rates: Measured rates of the machine.
+        trainings: Largest number of trainings at a time.
+
+    Raises:
+        ConfigError: When the rate of so many trainings at a time was not measured.
     """
     exported = design.generations * sum(sum(counts.values()) for counts in design.datasets.values())
     here = bool(design.trainer.command)
-    train_s = design.steps / rates.steps_per_s + design.training_starts * rates.train_start_s
+    train_s = _trainings_s(design, rates, trainings) if here else None
     films = sum(
         min(FILMS, sum(one.rollouts for one in design.evaluations if one.condition == name and not one.checkpoint))
         for name in design.config.conditions
@@ -113,7 +187,7 @@ def cost_of(design: Design, rates: Rates) -> Cost:
         generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)
         + exported * rates.export_s
         + design.generations * start_s,
-        train_s=train_s if here else None,
+        train_s=train_s,
         evaluate_s=design.rollouts * (rates.rollout_s + rates.proof_s)
         + len(design.evaluations) * rates.evaluate_start_s
         + rates.first_evaluate_s
@@ -127,6 +201,36 @@ def cost_of(design: Design, rates: Rates) -> Cost:
     )
 
 
+def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
+    """Return the time of all trainings; the next one starts when one ends [s].
+
+    Raises:
+        ConfigError: When the rate of so many trainings at a time was not measured.
+    """
+    most = trainings_at_once(design, trainings)
+    by_number = {number: rate for number in range(1, most + 1) if (rate := rates.at_once(number))}
+    if len(by_number) < most:
+        raise ConfigError(
+            f"the rate of {most} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
+            f"{most}' measures it"
+        )
+    waiting = [(training.steps, 1 + len(training.checkpoints)) for training in design.trainings]
+    running: list[tuple[float, int, int]] = []  # share that is left, steps, starts
+    passed_s = 0.0
+    while waiting or running:
+        running += [(1.0, *waiting.pop(0)) for _ in range(min(most - len(running), len(waiting)))]
+        rate = by_number[len(running)]
+        whole_s = [steps / rate.steps_per_s + starts * rate.start_s for _, steps, starts in running]
+        next_s = min(left * whole for (left, *_), whole in zip(running, whole_s, strict=True))
+        passed_s += next_s
+        shares = [
+            (left - next_s / whole, steps, starts)
+            for (left, steps, starts), whole in zip(running, whole_s, strict=True)
+        ]
+        running = [share for share in shares if share[0] > 1e-9]
+    return passed_s
+
+
 def _detectable(design: Design) -> float | None:
     scenes = design.compared_scenes
     return detectable(Size(replicates=design.config.replicates.count, scenes=scenes)) if scenes else None
@@ -137,7 +241,9 @@ SCENES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Numbers of trainings, and factors on the rollouts of each cell, among which a budget chooses."""
 
 
-def fitted(config: ExperimentConfig, rates: Rates, budget_s: float, trainer: str = "") -> ExperimentConfig | None:
+def fitted(
+    config: ExperimentConfig, rates: Rates, budget_s: float, trainer: str = "", trainings: int = 1
+) -> ExperimentConfig | None:
     """Return the size of an experiment that finds the smallest difference within a budget.
 
     More trainings find smaller differences than more scenes do, so they are bought first. Fewer than three are chosen
@@ -148,9 +254,13 @@ def fitted(config: ExperimentConfig, rates: Rates, budget_s: float, trainer: str
         rates: Measured rates of the machine.
         budget_s: Time [s].
         trainer: Name of a trainer of the file; empty: the first one.
+        trainings: Largest number of trainings at a time.
 
     Returns:
         The experiment with other replicates and rollouts; none: not even the smallest size fits.
+
+    Raises:
+        ConfigError: When the rate of so many trainings at a time was not measured.
     """
     found: list[tuple[bool, float, int, float, ExperimentConfig]] = []
     for replicates, factor in itertools.product(REPLICATES, SCENES):
@@ -160,7 +270,7 @@ def fitted(config: ExperimentConfig, rates: Rates, budget_s: float, trainer: str
             per_unseen_cell=round(factor * config.evaluate.per_unseen_cell),
         )
         sized = replace(config, replicates=replace(config.replicates, count=replicates), evaluate=evaluate)
-        cost = cost_of(design_of(sized, trainer), rates)
+        cost = cost_of(design_of(sized, trainer), rates, trainings)
         if cost.total_s <= budget_s:
             about_training = replicates >= LEAST_REPLICATES
             found.append((about_training, -(cost.detectable or 1.0), replicates, factor, sized))

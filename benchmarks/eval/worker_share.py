@@ -1,0 +1,131 @@
+"""What an evaluation's worker spends on anything but the policy and the simulator, counted within the worker.
+
+One worker runs episodes in this process. The simulator is what building and settling the world, physics and drawing
+take, with the rasteriser's threads; the policy is what its reset and its answers take, with its library's threads. All
+other processor time is the evaluation's own: drawing and planning the scene, checking what is visible, the loop, the
+judge, messages, the recorder, the middleware. `overhead` compares workers with episodes in another process, so other
+jobs of the machine change it more than this share, which divides times of the same seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from benchmarks._harness import Bench
+
+import roboxim_sim.node
+from roboxim_bringup.graph import GraphConfig, PolicyLaunch
+from roboxim_bringup.runs.episode_worker import EpisodeWorker
+from roboxim_bringup.task_choice import task_text
+from roboxim_core.config import to_plain
+from roboxim_core.episode import RunConfig
+from roboxim_core.policy_guard import GuardedPolicy
+from roboxim_ros.runs import free_domain
+from roboxim_sim.rendering.camera_effects import CameraRig
+from roboxim_sim.world import World
+
+TASK = "pick_cube"
+WARM = 2
+"""Episodes before the measurement, in which libraries are loaded and policies compiled."""
+NATIVE = {"simulator": ("llvmpipe",), "policy": ("XLA",)}
+"""Parts of the names of the threads that libraries start, by what they work for."""
+
+
+class Counted:
+    """Processor time of the calling threads in some functions, by what they belong to [s]."""
+
+    def __init__(self) -> None:
+        """Start at zero."""
+        self.spent: Counter[str] = Counter()
+        self._inside = threading.local()
+
+    def count(self, owner: Any, name: str, part: str) -> None:
+        """Count a function of a class or a module from now on; calls within counted calls are not counted twice."""
+        function = getattr(owner, name)
+
+        def counted(*given: Any, **named: Any) -> Any:
+            if getattr(self._inside, "now", False):
+                return function(*given, **named)
+            self._inside.now, began = True, time.thread_time()
+            try:
+                return function(*given, **named)
+            finally:
+                self.spent[part] += time.thread_time() - began
+                self._inside.now = False
+
+        setattr(owner, name, counted)
+
+
+def main() -> None:
+    """Measure and print."""
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--policy", default="zero", help="policy, e.g. bc with --checkpoint")
+        parser.add_argument("--checkpoint", default="", help="checkpoint of the policy")
+        parser.add_argument("--size", type=int, default=128, help="side of the images [px]")
+
+    bench = Bench("worker_share", __doc__, options)
+    counted = Counted()
+    for owner, name, part in (
+        (World, "load", "simulator"), (World, "tick", "simulator"), (roboxim_sim.node, "render_world", "simulator"),
+        (CameraRig, "load", "simulator"), (CameraRig, "capture", "simulator"),
+        (GuardedPolicy, "reset", "policy"), (GuardedPolicy, "act", "policy"),
+    ):  # fmt: skip
+        counted.count(owner, name, part)
+    with tempfile.TemporaryDirectory(prefix="roboxim-share-") as out, free_domain() as domain:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        worker = _worker(bench, out)
+        for index in range(WARM):
+            worker.run(index, lambda _: None)
+        counted.spent.clear()
+        before, began = _threads(), time.process_time()
+        episodes = range(WARM, WARM + (2 if bench.quick else 12))
+        ticks = sum(worker.run(index, lambda _: None)["last_seq"] + 1 for index in episodes)
+        total, threads = time.process_time() - began, _threads() - before
+        worker.close()
+    for part, names in NATIVE.items():
+        counted.spent[part] += sum(s for thread, s in threads.items() if any(name in thread for name in names))
+    own = total - counted.spent.total()
+    for part, seconds in (*counted.spent.items(), ("everything else", own), ("all", total)):
+        bench.row(part=part, ms_per_tick=round(1000 * seconds / ticks, 2), percent=round(100 * seconds / total, 1))
+    for thread, seconds in threads.most_common(8):
+        percent = round(100 * seconds / total, 1)
+        bench.row(part=f"thread {thread}", ms_per_tick=round(1000 * seconds / ticks, 2), percent=percent)
+    bench.finish(
+        "share of a worker's processor time beside policy and simulator", round(100 * own / total, 1), "%", at_most=10
+    )
+
+
+def _worker(bench: Bench, out: str) -> EpisodeWorker:
+    """Start a worker as an evaluation does."""
+    given = {"checkpoint": bench.options.checkpoint} if bench.options.checkpoint else {}
+    graph = GraphConfig(
+        policies=(PolicyLaunch(spec=bench.options.policy, options=given),),
+        parameters={"recorder": {"output_root": out}, "sim": {"scene": "", "publish_unheard": False}},
+    )
+    run = RunConfig(
+        task_config=task_text(TASK), output_dir=out, image_width=bench.options.size, image_height=bench.options.size,
+        purpose="eval", actor="policy", keep="all", policy_timeout_s=120.0,
+    )  # fmt: skip
+    return EpisodeWorker({"graph": to_plain(graph), "config": to_plain(run)}, 0)
+
+
+def _threads() -> Counter[str]:
+    """Return the processor time of this process's threads by name [s]."""
+    names = {thread.native_id: thread.name for thread in threading.enumerate()}
+    found: Counter[str] = Counter()
+    for folder in Path("/proc/self/task").iterdir():
+        nanoseconds, name = (folder / "schedstat").read_text().split()[0], (folder / "comm").read_text().strip()
+        found[names.get(int(folder.name), f"{name} (native)")] += int(nanoseconds) / 1e9
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""This machine's rates, learned from a finished run of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from roboxim_bringup.runs.calibration import episode_s
+from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.results_log import ResultsLog
+from roboxim_eval.experiments import Design, Rates, SideBySide
+from roboxim_eval.experiments.cost import LEAST_START_S
+
+LEAST_EPISODES, LEAST_STEPS = 20, 1000
+"""Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
+NEARLY = 0.05
+"""Largest part by which the mean number of trainings at a time may differ from the number whose rate it shows."""
+ALONE = "; trainings alone: "
+"""What separates the source of a training's rate from that of the other rates."""
+
+
+def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
+    """Return the rates that a finished run of an experiment shows; none: it was too small, or a stage was interrupted.
+
+    What a run does not show, e.g. the start of its trainings, is taken from earlier rates.
+
+    Args:
+        name: Name and scale of the experiment, for messages.
+        out: Its folder.
+        design: The experiment.
+        workers: Processes that ran episodes.
+        before: Earlier rates of this machine.
+
+    Raises:
+        ConfigError: When a file of the folder is damaged.
+    """
+    entries = [entry.data for entry in ResultsLog(out / "stages.jsonl").read()]
+    wall = {entry["stage"]: float(entry["wall_s"]) for entry in entries}
+    of = {kind: [stage for stage in wall if stage.startswith(f"{kind}/")] for kind in ("generate", "train", "evaluate")}
+    small = design.episodes < LEAST_EPISODES or design.rollouts < LEAST_EPISODES or design.steps < LEAST_STEPS
+    if small or not all(of.values()) or any(entry.get("continued") for entry in entries):
+        return None
+    demos = [result for stage in of["generate"] for result in RunFolder(out / stage).results()]
+    rollouts = [
+        result
+        for stage in of["evaluate"]
+        for result in RunFolder(out / stage / stage.removeprefix("evaluate/").rpartition(".")[0]).results()
+    ]
+    demonstration_s = episode_s(demos, workers)
+    rollout_s = sum(result.wall_s for result in rollouts) / len(rollouts) / workers
+    evaluating_s = sum(wall[stage] for stage in of["evaluate"]) - before.first_evaluate_s
+    if not demonstration_s > 0 or not rollout_s > 0:
+        return None
+    measured, run = datetime.now().isoformat(timespec="minutes"), f"run of {name}"
+    trained = {rate.trainings: rate for rate in _training_rates(entries, design, before, run, measured)}
+    alone = trained.pop(1, None)
+    steps = f"{alone.source.removeprefix(f'{run}: ')}, " if alone else ""
+    source = f"{run}: {len(demos)} demonstrations, {steps}{len(rollouts)} rollouts"
+    proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith("prove/evaluation"))
+    proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
+    return replace(
+        before,
+        measured=measured,
+        source=source if alone else f"{source}{ALONE}{before.source.rpartition(ALONE)[2]}",
+        workers=workers,
+        demonstration_s=demonstration_s,
+        start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
+                    - demonstration_s * len(demos) / len(of["generate"])),
+        steps_per_s=alone.steps_per_s if alone else before.steps_per_s,
+        rollout_s=rollout_s,
+        evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
+        proof_s=proof_s if proof_s > 0 else before.proof_s,
+    ).learned(*trained.values())  # fmt: skip
+
+
+def _training_rates(
+    entries: Sequence[Mapping[str, Any]], design: Design, before: Rates, run: str, measured: str
+) -> Iterator[SideBySide]:
+    """Yield the rate of each number of trainings at a time that a run shows with enough steps.
+
+    A training shows it if that number ran during nearly all its time: the last training of an odd number of them shows
+    the rate of one alone, and one that was alone for half its time shows none.
+
+    Args:
+        entries: The log of stages.
+        design: The experiment.
+        before: Earlier rates of this machine.
+        run: Name of the run, for messages.
+        measured: Date, ISO 8601.
+    """
+    trainings = {f"train/{training.condition}.{training.replicate}": training for training in design.trainings}
+    shown: dict[int, list[tuple[float, int, int]]] = {}
+    for entry in entries:
+        at_once = float(entry.get("at_once", 1.0))
+        number = round(at_once)
+        if (training := trainings.get(entry["stage"])) and abs(at_once - number) <= NEARLY * number:
+            starts = 1 + len(training.checkpoints)
+            shown.setdefault(number, []).append((float(entry["wall_s"]), training.steps, starts))
+    for number, ones in sorted(shown.items()):
+        rate = before.at_once(number)
+        start_s = rate.start_s if rate else before.train_start_s  # no better one is known
+        steps = sum(steps for _, steps, _ in ones)
+        training_s = sum(wall_s - starts * start_s for wall_s, _, starts in ones)
+        if steps >= LEAST_STEPS and training_s > 0:
+            yield SideBySide(
+                trainings=number, steps_per_s=steps / training_s, start_s=start_s, measured=measured,
+                source=f"{run}: {steps:,} steps",
+            )  # fmt: skip

@@ -1,0 +1,126 @@
+"""Cards as Markdown, for READMEs, papers' supplements and documentation. All numbers are from the card alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from roboxim_eval.benchmark import BenchmarkCard
+from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
+from roboxim_eval.experiments.cells import Cell
+from roboxim_eval.report.experiment import provenance_of, score_rows
+from roboxim_eval.statistics.replicates import condition_rate
+from roboxim_eval.statistics.tables import Arm
+
+
+def experiment_markdown(card: Card, *, level: int = 1) -> str:
+    """Return sentences, scores, rates by condition and by cell, deviations and provenance of an experiment.
+
+    Args:
+        card: A card whose scores follow from its counts.
+        level: Level of its heading.
+
+    Raises:
+        ConfigError: When the card lacks counts of a condition or a cell.
+    """
+    return "\n".join(_experiment(card, level)) + "\n"
+
+
+def benchmark_markdown(card: BenchmarkCard) -> str:
+    """Return the scores of a benchmark beside the published ones, then its experiments.
+
+    Raises:
+        ConfigError: When an experiment's card lacks counts of a condition or a cell.
+    """
+    return "\n".join(_benchmark(card)) + "\n"
+
+
+def _experiment(card: Card, level: int) -> Iterator[str]:
+    config, design = card.experiment.config, design_of_card(card)
+    arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
+    yield f"{'#' * level} {card.experiment.name}, scale {card.experiment.scale}\n"
+    yield f"{config.about}\n"
+    yield from (f"- **{verdict.sentence}**" for verdict in card.verdicts[:1])
+    yield from (f"- {verdict.sentence}" for verdict in card.verdicts[1:])
+    yield from (f"- Warning: {warning}" for warning in card.warnings)
+    if card.scores:
+        yield "\n" + _table(
+            ("score", "value", "95 % interval"), ((r["name"], r["value"], r["interval"]) for r in score_rows(card))
+        )
+    yield "\n" + _table(("condition", "success", "95 % interval", "each training"), map(_rate, arms, arms.values()))
+    yield "\n" + _by_cell(design.cells, arms)
+    if card.experiment.deviations:
+        yield "\nDeviations:\n"
+        yield from (f"- {sentence}" for sentence in card.experiment.deviations)
+    yield "\n" + _provenance(provenance_of(card))
+
+
+def _benchmark(card: BenchmarkCard) -> Iterator[str]:
+    yield f"# {card.name}, scale {card.scale}\n"
+    yield f"{card.about}\n"
+    yield from (f"- {sentence}" for sentence in card.sentences)
+    reference = card.reference
+    published = ("published absolute", "published relative") if reference else ()
+    rows: list[tuple[str, float | None, float | None]] = [
+        (name, score.absolute, score.relative) for name, score in card.dimensions.items()
+    ]
+    for name, one in card.experiments.items():
+        absolute, relative = ((one.scores or {}).get(key) for key in ("absolute", "relative"))
+        rows.append((name, absolute[0] if absolute else None, relative[0] if relative else None))
+    yield "\n" + _table(
+        ("dimension or experiment", "absolute", "relative", *published),
+        ((name, *_pair(absolute, relative, "refused"), *_published(card, name)) for name, absolute, relative in rows),
+    )
+    if reference:
+        yield f"\nPublished: {reference.name}.\n"
+        yield from (f"- {sentence}" for sentence in reference.differences)
+    for one in card.experiments.values():
+        yield ""
+        yield from _experiment(one, 2)
+    yield f"\nHash of the benchmark's card: `{card.sha256}`."
+
+
+def _rate(name: str, arm: Arm) -> tuple[str, ...]:
+    rate, pooled = condition_rate(arm), arm.pooled
+    each = ", ".join(f"{100 * value:.0f} %" for value in arm.rates)
+    return name, f"{pooled.successes} of {pooled.episodes}", f"{100 * rate.low:.0f} to {_percent(rate.high)}", each
+
+
+def _by_cell(cells: Sequence[Cell], arms: Mapping[str, Arm]) -> str:
+    """Return the counts of the cells that were evaluated; rows are what there is more of, so that it stays narrow."""
+    names = [f"**{cell.key}**" if cell.unseen else cell.key for cell in cells]
+    counts = [tuple(_count(arm, cell.key) for arm in arms.values()) for cell in cells]
+    rows = [(name, *row) for name, row in zip(names, counts, strict=True) if set(row) != {"-"}]
+    head, table = ("cell, **held out**", *arms), [*rows]
+    if len(arms) > len(rows):
+        head, *table = zip(head, *rows, strict=True)
+    return _table(head, table)
+
+
+def _count(arm: Arm, cell: str) -> str:
+    found = arm.by_cell.get(cell)
+    return f"{found.successes} of {found.episodes}" if found and found.episodes else "-"
+
+
+def _published(card: BenchmarkCard, name: str) -> tuple[str, ...]:
+    if card.reference is None:
+        return ()
+    found = card.reference.dimensions.get(name) or card.reference.experiments.get(name)
+    return _pair(found.absolute, found.relative, "-") if found else ("-", "-")
+
+
+def _pair(absolute: float | None, relative: float | None, missing: str) -> tuple[str, str]:
+    return "-" if absolute is None else f"{absolute:.2f}", missing if relative is None else _percent(relative)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.0f} %"
+
+
+def _provenance(facts: Mapping[str, str]) -> str:
+    return "; ".join(f"{name} {value}" for name, value in facts.items() if value != "-") + "."
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)

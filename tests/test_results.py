@@ -1,0 +1,25 @@
+"""Published results: every card in ``docs/results`` follows from its counts, and its tables are the card's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from roboxim_eval.benchmark import check_benchmark_card
+from roboxim_eval.benchmark.card import is_benchmark_card
+from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
+
+CARDS = sorted((Path(__file__).parents[1] / "docs/results").glob("*/card.json"))
+
+
+@pytest.mark.parametrize("file", CARDS, ids=lambda file: file.parent.name)
+def test_published_results_follow_from_their_counts(file: Path) -> None:
+    data = json.loads(file.read_text())
+    if is_benchmark_card(data):
+        text = benchmark_markdown(check_benchmark_card(data))
+    else:
+        text = experiment_markdown(check_card(data))
+    assert file.with_name("results.md").read_text() == text, "renew it: report --from card.json --markdown"
