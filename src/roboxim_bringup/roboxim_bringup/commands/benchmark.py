@@ -49,6 +49,14 @@ def _run_command(name: str) -> click.Command:
         "--option", "policy_options", multiple=True, metavar="EXPERIMENT.CONDITION[.R].KEY=VALUE",
         help="Argument of such a policy; may be repeated.",
     )  # fmt: skip
+    @click.option(
+        "--experiment", "experiments", multiple=True, metavar="NAME",
+        help="Run only this experiment of the benchmark; may be repeated.",
+    )  # fmt: skip
+    @click.option(
+        "--card", "cards", multiple=True, metavar="FILE", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+        help="Card of an experiment that ran on another machine; may be repeated.",
+    )  # fmt: skip
     @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
     @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
     @click.option(
@@ -57,8 +65,9 @@ def _run_command(name: str) -> click.Command:
     )  # fmt: skip
     @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
     def run(
-        out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...], only: str,
-        workers: int | None, trainings: int, renderer: str,
+        out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
+        experiments: tuple[str, ...], cards: tuple[Path, ...], only: str, workers: int | None, trainings: int,
+        renderer: str,
     ) -> None:  # fmt: skip
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from roboxim_bringup.printer import EventPrinter
@@ -67,7 +76,7 @@ def _run_command(name: str) -> click.Command:
 
         config = BenchmarkRunConfig(
             benchmark=name, scale=scale, out=out, trainer=trainer, trainings=trainings, renderer=renderer,
-            policies=named_policies(policies, policy_options),
+            policies=named_policies(policies, policy_options), experiments=experiments, cards=cards,
             only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
             **({} if workers is None else {"workers": workers}),
         )  # fmt: skip

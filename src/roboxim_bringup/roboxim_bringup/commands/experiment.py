@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roboxim_bringup.commands import _experiment_calibrate
 from roboxim_bringup.named import Named
 from roboxim_bringup.options import with_executor
 
@@ -97,7 +98,8 @@ def plan(
     }
     for key, config in configs.items():
         if config.datasets and not no_probe:
-            by_size[config.image_size] = _probed(key, config, by_size[config.image_size], most[key])
+            known = by_size[config.image_size]
+            by_size[config.image_size] = _experiment_calibrate.probed(key, config, known, most[key])
     if budget:
         if None in by_size.values():
             raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
@@ -241,12 +243,11 @@ def report(
     from roboxim_bringup.runs.experiment_report import (
         ExperimentFolder,
         folder_card,
+        stored_card,
         write_evaluation_pages,
         write_experiment_report,
     )
-    from roboxim_core.documents import parse_json, read_text
     from roboxim_core.errors import ConfigError
-    from roboxim_eval.experiments.card_checks import check_card
 
     if (folder is None) == (card is None):
         raise ConfigError("name the folder of a run, or a card with --from CARD")
@@ -260,7 +261,7 @@ def report(
         pages = write_evaluation_pages(there) if evaluations else []
     else:
         assert card is not None
-        found = check_card(parse_json(read_text(card), source=str(card)), source=str(card))
+        found = stored_card(card)
         page = html
         if html is not None:
             from roboxim_eval.report.experiment import ExperimentPage, experiment_page
@@ -347,58 +348,7 @@ def unpack_run(file: Path, out: Path) -> None:
     click.echo(f"{found.files} files in {found.path}; see 'roboxim experiment report {found.path}'")
 
 
-@command.command("calibrate")
-@click.option("--experiment", type=Named("experiment"), default="skill_object", show_default=True, help="Whose tasks.")
-@click.option("--scale", default="laptop", show_default=True, help="Its scale, which states the image size.")
-@click.option("--episodes", type=click.IntRange(2), default=8, show_default=True, help="Demonstrations.")
-@click.option("--rollouts", type=click.IntRange(1), default=4, show_default=True, help="Rollouts.")
-@click.option("--steps", type=click.IntRange(20), default=60, show_default=True, help="Training steps.")
-@click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
-@click.option(
-    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
-    help="Also measure so many trainings at a time.",
-)  # fmt: skip
-def calibrate_rates(
-    experiment: str, scale: str, episodes: int, rollouts: int, steps: int, workers: int | None, trainings: int
-) -> None:
-    """Measure this machine's rates by a small run of every stage, and store them for plan and list."""
-    import tempfile
-
-    from roboxim_bringup.experiment_files import checked_design, load_experiment, write_mixes
-    from roboxim_bringup.options import parse_size
-    from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate
-    from roboxim_bringup.runs.rates import store_rates, stored_rates
-
-    config = load_experiment(experiment, scale)
-    design = checked_design(experiment, config)
-    size = parse_size(config.image_size)
-    with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
-        mix = write_mixes(design, Path(folder))[0].rename(Path(folder) / f"{experiment}.yaml")
-        more: dict[str, Any] = {} if workers is None else {"workers": workers}
-        settings = CalibrationConfig(
-            mix=mix, size=size if isinstance(size, tuple) else (size, size), episodes=episodes, rollouts=rollouts,
-            steps=steps, trainings=trainings, **more,
-        )  # fmt: skip
-        with EventPrinter() as printer:
-            rates = calibrate(settings, on_event=printer)
-    if before := stored_rates(rates.size):
-        rates = rates.learned(*before.side_by_side, *rates.side_by_side)  # other numbers of trainings at a time
-    hourly = 3600 / rates.demonstration_s
-    click.echo(f"demonstrations   {hourly:.0f} an hour, {rates.demonstration_bytes / 1e6:.1f} MB each")
-    click.echo(f"exports          {rates.export_s:.2f} s, {rates.dataset_bytes / 1e6:.2f} MB each")
-    click.echo(f"training         {rates.steps_per_s:.1f} steps a second")
-    for number, rate in rates.training_rates.items():
-        if number > 1:
-            click.echo(f"{number} trainings      {rate.steps_per_s:.1f} steps a second each ({rate.source})")
-    click.echo(f"rollouts         {rates.rollout_s:.1f} s, {rates.rollout_bytes / 1e6:.1f} MB each")
-    click.echo(f"proofs           {rates.proof_s:.2f} s each")
-    click.echo(
-        f"start of a stage {rates.start_s:.0f} s generation, {rates.train_start_s:.0f} s training, "
-        f"{rates.evaluate_start_s:.0f} s evaluation ({rates.first_evaluate_s:.0f} s more for the first), "
-        f"{rates.proof_start_s:.0f} s proof"
-    )
-    click.echo(f"stored in {store_rates(rates)}")
+command.add_command(_experiment_calibrate.command)
 
 
 def _at_once(name: str, config: ExperimentConfig, trainer: str, trainings: int) -> int:
@@ -407,40 +357,6 @@ def _at_once(name: str, config: ExperimentConfig, trainer: str, trainings: int) 
     from roboxim_eval.experiments.cost import trainings_at_once
 
     return 1 if trainings == 1 else trainings_at_once(checked_design(name, config, trainer), trainings)
-
-
-def _probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: int) -> Rates:
-    """Return rates of this machine that include a number of trainings at a time.
-
-    What is not known is measured, for about a minute, and stored. The probe's lines go to the error stream.
-    """
-    import sys
-    import tempfile
-    from contextlib import redirect_stdout
-
-    from roboxim_bringup.experiment_files import checked_design, write_mixes
-    from roboxim_bringup.options import parse_size
-    from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, calibrate_trainings
-    from roboxim_bringup.runs.rates import store_rates
-
-    if known is not None and trainings in known.training_rates:
-        return known
-    size = parse_size(config.image_size)
-    what = f" and {trainings} trainings at a time" if trainings > 1 else ""
-    click.echo(f"no rates of this machine for images of {config.image_size}{what}: measuring, about a minute", err=True)
-    with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
-        mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(
-            Path(folder) / f"{Path(name).stem}.yaml"
-        )
-        settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size), trainings=trainings)
-        with redirect_stdout(sys.stderr), EventPrinter() as printer:
-            if known is None:
-                rates = calibrate(settings, on_event=printer)
-            else:
-                rates = known.learned(calibrate_trainings(settings, on_event=printer))
-    store_rates(rates)
-    return rates
 
 
 def duration_s(text: str) -> float:

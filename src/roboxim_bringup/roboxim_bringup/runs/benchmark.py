@@ -8,16 +8,26 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from roboxim_bringup.executors import Cancellation
 from roboxim_bringup.experiment_card import CARD_FILE
-from roboxim_bringup.experiment_files import load_benchmark
+from roboxim_bringup.experiment_files import load_benchmark, load_experiment
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, run_experiment
-from roboxim_bringup.runs.experiment_report import REPORT_FILE, ExperimentFolder, folder_card
+from roboxim_bringup.runs.experiment_report import (
+    REPORT_FILE,
+    ExperimentFolder,
+    folder_card,
+    stored_card,
+    write_card,
+)
+from roboxim_bringup.runs.experiment_report import STATE_FILE as EXPERIMENT_STATE_FILE
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_core.config import to_plain
+from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.benchmark import (
@@ -27,6 +37,7 @@ from roboxim_eval.benchmark import (
     concluded_benchmark,
     experiment_changes,
 )
+from roboxim_eval.experiments.card import Card
 
 STATE_FILE = "benchmark.json"
 
@@ -45,6 +56,10 @@ class BenchmarkRunConfig:
     """Trainer of the files; empty: their first one."""
     policies: Mapping[str, PolicySpec] = field(default_factory=dict)
     """Policies that exist: ``EXPERIMENT.CONDITION[.REPLICATE]`` to the policy."""
+    experiments: tuple[str, ...] = ()
+    """The experiments to run, e.g. on one of several machines; none: all."""
+    cards: tuple[Path, ...] = ()
+    """Cards of experiments that ran elsewhere, as this benchmark runs them."""
     only: tuple[str, ...] = KINDS
     """Kinds of stages to run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
@@ -85,15 +100,25 @@ def run_benchmark(
     benchmark = load_benchmark(config.benchmark)
     out = checked_path(config.out)
     make_folder(out)
-    _require_experiments(benchmark, config.policies)
+    _require_experiments(benchmark, config)
+    changes = experiment_changes(benchmark, config.scale)
+    cards = _cards_from_elsewhere(benchmark, config, changes)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
     write_atomically(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
+    for name, card in cards.items():
+        make_folder(out / name)
+        write_card(card, out / name)
     missing: list[str] = []
     for name in benchmark.experiments:
+        if _only_card(out / name):
+            continue
+        if config.experiments and name not in config.experiments:
+            missing.append(name)
+            continue
         result = run_experiment(
             ExperimentRunConfig(
-                experiment=name, scale=config.scale, changes=experiment_changes(benchmark, config.scale),
+                experiment=name, scale=config.scale, changes=changes,
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
                 workers=config.workers, trainings=config.trainings, renderer=config.renderer,
             ),
@@ -102,12 +127,51 @@ def run_benchmark(
         missing += [f"{name}/{stage}" for stage in result.missing]
         if result.card is None and not any(one.startswith(f"{name}/") for one in missing):
             missing.append(name)
-    card = None if missing else write_benchmark_report(out)
-    return BenchmarkResult(out=out, missing=tuple(missing), card=card)
+    written = None if missing else write_benchmark_report(out)
+    return BenchmarkResult(out=out, missing=tuple(missing), card=written)
 
 
-def _require_experiments(benchmark: BenchmarkConfig, policies: Mapping[str, PolicySpec]) -> None:
-    for name in policies:
+def _only_card(folder: Path) -> bool:
+    """Return whether an experiment's folder holds nothing but the card of a run elsewhere."""
+    return (folder / CARD_FILE).exists() and not (folder / EXPERIMENT_STATE_FILE).exists()
+
+
+def _cards_from_elsewhere(
+    benchmark: BenchmarkConfig, config: BenchmarkRunConfig, changes: Mapping[str, Any]
+) -> dict[str, Card]:
+    """Return the cards that were named, and those that the folder holds without a run, by experiment.
+
+    Raises:
+        ConfigError: When a card was changed, is not of this benchmark, or a run of its experiment is in the folder.
+    """
+    out = checked_path(config.out)
+    stored = [out / name / CARD_FILE for name in benchmark.experiments if _only_card(out / name)]
+    found: dict[str, Card] = {}
+    for path in (*stored, *config.cards):
+        card = stored_card(path)
+        name = card.experiment.name
+        if name not in benchmark.experiments:
+            raise ConfigError(f"{path} is of experiment '{name}'; {one_of(benchmark.experiments, name)}")
+        if path in config.cards and (out / name / EXPERIMENT_STATE_FILE).exists():
+            raise ConfigError(f"{path}: {out / name} has a run of '{name}' already; leave the card out")
+        if name in found and found[name].sha256 != card.sha256:
+            raise ConfigError(f"{path}: another card of '{name}' is given, or in {out / name}; name one of them")
+        if config.trainer != card.experiment.trainer:
+            there, here = (f"'{one}'" if one else "the first trainer of its file" for one in
+                           (card.experiment.trainer, config.trainer))  # fmt: skip
+            raise ConfigError(f"{path} has {there}, and --trainer is {here}")
+        planned = load_experiment(name, config.scale, changes=changes)
+        if changed := differences(to_plain(card.experiment.config), to_plain(planned), words=("there", "here")):
+            raise ConfigError(f"{path} is of another form of '{name}' than this benchmark's {config.scale} ({changed})")
+        found[name] = card
+    return found
+
+
+def _require_experiments(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> None:
+    for name in config.experiments:
+        if name not in benchmark.experiments:
+            raise ConfigError(f"no experiment '{name}' in this benchmark; {one_of(benchmark.experiments, name)}")
+    for name in config.policies:
         first = name.partition(".")[0]
         if first not in benchmark.experiments:
             raise ConfigError(
@@ -143,11 +207,15 @@ def benchmark_card(out: Path) -> BenchmarkCard:
         raise ConfigError(f"{out} is not the folder of a benchmark: it has no {STATE_FILE}")
     stored = parse_json(read_text(path), source=str(path))
     benchmark = load_benchmark(stored["benchmark"])
-    cards = {name: folder_card(ExperimentFolder.of(out / name)) for name in benchmark.experiments}
+    cards = {name: _card_of(out / name) for name in benchmark.experiments}
     return concluded_benchmark(BenchmarkCard(
         name=Path(stored["benchmark"]).stem, scale=stored["scale"], about=benchmark.about, thesis=benchmark.thesis,
         reference=benchmark.reference, experiments=cards,
     ))  # fmt: skip
+
+
+def _card_of(folder: Path) -> Card:
+    return stored_card(folder / CARD_FILE) if _only_card(folder) else folder_card(ExperimentFolder.of(folder))
 
 
 def write_benchmark_report(out: Path) -> BenchmarkCard:

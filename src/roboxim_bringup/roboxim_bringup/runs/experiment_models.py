@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roboxim_bringup.experiment_card import results_of, stage_name
-from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card
-from roboxim_core.documents import parse_json, read_text
+from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, stored_card
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card
-from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.models import Models, Wins, compare_models
 
 
@@ -35,7 +33,7 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         if name in cards:
             raise ConfigError(f"two of the runs are named '{name}'; rename a folder")
         if path.is_file():
-            cards[name] = check_card(parse_json(read_text(path), source=str(path)), source=str(path))
+            cards[name] = stored_card(path)
             continue
         folder = ExperimentFolder.of(path)
         cards[name] = folder_card(folder)

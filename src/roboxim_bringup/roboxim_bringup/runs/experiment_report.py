@@ -102,6 +102,15 @@ def folder_card(folder: ExperimentFolder) -> Card:
     return card
 
 
+def stored_card(path: Path) -> Card:
+    """Return the checked card of a file.
+
+    Raises:
+        ConfigError: When it is no experiment's card, or was changed.
+    """
+    return check_card(parse_json(read_text(path), source=str(path)), source=str(path))
+
+
 def write_card(card: Card, out: Path) -> None:
     """Write ``OUT/card.json``."""
     write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")

@@ -2,6 +2,7 @@
 
 import json
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import stages_of
+from roboxim_eval.experiments.card import sealed
 from roboxim_eval.testing import SKILL_AND_OBJECT, experiment_of
 from roboxim_tasks.config import task_mix
 
@@ -243,6 +245,53 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
     with pytest.raises(ConfigError, match="scale 'night', not 'full'"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "out"))
     assert pack(tmp_path / "out", tmp_path / "all.tar.gz").files > 20
+
+
+def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted_benchmark, tmp_path, monkeypatch):
+    file, calls = planted_benchmark
+    whole = run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole"))
+    for name, card in whole.card.experiments.items():  # the planted ones have a name of their own
+        (tmp_path / f"{name}.json").write_text(
+            json.dumps(sealed(replace(card, experiment=replace(card.experiment, name=name))).plain)
+        )
+    planted = whole.card.experiments["one"].experiment.config
+    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: planted)
+    calls.clear()
+    here = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", experiments=("two",))
+    assert run_benchmark(here).missing == ("one",)
+    result = run_benchmark(replace(here, cards=(tmp_path / "one.json",)))
+    assert [call.experiment for call in calls] == ["two", "two"]
+    assert result.card.dimensions == whole.card.dimensions
+    assert run_benchmark(here).card.sha256 == result.card.sha256, "the folder keeps the card"
+
+
+def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, tmp_path, monkeypatch):
+    file, _ = planted_benchmark
+    whole = run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole")).card
+    one = whole.experiments["one"]
+    card = tmp_path / "card.json"
+
+    def refused(match, trainer="", **change):
+        card.write_text(json.dumps(sealed(replace(one, experiment=replace(one.experiment, **change))).plain))
+        with pytest.raises(ConfigError, match=match):
+            run_benchmark(BenchmarkRunConfig(
+                benchmark=str(file), scale="night", out=tmp_path / "out", cards=(card,), trainer=trainer
+            ))  # fmt: skip
+        assert not (tmp_path / "out/one").exists()
+
+    config = one.experiment.config
+    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: config)
+    refused("is of experiment 'mine'; expected one of: one, two", name="mine")
+    refused("has the first trainer of its file, and --trainer is 'mine'", name="one", trainer="mine")
+    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: replace(config, about="Another question"))
+    refused(r"another form of 'one' than this benchmark's night \(about: ", name="one")
+    card.write_text(json.dumps({**one.plain, "sha256": "0"}))
+    with pytest.raises(ConfigError, match=r"card.json"):
+        run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", cards=(card,)))
+    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: config)
+    card.write_text(json.dumps(sealed(replace(one, experiment=replace(one.experiment, name="one"))).plain))
+    with pytest.raises(ConfigError, match="has a run of 'one' already"):
+        run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole", cards=(card,)))
 
 
 def test_policies_of_a_benchmark_are_named_with_their_experiment(planted_benchmark, tmp_path):
