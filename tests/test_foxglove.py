@@ -19,7 +19,7 @@ from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag
-from roboxim_recorder.schemas import message_schema, typestore
+from roboxim_ros.schemas import message_schema, typestore
 from roboxim_sim.tick_messages import KINDS
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "foxglove_layouts.py"

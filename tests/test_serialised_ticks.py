@@ -18,9 +18,10 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_core.verdicts import Verdict
-from roboxim_recorder.schemas import message_layout, message_schema
-from roboxim_ros.cdr_writer import to_cdr
+from roboxim_recorder.cdr import message_layout
 from roboxim_ros.conversions import image_from_msg, to_msg
+from roboxim_ros.schemas import message_schema
+from roboxim_ros.serialising import to_cdr
 from roboxim_sim.conversions import camera_kind, camera_msgs
 from roboxim_sim.tick_messages import KINDS, NOTICE, TickMessages
 from roboxim_sim.world import World
@@ -114,9 +115,9 @@ def test_the_messages_hold_the_ticks_values(ticks):
     ],
 )  # fmt: skip
 def test_a_step_is_the_message_of_rclpy(step):
-    assert bytes(to_cdr(step, EpisodeStepMsg)) == by_rclpy(to_msg(step, EpisodeStepMsg))
+    assert bytes(to_cdr(step, "roboxim_interfaces/msg/EpisodeStep")) == by_rclpy(to_msg(step, EpisodeStepMsg))
 
 
 def test_a_field_that_cannot_be_written_is_named():
-    with pytest.raises(RoboximError, match="field 'config'"):
-        to_cdr(SCENE, type("Odd", (), {"get_fields_and_field_types": staticmethod(lambda: {"config": "wstring"})}))
+    with pytest.raises(RoboximError, match="field 'modifiers' of roboxim_interfaces/msg/EntitySpec"):
+        to_cdr(SCENE.entities[0], "roboxim_interfaces/msg/EntitySpec")

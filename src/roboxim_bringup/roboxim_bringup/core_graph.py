@@ -14,7 +14,6 @@ from pathlib import Path
 from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
-from roboxim_interfaces.msg import EpisodeStep as EpisodeStepMsg
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.actions import ActionArray, ActionSemantics
@@ -30,10 +29,11 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros.cdr_writer import to_cdr
 from roboxim_ros.conversions import to_msg
+from roboxim_ros.serialising import to_cdr
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.tick_messages import TickMessages
@@ -92,7 +92,7 @@ class CoreSim:
         self.world = World(library)
         self._renderer = make_renderer(renderer)
         self._rig = CameraRig(self._renderer)
-        self._messages: Mapping[str, bytearray] = {}
+        self._messages: Mapping[str, memoryview] = {}
         self._tick_messages: TickMessages | None = None
         self.images: dict[str, CameraImages] = {}
 
@@ -144,7 +144,7 @@ class CoreSim:
             self.images = self._rig.capture(record.seq, self.world.body_poses(), views)
 
     @property
-    def messages(self) -> Mapping[str, bytearray]:
+    def messages(self) -> Mapping[str, memoryview]:
         """The newest tick's serialised messages, by topic."""
         if not self._messages:
             assert self._tick_messages is not None
@@ -170,7 +170,7 @@ class CoreRecorder:
         assert self._recording is not None
         for topic, message in self._sim.messages.items():
             self._recording.message(f"/{topic}", message)
-        self._recording.message("/evaluator/step", to_cdr(step, EpisodeStepMsg))
+        self._recording.message(topics.STEP, to_cdr(step, topics.ALWAYS[topics.STEP]))
         self._recording.flush()
 
     def wait_written(self) -> None:

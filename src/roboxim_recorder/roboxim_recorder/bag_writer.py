@@ -19,8 +19,8 @@ from mcap.writer import CompressionType, Writer
 
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_recorder.schemas import MessageSchema
 from roboxim_recorder.topics import OF_SCENE
+from roboxim_ros.schemas import MessageSchema
 
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 """How an episode is kept to the folder that it is kept in."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -19,6 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_ros.schemas import MessageSchema, typestore
 
 ORIGIN = 4
 """Where alignment counts from: behind the encapsulation header [B]."""
@@ -122,7 +124,7 @@ class MessageLayout:
         """The type's own fields to their order."""
         self._walk = _WalkSource(store, name).compile()
 
-    def clean(self, cdr: bytes | bytearray) -> CleanMessage:
+    def clean(self, cdr: bytes | memoryview) -> CleanMessage:
         """Copy a message without its undefined bytes.
 
         Args:
@@ -143,6 +145,16 @@ class MessageLayout:
             raise SerdeError(f"not a {self.name}: it ends at byte {len(cdr)} instead of {end}")
         del data[end:]
         return CleanMessage(data, offsets, self)
+
+
+@lru_cache(maxsize=256)
+def message_layout(schema: MessageSchema) -> MessageLayout:
+    """Return how messages of a schema lie in CDR; made once per schema.
+
+    Raises:
+        InvalidRequestError: When the type has fields that bags cannot hold.
+    """
+    return MessageLayout(typestore((schema,)), schema.name)
 
 
 Walk = Callable[[bytearray], tuple[int, tuple[int, ...]]]

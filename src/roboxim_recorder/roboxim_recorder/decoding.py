@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from rosbags.interfaces import Nodetype
-
 from roboxim_core.episode import EpisodeResult
-from roboxim_recorder.cdr import MessageLayout
-from roboxim_recorder.schemas import MessageSchema, message_layout, typestore
+from roboxim_recorder.cdr import MessageLayout, message_layout
+from roboxim_ros.schemas import MessageSchema, typestore
+from roboxim_ros.serialising import filled
 
 
 class Decoder:
@@ -41,19 +39,4 @@ class Decoder:
 
     def encode_result(self, topic: str, result: EpisodeResult) -> bytes:
         """Serialise an episode's result as a message of a topic."""
-        message = self._fill(self.types[topic], dataclasses.asdict(result))
-        return bytes(self._store.serialize_cdr(message, self.types[topic]))
-
-    def _fill(self, name: str, values: Mapping[str, Any]) -> Any:
-        """Return a message with the values of a dataclass of the same field names; see `roboxim_ros.conversions`."""
-        filled = {}
-        for field, (node, kind) in self._store.fielddefs[name][1]:
-            value = values[field]
-            if node == Nodetype.NAME:
-                value = self._fill(str(kind), value)
-            elif node == Nodetype.SEQUENCE:  # a dict of numbers is an array of pairs
-                pair = str(kind[0][1])
-                (key, _), (number, _) = self._store.fielddefs[pair][1]
-                value = [self._store.types[pair](**{key: k, number: float(v)}) for k, v in value.items()]
-            filled[field] = value
-        return self._store.types[name](**filled)
+        return self.encode(topic, filled(result, self.types[topic], self._store))

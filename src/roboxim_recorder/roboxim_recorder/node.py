@@ -41,12 +41,12 @@ from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
 from roboxim_recorder.recording import EpisodeRecording, TickContent
 from roboxim_ros import local_ticks, qos
-from roboxim_ros.cdr_writer import to_cdr
 from roboxim_ros.conversions import from_msg
 from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 from roboxim_ros.recording_calls import RECORD_STEP
+from roboxim_ros.serialising import to_cdr
 
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
@@ -181,7 +181,7 @@ class RecorderNode(RoboximNode):
 
         return received
 
-    def _on_message(self, topic: str, cdr: bytes | bytearray, source_ns: int) -> None:
+    def _on_message(self, topic: str, cdr: bytes | memoryview, source_ns: int) -> None:
         recording = self._recording
         if recording is None or source_ns < self._opened_ns or not recording.wants(topic):
             return
@@ -198,7 +198,7 @@ class RecorderNode(RoboximNode):
             if not self._called:
                 self._recorded_out.publish(_refusal(recording, error))
 
-    def _take_shown(self, recording: EpisodeRecording, step_cdr: bytes | bytearray) -> None:
+    def _take_shown(self, recording: EpisodeRecording, step_cdr: bytes | memoryview) -> None:
         """Give the recording the tick of a step that came as a message, if a sim of this process shows it."""
         step = deserialize_message(bytes(step_cdr), EpisodeStepMsg)
         tick = local_ticks.shown(self.context, self._notices, step.episode_id, int(step.seq))
@@ -232,7 +232,7 @@ class RecorderNode(RoboximNode):
         """Record the tick whose messages come from the middleware."""
         self._of_ticks.take()
         if recording.next_seq <= step.seq:  # the message may have been faster than the first call
-            self._on_message(topics.STEP, to_cdr(step, EpisodeStepMsg), self._opened_ns)
+            self._on_message(topics.STEP, _step_cdr(step), self._opened_ns)
         deadline = time.monotonic() + TICK_S
         while self._fault is None and recording.next_seq <= step.seq:
             if time.monotonic() > deadline:
@@ -292,7 +292,11 @@ class _Flush:
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:
     """Return the messages of a tick of this process."""
     messages = {topics.absolute(topic): cdr for topic, cdr in tick.messages().items()}
-    return TickContent(messages=messages, step=to_cdr(step, EpisodeStepMsg))
+    return TickContent(messages=messages, step=_step_cdr(step))
+
+
+def _step_cdr(step: EpisodeStep) -> memoryview:
+    return to_cdr(step, topics.ALWAYS[topics.STEP])
 
 
 def _refusal(recording: EpisodeRecording, error: RoboximError) -> RecordedTick:

@@ -21,9 +21,9 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import BagWriter
-from roboxim_recorder.cdr import CleanMessage
-from roboxim_recorder.schemas import message_layout, message_schema, typestore
+from roboxim_recorder.cdr import CleanMessage, message_layout
 from roboxim_ros.conversions import stamp_to_ns
+from roboxim_ros.schemas import message_schema, typestore
 
 FLUSH_TICKS = 4
 """Ticks per chunk, what a SIGKILL can lose. Two 256 x 256 cameras, 53 ticks, measured: 7.2 MiB with one tick per chunk,
@@ -46,9 +46,9 @@ class _Notice:
 class TickContent:
     """The messages of a whole tick, serialised."""
 
-    messages: Mapping[str, bytes | bytearray]
+    messages: Mapping[str, memoryview]
     """The sim's messages by their topics in the bag, the notice among them."""
-    step: bytes | bytearray
+    step: memoryview
     """The loop's step."""
 
 
@@ -131,7 +131,7 @@ class EpisodeRecording:
         """Tell whether a topic, by its name in the bag, is recorded."""
         return topic in self.expected or topic in self.extra
 
-    def message(self, topic: str, cdr: bytes | bytearray) -> list[int]:
+    def message(self, topic: str, cdr: bytes | memoryview) -> list[int]:
         """Add a message.
 
         Args:
@@ -164,7 +164,7 @@ class EpisodeRecording:
                 self._arrived[topic, stamp] = message
         return self._write_whole_ticks()
 
-    def _clean(self, topic: str, cdr: bytes | bytearray) -> CleanMessage:
+    def _clean(self, topic: str, cdr: bytes | memoryview) -> CleanMessage:
         try:
             message = self._layouts[topic].clean(cdr)
         except SerdeError as error:

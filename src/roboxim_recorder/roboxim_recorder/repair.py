@@ -33,9 +33,9 @@ from roboxim_recorder.check import BagReport, check_bag
 from roboxim_recorder.decoding import Decoder
 from roboxim_recorder.recording import FLUSH_TICKS, outcome_metadata
 from roboxim_recorder.salvage import Bytes, Damage, salvage
-from roboxim_recorder.schemas import MessageSchema
 from roboxim_recorder.ticks import TickCheck
 from roboxim_ros.conversions import from_msg
+from roboxim_ros.schemas import MessageSchema
 
 OUTCOME_UNKNOWN = "outcome_unknown"
 """Reason of the result of a bag whose own result is lost."""

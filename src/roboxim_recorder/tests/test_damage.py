@@ -12,7 +12,7 @@ from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.bag_writer import METADATA, McapFile
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.container import container_problems, metadata_problems
-from roboxim_recorder.schemas import message_schema
+from roboxim_ros.schemas import message_schema
 
 
 @pytest.fixture(scope="module")

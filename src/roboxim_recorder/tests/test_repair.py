@@ -20,8 +20,8 @@ from roboxim_recorder.check import check_bag
 from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 from roboxim_recorder.repair import OUTCOME_UNKNOWN, repair_bag, survey_bag
 from roboxim_recorder.salvage import Damage, SalvagedChunk, salvage
-from roboxim_recorder.schemas import message_schema
 from roboxim_recorder.summary import bag_info, dataset_summary
+from roboxim_ros.schemas import message_schema
 
 STEPS = 20
 TICKS = STEPS + 3

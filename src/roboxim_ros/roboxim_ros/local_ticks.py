@@ -23,7 +23,7 @@ class LocalTick:
     """The state."""
     images: Mapping[str, CameraImages]
     """Images by camera name; the arrays are read-only."""
-    messages: Callable[[], Mapping[str, bytes | bytearray]]
+    messages: Callable[[], Mapping[str, memoryview]]
     """Returns topic, relative to the graph's namespace, to the serialised message; the notice is last. Any thread may
     call it. The messages are made by the first call, so a tick costs none if nobody needs them."""
 

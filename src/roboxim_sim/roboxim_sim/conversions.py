@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
+import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import CameraInfo, Image
 from simulation_interfaces.msg import EntityState as StandardEntityState
@@ -18,8 +19,8 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
-from roboxim_ros.cdr_writer import CdrWriter
 from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
+from roboxim_ros.serialising import doubles, header_message, message, serialise, time_message, transform_message
 
 ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
 """Message encoding by image kind."""
@@ -55,83 +56,78 @@ def arrays_of(images: CameraImages) -> dict[str, npt.NDArray[Any]]:
     return {kind: array for kind, array in found.items() if array is not None}
 
 
-def clock_cdr(stamp_ns: int) -> bytearray:
+def clock_cdr(stamp_ns: int) -> memoryview:
     """Return a serialised ``rosgraph_msgs/Clock``."""
-    writer = CdrWriter()
-    writer.time(stamp_ns)
-    return writer.data
+    return serialise("rosgraph_msgs/msg/Clock", clock=time_message(stamp_ns))
 
 
-def text_cdr(text: str) -> bytearray:
+def text_cdr(text: str) -> memoryview:
     """Return a serialised ``std_msgs/String``."""
-    writer = CdrWriter()
-    writer.text(text)
-    return writer.data
+    return serialise("std_msgs/msg/String", data=text)
 
 
-def joint_state_cdr(record: StateRecord, model: RobotModel) -> bytearray:
+def joint_state_cdr(record: StateRecord, model: RobotModel) -> memoryview:
     """Return the serialised joint states of the arm and the fingers."""
-    robot, writer = record.robot, CdrWriter()
-    writer.header(record.stamp_ns, f"{model.id}_base")
-    writer.texts((*robot.joint_names, *model.gripper.joint_names))
-    writer.doubles((*robot.joint_positions, *robot.finger_positions))
-    writer.doubles((*robot.joint_velocities, *robot.finger_velocities))
-    writer.doubles((*robot.joint_efforts, *robot.finger_efforts))
-    return writer.data
+    robot = record.robot
+    return serialise(
+        "sensor_msgs/msg/JointState",
+        header=header_message(record.stamp_ns, f"{model.id}_base"),
+        name=(*robot.joint_names, *model.gripper.joint_names),
+        position=doubles((*robot.joint_positions, *robot.finger_positions)),
+        velocity=doubles((*robot.joint_velocities, *robot.finger_velocities)),
+        effort=doubles((*robot.joint_efforts, *robot.finger_efforts)),
+    )
 
 
-def tf_cdr(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> bytearray:
+def tf_cdr(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> memoryview:
     """Return the serialised transforms from ``world`` to frames, by frame."""
-    writer = CdrWriter()
-    writer.uint32(len(poses_in_world))
-    for frame, pose in poses_in_world.items():
-        writer.header(stamp_ns, "world")
-        writer.text(frame)
-        writer.pose(pose)
-    return writer.data
+    header = header_message(stamp_ns, "world")
+    return serialise(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[
+            message(
+                "geometry_msgs/msg/TransformStamped",
+                header=header,
+                child_frame_id=frame,
+                transform=transform_message(pose),
+            )
+            for frame, pose in poses_in_world.items()
+        ],
+    )
 
 
-def camera_cdrs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict[str, bytearray]:
+def camera_cdrs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict[str, memoryview]:
     """Return a camera's serialised messages of a tick by the last part of the topic, as `camera_msgs` does."""
     messages = {kind: image_cdr(stamp_ns, camera, array, ENCODINGS[kind]) for kind, array in arrays_of(images).items()}
     return {**messages, "camera_info": camera_info_cdr(stamp_ns, camera)}
 
 
-def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encoding: str) -> bytearray:
+def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encoding: str) -> memoryview:
     """Return a camera's serialised image; the array is C-contiguous and of the encoding's type."""
-    writer = CdrWriter()
-    writer.header(stamp_ns, optical_frame(camera.name))
-    writer.uint32(image.shape[0])
-    writer.uint32(image.shape[1])
-    writer.text(encoding)
-    writer.data.append(0)  # is_bigendian
-    writer.uint32(image.strides[0])
-    writer.elements(image, 1, image.nbytes)
-    return writer.data
+    return serialise(
+        "sensor_msgs/msg/Image",
+        header=header_message(stamp_ns, optical_frame(camera.name)),
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=image.strides[0],
+        data=image.reshape(-1).view(np.uint8),
+    )
 
 
-def camera_info_cdr(stamp_ns: int, camera: CameraSpec) -> bytearray:
+def camera_info_cdr(stamp_ns: int, camera: CameraSpec) -> memoryview:
     """Return a camera's serialised intrinsics."""
-    data = bytearray(_camera_info_at_start(camera))
-    data[4:12] = clock_cdr(stamp_ns)[4:]  # a message that begins with a header begins with its stamp
-    return data
+    header = header_message(stamp_ns, optical_frame(camera.name))
+    return serialise("sensor_msgs/msg/CameraInfo", header=header, **_intrinsics(camera))
 
 
 @lru_cache(maxsize=64)
-def _camera_info_at_start(camera: CameraSpec) -> bytes:
-    msg, writer = camera_info_msg(0, camera), CdrWriter()
-    writer.header(0, msg.header.frame_id)
-    writer.uint32(msg.height)
-    writer.uint32(msg.width)
-    writer.text(msg.distortion_model)
-    writer.doubles(msg.d.tolist())
-    for matrix in (msg.k, msg.r, msg.p):
-        writer.double_array(matrix.tolist())
-    binning_and_region_of_interest = (0,) * 6
-    for number in binning_and_region_of_interest:
-        writer.uint32(number)
-    writer.data.append(0)  # do_rectify
-    return bytes(writer.data)
+def _intrinsics(camera: CameraSpec) -> dict[str, Any]:
+    """Return the fields of `camera_info_msg` that no tick changes."""
+    msg = camera_info_msg(0, camera)
+    fields = {name: getattr(msg, name) for name in msg.get_fields_and_field_types() if name != "header"}
+    return {**fields, "d": doubles(msg.d)}
 
 
 def camera_kind(topic: str) -> Any:

@@ -7,20 +7,19 @@ locked to its body's frame, which `/tf` moves.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from visualization_msgs.msg import Marker
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.poses import IDENTITY
-from roboxim_core.rendering import VisualPart
+from roboxim_core.rendering import TriangleMesh, VisualPart
 from roboxim_core.specs import MaterialSpec, SceneSpec
-from roboxim_ros.cdr_writer import CdrWriter
+from roboxim_ros.serialising import header_message, message, pose_message, serialise, time_message, vector_message
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import pixels
 
@@ -44,11 +43,11 @@ class Shape:
     """Frame of its body in ``/tf``."""
     color: tuple[float, float, float, float]
     """Red, green, blue and opacity, 0..1."""
-    corners: npt.NDArray[np.float64]
-    """Three corners for each triangle in the body's frame, shape (n, 3) [m]."""
+    points: list[Any]
+    """Three corners for each triangle in the body's frame [m]."""
 
 
-def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) -> bytearray:
+def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) -> memoryview:
     """Return the shapes of a scene as a serialised ``MarkerArray``: the table, the robot's links and the objects.
 
     The namespace of a marker is its entity, its frame that of its body in ``/tf``. The first marker deletes those of an
@@ -65,12 +64,8 @@ def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) ->
         if body.entity not in LEFT_OUT
         for shape in _shapes(body.key, body.entity, body.parts)
     ]
-    writer = CdrWriter()
-    writer.uint32(1 + len(shapes))
-    _write_marker(writer, stamp_ns, 0, None)
-    for number, shape in enumerate(shapes, start=1):
-        _write_marker(writer, stamp_ns, number, shape)
-    return writer.data
+    markers = [_marker(stamp_ns, number, shape) for number, shape in enumerate((None, *shapes))]
+    return serialise("visualization_msgs/msg/MarkerArray", markers=markers)
 
 
 @lru_cache(maxsize=256)
@@ -83,36 +78,46 @@ def _shapes(key: str, entity: str, parts: tuple[VisualPart, ...]) -> tuple[Shape
             entity=entity,
             frame=frame,
             color=_color(part.material),
-            corners=np.round(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f8") / GRID_M) * GRID_M,
+            points=_corners(mesh),
         )
         for part, mesh in zip(parts, meshes, strict=True)
         if len(mesh.faces)
     )
 
 
-def _write_marker(writer: CdrWriter, stamp_ns: int, number: int, shape: Shape | None) -> None:
-    """Append a ``visualization_msgs/Marker``; without a shape it deletes all markers."""
-    action, kind = (Marker.DELETEALL, Marker.ARROW) if shape is None else (Marker.ADD, Marker.TRIANGLE_LIST)
-    writer.header(stamp_ns, shape.frame if shape else "world")
-    writer.text(shape.entity if shape else "")
-    for value in (number, kind, action):
-        writer.uint32(value)
-    writer.pose(IDENTITY)
-    writer.double_array((1.0, 1.0, 1.0) if shape else (0.0, 0.0, 0.0))
-    writer.data += struct.pack("<4f", *(shape.color if shape else (0.0,) * 4))
-    writer.time(0)  # lifetime: for ever
-    writer.data.append(shape is not None)  # frame_locked
-    writer.elements(shape.corners if shape else np.zeros((0, 3)), 8, len(shape.corners) if shape else 0)
-    writer.uint32(0)  # colors
-    writer.text("")  # texture_resource
-    writer.header(0, "")  # texture: header, format, data
-    writer.text("")
-    writer.uint32(0)
-    writer.uint32(0)  # uv_coordinates
-    for _ in ("text", "mesh_resource", "filename of mesh_file"):
-        writer.text("")
-    writer.uint32(0)  # data of mesh_file
-    writer.data.append(0)  # mesh_use_embedded_materials
+def _corners(mesh: TriangleMesh) -> list[Any]:
+    """Return three points for each triangle of a mesh; triangles share the points of their common vertices."""
+    vertices = np.round(mesh.vertices.astype(np.float64) / GRID_M) * GRID_M
+    points = [vector_message(vertex) for vertex in vertices.tolist()]
+    return [points[index] for index in mesh.faces.ravel().tolist()]
+
+
+def _marker(stamp_ns: int, number: int, shape: Shape | None) -> Any:
+    """Return a ``visualization_msgs/Marker``; without a shape it deletes all markers."""
+    r, g, b, opacity = shape.color if shape else (0.0,) * 4
+    no_bytes = np.zeros(0, np.uint8)
+    return message(
+        "visualization_msgs/msg/Marker",
+        header=header_message(stamp_ns, shape.frame if shape else "world"),
+        ns=shape.entity if shape else "",
+        id=number,
+        type=Marker.TRIANGLE_LIST if shape else Marker.ARROW,
+        action=Marker.ADD if shape else Marker.DELETEALL,
+        pose=pose_message(IDENTITY),
+        scale=vector_message((1.0, 1.0, 1.0) if shape else (0.0, 0.0, 0.0)),
+        color=message("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=opacity),
+        lifetime=time_message(0),  # for ever
+        frame_locked=shape is not None,
+        points=shape.points if shape else [],
+        colors=[],
+        texture_resource="",
+        texture=message("sensor_msgs/msg/CompressedImage", header=header_message(0, ""), format="", data=no_bytes),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=message("visualization_msgs/msg/MeshFile", filename="", data=no_bytes),
+        mesh_use_embedded_materials=False,
+    )
 
 
 @lru_cache(maxsize=256)

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.msg import TickNotice
 from rosgraph_msgs.msg import Clock
@@ -20,7 +21,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros.cdr_writer import CdrWriter, to_cdr
+from roboxim_ros.serialising import serialise, time_message, to_cdr
 from roboxim_sim.conversions import (
     arrays_of,
     camera_cdrs,
@@ -85,30 +86,30 @@ class TickMessages:
         first, self._fresh = self._fresh or record.seq == 0, False
         return PreparedTick(self, record, images, self._moving_frames(record), first=first)
 
-    def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> Mapping[str, bytearray]:
+    def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> Mapping[str, memoryview]:
         """Return all messages of a tick by topic, the notice last; see `prepare`."""
         return self.prepare(record, images).messages()
 
-    def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, bytearray]:
+    def make_seen(self, record: StateRecord, images: Mapping[str, CameraImages]) -> dict[str, memoryview]:
         """Return the messages that depend on the scene's cameras, by topic: frames, images and the notice."""
         tick = self.prepare(record, images)
         messages = self.seen_by(tick)
         messages[NOTICE] = notice_cdr(record, [*OF_STATE, *messages], images)
         return messages
 
-    def all_of(self, tick: PreparedTick) -> dict[str, bytearray]:
+    def all_of(self, tick: PreparedTick) -> dict[str, memoryview]:
         """Return all messages of a tick by topic, the notice last."""
         record = tick.record
         messages = {
             "clock": clock_cdr(record.stamp_ns),
             "joint_states": joint_state_cdr(record, self._robot),
-            "sim/state": to_cdr(record, StateRecordMsg),
+            "sim/state": to_cdr(record, "roboxim_interfaces/msg/StateRecord"),
             **self.seen_by(tick),
         }
         messages[NOTICE] = notice_cdr(record, list(messages), tick.images)
         return messages
 
-    def seen_by(self, tick: PreparedTick) -> dict[str, bytearray]:
+    def seen_by(self, tick: PreparedTick) -> dict[str, memoryview]:
         """Return the messages of a tick that depend on the scene's cameras, without the notice."""
         stamp_ns = tick.record.stamp_ns
         messages = {"tf": tf_cdr(stamp_ns, tick.moving)}
@@ -155,16 +156,16 @@ class PreparedTick:
         """
         self._maker = maker
         self.record, self.images, self.moving, self.first = record, images, moving, first
-        self._messages: dict[str, bytearray] = {}
+        self._messages: dict[str, memoryview] = {}
 
-    def messages(self) -> Mapping[str, bytearray]:
+    def messages(self) -> Mapping[str, memoryview]:
         """Return the serialised messages by topic, the notice last; they are kept. Any thread may call it."""
         if not self._messages:
             self._messages = self._maker.all_of(self)
         return self._messages
 
 
-def notice_cdr(record: StateRecord, topics: Sequence[str], images: Mapping[str, CameraImages]) -> bytearray:
+def notice_cdr(record: StateRecord, topics: Sequence[str], images: Mapping[str, CameraImages]) -> memoryview:
     """Return the serialised notice of a tick.
 
     Args:
@@ -177,13 +178,12 @@ def notice_cdr(record: StateRecord, topics: Sequence[str], images: Mapping[str, 
         for name, one in images.items()
         for kind, array in arrays_of(one).items()
     }
-    writer = CdrWriter()
-    writer.text(record.episode_id)
-    writer.uint32(record.seq)
-    writer.time(record.stamp_ns)
-    writer.texts(topics)
-    writer.uint32(len(topics))
-    for topic in topics:
-        writer.uint32(checksums.get(topic, 0))
-    writer.data.append(record.seq == 0)  # reset
-    return writer.data
+    return serialise(
+        "roboxim_interfaces/msg/TickNotice",
+        episode_id=record.episode_id,
+        seq=record.seq,
+        stamp=time_message(record.stamp_ns),
+        topics=topics,
+        image_crc32=np.array([checksums.get(topic, 0) for topic in topics], np.uint32),
+        reset=record.seq == 0,
+    )

@@ -38,7 +38,7 @@ CABINET = EntitySpec(
 SCENE = SceneSpec(entities=(CABINET,))
 
 
-def frames(cdr: bytearray) -> dict[str, tuple[float, float, float]]:
+def frames(cdr: memoryview) -> dict[str, tuple[float, float, float]]:
     found = {}
     for transform in deserialize_message(bytes(cdr), TFMessage).transforms:
         position = transform.transform.translation

@@ -1,7 +1,7 @@
-"""Definitions, hashes and decoders of message types, for bags. No ROS is imported.
+"""Definitions and hashes of message types, for bags and for serialising. No ROS is imported.
 
 Definitions come from the interface files that every ROS package installs in its share folder, so a bag
-also carries the comments. `rosbags` decodes.
+also carries the comments. `rosbags` serialises and decodes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_recorder.cdr import MessageLayout
 
 _BUILTIN = re.compile(r"^(bool|byte|char|float32|float64|u?int(8|16|32|64)|w?string)\b")
 _SEPARATOR = "=" * 80
@@ -97,7 +96,7 @@ def _read(name: str) -> tuple[str, list[str]]:
 
 
 def typestore(schemas: Iterable[MessageSchema]) -> Typestore:
-    """Return a store that decodes messages of these schemas; made once per set of schemas."""
+    """Return a store that serialises and decodes messages of these schemas; made once per set of schemas."""
     return _typestore(tuple(sorted({(schema.name, schema.text) for schema in schemas})))
 
 
@@ -109,13 +108,3 @@ def _typestore(definitions: tuple[tuple[str, str], ...]) -> Typestore:
         types.update(get_types_from_msg(text, name))
     store.register(types)
     return store
-
-
-@lru_cache(maxsize=256)
-def message_layout(schema: MessageSchema) -> MessageLayout:
-    """Return how messages of a schema lie in CDR; made once per schema.
-
-    Raises:
-        InvalidRequestError: When the type has fields that bags cannot hold.
-    """
-    return MessageLayout(typestore((schema,)), schema.name)
