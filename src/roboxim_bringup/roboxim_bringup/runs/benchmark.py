@@ -8,11 +8,10 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from roboxim_bringup.executors import Cancellation
 from roboxim_bringup.experiment_card import CARD_FILE
-from roboxim_bringup.experiment_files import load_benchmark, load_experiment
+from roboxim_bringup.experiment_files import benchmark_experiments, load_benchmark
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, run_experiment
 from roboxim_bringup.runs.experiment_report import (
@@ -102,7 +101,7 @@ def run_benchmark(
     make_folder(out)
     _require_experiments(benchmark, config)
     changes = experiment_changes(benchmark, config.scale)
-    cards = _cards_from_elsewhere(benchmark, config, changes)
+    cards = _cards_from_elsewhere(benchmark, config)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
     write_atomically(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
@@ -136,9 +135,7 @@ def _only_card(folder: Path) -> bool:
     return (folder / CARD_FILE).exists() and not (folder / EXPERIMENT_STATE_FILE).exists()
 
 
-def _cards_from_elsewhere(
-    benchmark: BenchmarkConfig, config: BenchmarkRunConfig, changes: Mapping[str, Any]
-) -> dict[str, Card]:
+def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> dict[str, Card]:
     """Return the cards that were named, and those that the folder holds without a run, by experiment.
 
     Raises:
@@ -146,8 +143,10 @@ def _cards_from_elsewhere(
     """
     out = checked_path(config.out)
     stored = [out / name / CARD_FILE for name in benchmark.experiments if _only_card(out / name)]
+    paths = (*stored, *config.cards)
+    planned = benchmark_experiments(benchmark, config.scale) if paths else {}
     found: dict[str, Card] = {}
-    for path in (*stored, *config.cards):
+    for path in paths:
         card = stored_card(path)
         name = card.experiment.name
         if name not in benchmark.experiments:
@@ -160,9 +159,12 @@ def _cards_from_elsewhere(
             there, here = (f"'{one}'" if one else "the first trainer of its file" for one in
                            (card.experiment.trainer, config.trainer))  # fmt: skip
             raise ConfigError(f"{path} has {there}, and --trainer is {here}")
-        planned = load_experiment(name, config.scale, changes=changes)
-        if changed := differences(to_plain(card.experiment.config), to_plain(planned), words=("there", "here")):
-            raise ConfigError(f"{path} is of another form of '{name}' than this benchmark's {config.scale} ({changed})")
+        asked = to_plain(planned[name])
+        if changed := differences(to_plain(card.experiment.config), asked, words=("in the card", "here")):
+            raise ConfigError(
+                f"{path}: its experiment '{name}' differs from the one of this benchmark at scale {config.scale} "
+                f"({changed}); run it by --experiment {name}"
+            )
         found[name] = card
     return found
 

@@ -255,7 +255,7 @@ def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted
             json.dumps(sealed(replace(card, experiment=replace(card.experiment, name=name))).plain)
         )
     planted = whole.card.experiments["one"].experiment.config
-    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: planted)
+    monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": planted, "two": planted})
     calls.clear()
     here = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", experiments=("two",))
     assert run_benchmark(here).missing == ("one",)
@@ -280,15 +280,16 @@ def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, 
         assert not (tmp_path / "out/one").exists()
 
     config = one.experiment.config
-    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: config)
+    monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": config})
     refused("is of experiment 'mine'; expected one of: one, two", name="mine")
     refused("has the first trainer of its file, and --trainer is 'mine'", name="one", trainer="mine")
-    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: replace(config, about="Another question"))
-    refused(r"another form of 'one' than this benchmark's night \(about: ", name="one")
+    other = replace(config, about="Another question")
+    monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": other})
+    refused(r"'one' differs from the one of this benchmark at scale night \(about: ", name="one")
     card.write_text(json.dumps({**one.plain, "sha256": "0"}))
     with pytest.raises(ConfigError, match=r"card.json"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", cards=(card,)))
-    monkeypatch.setattr(benchmark, "load_experiment", lambda *_, **__: config)
+    monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": config})
     card.write_text(json.dumps(sealed(replace(one, experiment=replace(one.experiment, name="one"))).plain))
     with pytest.raises(ConfigError, match="has a run of 'one' already"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole", cards=(card,)))
