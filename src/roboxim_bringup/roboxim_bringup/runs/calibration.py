@@ -134,6 +134,7 @@ def calibrate(
         RoboximError: When a stage fails.
     """
     options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
+    load = _load_before()
     with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name, KeptProcesses() as processes:
         folder = Path(name)
 
@@ -167,7 +168,7 @@ def calibrate(
             machine=f"{platform.machine()}, {os.cpu_count()} cores",
             measured=datetime.now().isoformat(timespec="minutes"),
             source=f"{config.kind} of {kept} demonstrations and {config.rollouts} rollouts of {config.mix.stem}, "
-            f"{config.size[0]} x {config.size[1]} px, {config.steps} steps of bc",
+            f"{config.size[0]} x {config.size[1]} px, {config.steps} steps of bc, {load}",
             size=f"{config.size[0]}x{config.size[1]}",
             workers=config.workers,
             demonstration_s=demonstration_s,
@@ -187,7 +188,7 @@ def calibrate(
             evaluate_start_s=evaluate_start_s,
             proof_start_s=proof_start_s,
             film_s=page_s / config.rollouts,
-            side_by_side=(_side_by_side(config, folder, options),) if config.trainings > 1 else (),
+            side_by_side=(_side_by_side(config, folder, load, options),) if config.trainings > 1 else (),
         )
 
 
@@ -207,11 +208,12 @@ def calibrate_trainings(
         RoboximError: When a stage fails.
     """
     options: dict[str, Any] = {"on_event": on_event, "cancellation": cancellation}
+    load = _load_before()
     with tempfile.TemporaryDirectory(prefix="roboxim-calibration-") as name:
         folder = Path(name)
         _demonstrations(config, folder, LocalExecutor(config.workers, log_dir=folder / "demos-logs"), options)
         _export(folder, options)
-        return _side_by_side(config, folder, options)
+        return _side_by_side(config, folder, load, options)
 
 
 def _demonstrations(
@@ -232,12 +234,17 @@ def _export(folder: Path, options: Mapping[str, Any]) -> ExportReport:
     return export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0, uneven=True), **options)
 
 
-def _side_by_side(config: CalibrationConfig, folder: Path, options: Mapping[str, Any]) -> SideBySide:
+def _side_by_side(config: CalibrationConfig, folder: Path, load: str, options: Mapping[str, Any]) -> SideBySide:
     size = f"{config.size[0]} x {config.size[1]} px"
     return measure_side_by_side(
         folder / "rlds", folder, config.trainings, config.steps, **options,
-        source=f"{config.kind} of {config.steps} steps of bc, {size}",
+        source=f"{config.kind} of {config.steps} steps of bc, {size}, {load}",
     )  # fmt: skip
+
+
+def _load_before() -> str:
+    """Return how busy the machine is with other jobs, which a reader of low rates needs to know."""
+    return f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores when it began"
 
 
 def episode_s(results: Sequence[EpisodeResult], workers: int) -> float:
