@@ -394,8 +394,8 @@ def test_a_benchmark_averages_by_dimension():
     half = analyse(design, planted(design, lambda name, unseen: halves[name]))
     camera = config(dimensions={"task": "skill", "target": "camera"})
     found = benchmark_scores({"one": (design.config, good), "two": (camera, half)})
-    assert found["skill"].relative == pytest.approx(0.75, abs=0.05)
-    assert found["object"].relative == pytest.approx(1.0, abs=0.06)
-    assert found["camera"].absolute == pytest.approx(0.4, abs=0.05)
+    assert found["skill"].relative.value == pytest.approx(0.75, abs=0.05)
+    assert found["object"].relative.value == pytest.approx(1.0, abs=0.06)
+    assert found["camera"].absolute.value == pytest.approx(0.4, abs=0.05)
     with pytest.raises(ConfigError, match="experiments must be different"):
         benchmark_config({"about": "b", "experiments": ["a", "a"]})

@@ -12,9 +12,11 @@ from roboxim_eval.statistics.power import Design, detectable, power
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import (
     ConditionDifference,
+    Interval,
     condition_difference,
     condition_rate,
     condition_ratio,
+    mean_interval,
     more_trainings,
 )
 from roboxim_eval.statistics.scores import dimension_scores, relative_score, scores, substitutions
@@ -240,16 +242,35 @@ def test_substitutions_of_nothing_are_none():
 
 def test_the_benchmarks_scores_are_those_of_the_thesis():
     # sections 5.4.3 and 5.4.4 give 0.19, 0.72 and 0.23, 0.80; camera and skill a little over 1 at about 0.8
+    def score(value):
+        return Interval(value=value, low=value - 0.06, high=value + 0.08)
+
     found = dimension_scores({
-        "skill_object": (("skill", "object"), 0.19, 0.72),
-        "camera_object": (("camera", "object"), 0.23, 0.80),
-        "camera_skill": (("camera", "skill"), 0.80, 1.02),
+        "skill_object": (("skill", "object"), score(0.19), score(0.72)),
+        "camera_object": (("camera", "object"), score(0.23), score(0.80)),
+        "camera_skill": (("camera", "skill"), score(0.80), score(1.02)),
     })  # fmt: skip
-    assert (found["object"].absolute, found["object"].relative) == (pytest.approx(0.21), pytest.approx(0.76))
-    assert found["skill"].absolute == pytest.approx(0.5, abs=0.03)
-    assert found["camera"].absolute == pytest.approx(0.5, abs=0.03)
-    refused = dimension_scores({"a": (("skill",), 0.1, None), "b": (("skill",), 0.3, 0.9)})["skill"]
-    assert (refused.relative, refused.refused, refused.absolute) == (None, ("a",), pytest.approx(0.2))
+    both = found["object"]
+    assert (both.absolute.value, both.relative.value) == (pytest.approx(0.21), pytest.approx(0.76))
+    assert both.absolute.low == pytest.approx(0.21 - 0.06 / math.sqrt(2)), "two independent estimates"
+    assert both.relative.high == pytest.approx(0.76 + 0.08 / math.sqrt(2))
+    assert found["skill"].absolute.value == pytest.approx(0.5, abs=0.03)
+    assert found["camera"].absolute.value == pytest.approx(0.5, abs=0.03)
+    refused = dimension_scores({"a": (("skill",), score(0.1), None), "b": (("skill",), score(0.3), score(0.9))})
+    assert (refused["skill"].relative, refused["skill"].refused) == (None, ("a",))
+    assert refused["skill"].absolute.value == pytest.approx(0.2)
+
+
+def test_the_interval_of_a_mean_of_experiments_covers_the_truth():
+    rng = np.random.default_rng(5)
+    means = [
+        mean_interval([
+            condition_rate(arm(rng, one_cell(rate), replicates=3, each=60, spread=0.08)) for rate in (0.6, 0.9)
+        ])
+        for _ in range(1000)
+    ]  # fmt: skip
+    truth = np.mean([mean.value for mean in means])
+    assert 0.95 <= np.mean([mean.low <= truth <= mean.high for mean in means]) < 1.0
 
 
 # ------------------------------------------------------------------ several comparisons, planning

@@ -7,6 +7,7 @@ from roboxim_eval.benchmark.card import (
     concluded_benchmark,
     dimension_sentence,
     is_benchmark_card,
+    percent_text,
 )
 from roboxim_eval.benchmark.config import BenchmarkConfig, Reference, benchmark_config, experiment_changes
 from roboxim_eval.benchmark.scores import benchmark_scores
@@ -23,4 +24,5 @@ __all__ = [
     "dimension_sentence",
     "experiment_changes",
     "is_benchmark_card",
+    "percent_text",
 ]

@@ -13,18 +13,22 @@ from roboxim_eval.benchmark.config import Reference
 from roboxim_eval.benchmark.scores import benchmark_scores
 from roboxim_eval.experiments.card import Card, sha256_of
 from roboxim_eval.experiments.card_checks import analysis_of, check_card
+from roboxim_eval.statistics.replicates import Interval
 
-SCHEMA = "benchmark-1"
+SCHEMA = "benchmark-2"
 """Version of the card's form; differs from that of an experiment's card."""
+
+Bounds = tuple[float, float, float]
+"""An estimate, and the lower and upper bound of its 95 % interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CardDimension:
     """Score of a dimension."""
 
-    absolute: float
+    absolute: Bounds
     """Mean success rate in held-out cells, over the experiments that vary the dimension."""
-    relative: float | None
+    relative: Bounds | None
     """Mean ratio to the baseline; null: refused in an experiment."""
     experiments: tuple[str, ...]
     """The experiments that vary it."""
@@ -72,12 +76,19 @@ class BenchmarkCard:
 
 def dimension_sentence(name: str, score: CardDimension) -> str:
     """Return the score of a dimension in words."""
-    among = f"mean of {' and '.join(score.experiments)}"
+    absolute, low, high = score.absolute
     if score.relative is None:
         ratio = f"no relative score, since the ratio of {' and '.join(score.refused)} is refused"
     else:
-        ratio = f"{100 * score.relative:.0f} % of the baseline"
-    return f"{name}: {score.absolute:.2f} absolute, {ratio} ({among})."
+        ratio = f"{percent_text(score.relative)} of the baseline"
+    among = f"mean of {' and '.join(score.experiments)}"
+    return f"{name}: {absolute:.2f} ({low:.2f} to {high:.2f}) absolute, {ratio}; {among}."
+
+
+def percent_text(bounds: Bounds) -> str:
+    """Format an estimate with its interval, e.g. ``86 % (72 to 104 %)``."""
+    value, low, high = (f"{100 * x:.0f}" for x in bounds)
+    return f"{value} % ({low} to {high} %)"
 
 
 def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
@@ -89,7 +100,7 @@ def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
     analyses = {name: (one.experiment.config, analysis_of(one)) for name, one in card.experiments.items()}
     dimensions = {
         name: CardDimension(
-            absolute=round(score.absolute, 6), relative=None if score.relative is None else round(score.relative, 6),
+            absolute=_bounds(score.absolute), relative=None if score.relative is None else _bounds(score.relative),
             experiments=score.experiments, refused=score.refused,
         )
         for name, score in benchmark_scores(analyses).items()
@@ -99,6 +110,10 @@ def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
         "experiments": {name: one.sha256 for name, one in card.experiments.items()},
     }  # fmt: skip
     return replace(card, dimensions=dimensions, sha256=sha256_of(content))
+
+
+def _bounds(interval: Interval) -> Bounds:
+    return round(interval.value, 6), round(interval.low, 6), round(interval.high, 6)
 
 
 def is_benchmark_card(data: Any) -> bool:

@@ -22,10 +22,5 @@ def benchmark_scores(experiments: Mapping[str, tuple[ExperimentConfig, Analysis]
     for name, (config, analysis) in experiments.items():
         if analysis.scores is None:
             raise ConfigError(f"experiment '{name}' has no scores: it needs held-out cells and a baseline")
-        ratio = analysis.scores.relative.ratio
-        found[name] = (
-            tuple(config.dimensions.values()),
-            analysis.scores.absolute.value,
-            None if ratio is None else ratio.value,
-        )
+        found[name] = tuple(config.dimensions.values()), analysis.scores.absolute, analysis.scores.relative.ratio
     return dimension_scores(found)

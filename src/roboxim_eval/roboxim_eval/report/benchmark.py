@@ -2,15 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
-from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence
+from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text
+from roboxim_eval.benchmark.card import Bounds
+from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
+from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, ratio_scale
 from roboxim_eval.report.charts.heat_map import rate_map
 from roboxim_eval.report.experiment import primary_forest, provenance_of, score_rows
 from roboxim_eval.report.page import render
 from roboxim_eval.statistics.tables import Arm
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkRow:
+    """Scores of a dimension or of an experiment."""
+
+    name: str
+    """Its name."""
+    about: str
+    """The experiments that a dimension's scores are the mean of, or the dimensions that an experiment varies."""
+    dimension: bool
+    """Whether it is a dimension."""
+    absolute: Bounds
+    """Success rate in held-out cells."""
+    relative: Bounds | None
+    """Ratio to the baseline; none: refused."""
+    published: ReferenceScore | None = None
+    """Published scores of the same; none: there are none."""
+
+    @property
+    def absolute_text(self) -> str:
+        """The success rate with its interval."""
+        value, low, high = self.absolute
+        return f"{value:.2f} ({low:.2f} to {high:.2f})"
+
+    @property
+    def relative_text(self) -> str:
+        """The ratio with its interval."""
+        return "refused" if self.relative is None else percent_text(self.relative)
+
+    @property
+    def published_texts(self) -> tuple[str, str]:
+        """The published scores."""
+        if self.published is None:
+            return "-", "-"
+        relative = self.published.relative
+        return f"{self.published.absolute:.2f}", "-" if relative is None else f"{100 * relative:.0f} %"
+
+
+def benchmark_rows(card: BenchmarkCard) -> Iterator[BenchmarkRow]:
+    """Yield the scores of each dimension, then those of each experiment."""
+    reference = card.reference or Reference(name="")
+    for name, score in card.dimensions.items():
+        yield BenchmarkRow(
+            name=name, about=f"mean of {', '.join(score.experiments)}", dimension=True, absolute=score.absolute,
+            relative=score.relative, published=reference.dimensions.get(name),
+        )  # fmt: skip
+    for name, one in card.experiments.items():
+        assert one.scores is not None, "a benchmark's card has no dimensions otherwise"
+        relative = one.scores["relative"]
+        yield BenchmarkRow(
+            name=name, about=f"varies {_varies(one)}", dimension=False, absolute=tuple(one.scores["absolute"]),
+            relative=None if relative is None else tuple(relative), published=reference.experiments.get(name),
+        )  # fmt: skip
 
 
 def benchmark_page(card: BenchmarkCard, *, command: str = "") -> str:
@@ -20,30 +79,62 @@ def benchmark_page(card: BenchmarkCard, *, command: str = "") -> str:
         card: The card.
         command: Command that runs the benchmark again; empty: unknown.
     """
-    reference = card.reference
+    rows = list(benchmark_rows(card))
     return render(
         "benchmark.html",
         title=f"Benchmark {card.name}, scale {card.scale}",
         card=card,
-        dimensions=[
-            (name, score, dimension_sentence(name, score), reference.dimensions.get(name) if reference else None)
-            for name, score in card.dimensions.items()
-        ],
-        experiments=[_experiment(name, one, card) for name, one in card.experiments.items()],
+        sentences=[dimension_sentence(name, score) for name, score in card.dimensions.items()],
+        rows=rows,
+        charts=list(_charts(rows)),
+        experiments=[_experiment(name, one) for name, one in card.experiments.items()],
         command=command,
     )
 
 
-def _experiment(name: str, card: Card, benchmark: BenchmarkCard) -> dict[str, Any]:
+def _charts(rows: Iterable[BenchmarkRow]) -> Iterator[dict[str, Any]]:
+    """Yield the picture of the absolute scores, and of the relative ones that are not refused."""
+    absolute = _chart(rows, lambda row: row.absolute, lambda published: published.absolute)
+    yield {"heading": "Absolute: success in held-out cells, %", "rows": absolute, "scale": RATES}
+    relative = _chart(rows, lambda row: row.relative, lambda published: published.relative)
+    if relative:
+        scale: Scale = ratio_scale(relative)
+        yield {"heading": "Relative: share of the baseline's success, %", "rows": relative, "scale": scale}
+
+
+def _chart(
+    rows: Iterable[BenchmarkRow],
+    found: Callable[[BenchmarkRow], Bounds | None],
+    published: Callable[[ReferenceScore], float | None],
+) -> list[ForestRow]:
+    return [
+        ForestRow(
+            label=row.name,
+            value=bounds[0],
+            low=bounds[1],
+            high=bounds[2],
+            kind="total" if row.dimension else "cell",
+            number=f"{100 * bounds[0]:.0f} ({100 * bounds[1]:.0f} to {100 * bounds[2]:.0f})",
+            link="" if row.dimension else f"#{row.name}",
+            published=published(row.published) if row.published else None,
+        )  # fmt: skip
+        for row in rows
+        if (bounds := found(row)) is not None
+    ]
+
+
+def _varies(card: Card) -> str:
+    return ", ".join(card.experiment.config.dimensions.values())
+
+
+def _experiment(name: str, card: Card) -> dict[str, Any]:
     design = design_of_card(card)
     arms = {key: Arm(replicates=tuple(rows)) for key, rows in outcomes_of_card(card).counts.items()}
     return {
         "name": name,
         "about": card.experiment.config.about,
         "card": card,
-        "varies": ", ".join(card.experiment.config.dimensions.values()),
         "scores": list(score_rows(card)),
-        "reference": benchmark.reference.experiments.get(name) if benchmark.reference else None,
         "heat": [rate_map(key, design.cells, arm.by_cell, lambda _: f"#{name}") for key, arm in arms.items()],
         "forest": primary_forest(card, design, arms),
         "provenance": provenance_of(card),

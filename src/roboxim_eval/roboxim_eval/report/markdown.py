@@ -8,6 +8,7 @@ from roboxim_eval.benchmark import BenchmarkCard
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import Cell
+from roboxim_eval.report.benchmark import benchmark_rows
 from roboxim_eval.report.experiment import provenance_of, score_rows
 from roboxim_eval.statistics.replicates import condition_rate
 from roboxim_eval.statistics.tables import Arm
@@ -60,17 +61,10 @@ def _benchmark(card: BenchmarkCard) -> Iterator[str]:
     yield f"{card.about}\n"
     yield from (f"- {sentence}" for sentence in card.sentences)
     reference = card.reference
-    published = ("published absolute", "published relative") if reference else ()
-    rows: list[tuple[str, float | None, float | None]] = [
-        (name, score.absolute, score.relative) for name, score in card.dimensions.items()
-    ]
-    for name, one in card.experiments.items():
-        absolute, relative = ((one.scores or {}).get(key) for key in ("absolute", "relative"))
-        rows.append((name, absolute[0] if absolute else None, relative[0] if relative else None))
-    yield "\n" + _table(
-        ("dimension or experiment", "absolute", "relative", *published),
-        ((name, *_pair(absolute, relative, "refused"), *_published(card, name)) for name, absolute, relative in rows),
-    )
+    head = ("dimension or experiment", "absolute", "relative", "published absolute", "published relative")
+    rows = [(row.name, row.absolute_text, row.relative_text, *row.published_texts) for row in benchmark_rows(card)]
+    width = len(head) if reference else 3
+    yield "\n" + _table(head[:width], (row[:width] for row in rows))
     if reference:
         yield f"\nPublished: {reference.name}.\n"
         yield from (f"- {sentence}" for sentence in reference.differences)
@@ -100,17 +94,6 @@ def _by_cell(cells: Sequence[Cell], arms: Mapping[str, Arm]) -> str:
 def _count(arm: Arm, cell: str) -> str:
     found = arm.by_cell.get(cell)
     return f"{found.successes} of {found.episodes}" if found and found.episodes else "-"
-
-
-def _published(card: BenchmarkCard, name: str) -> tuple[str, ...]:
-    if card.reference is None:
-        return ()
-    found = card.reference.dimensions.get(name) or card.reference.experiments.get(name)
-    return _pair(found.absolute, found.relative, "-") if found else ("-", "-")
-
-
-def _pair(absolute: float | None, relative: float | None, missing: str) -> tuple[str, str]:
-    return "-" if absolute is None else f"{absolute:.2f}", missing if relative is None else _percent(relative)
 
 
 def _percent(value: float) -> str:

@@ -32,6 +32,7 @@ from roboxim_eval.statistics.replicates import (
     condition_difference,
     condition_rate,
     condition_ratio,
+    mean_interval,
 )
 from roboxim_eval.statistics.tables import Arm
 
@@ -220,9 +221,9 @@ def _points(interval: Interval) -> str:
 class DimensionScore:
     """Score of a dimension, e.g. ``object``: the mean over the experiments that vary it."""
 
-    absolute: float
+    absolute: Interval
     """Mean success rate in held-out cells."""
-    relative: float | None
+    relative: Interval | None
     """Mean ratio to the baseline; none: refused in an experiment."""
     experiments: tuple[str, ...]
     """The experiments that vary the dimension."""
@@ -231,9 +232,11 @@ class DimensionScore:
 
 
 def dimension_scores(
-    experiments: Mapping[str, tuple[Collection[str], float, float | None]],
+    experiments: Mapping[str, tuple[Collection[str], Interval, Interval | None]],
 ) -> dict[str, DimensionScore]:
     """Return the benchmark's scores by dimension, as section 6.3 of the thesis defines them.
+
+    Their intervals take the experiments as independent: each has demonstrations and trainings of its own.
 
     Args:
         experiments: Name to the dimensions that it varies, its absolute score, and its relative one; none: refused.
@@ -248,8 +251,8 @@ def dimension_scores(
         refused = tuple(name for name, (_, relative) in mine.items() if relative is None)
         ratios = [relative for _, relative in mine.values() if relative is not None]
         found[dimension] = DimensionScore(
-            absolute=sum(absolute for absolute, _ in mine.values()) / len(mine),
-            relative=None if refused else sum(ratios) / len(ratios),
+            absolute=mean_interval([absolute for absolute, _ in mine.values()]),
+            relative=None if refused else mean_interval(ratios),
             experiments=tuple(mine),
             refused=refused,
         )

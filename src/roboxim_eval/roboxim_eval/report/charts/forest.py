@@ -33,6 +33,8 @@ class ForestRow:
     """Upper bound; inf: unbounded."""
     dots: tuple[float, ...] = ()
     """Estimates of the single replicates."""
+    published: float | None = None
+    """A published value of the same; none: there is none."""
     number: str = ""
     """Numbers that it is from, e.g. ``51 of 60 against 40 of 60``."""
     kind: str = "cell"
@@ -63,6 +65,13 @@ class Scale:
 RATES = Scale(low=0.0, high=1.0, ticks=(0.0, 0.25, 0.5, 0.75, 1.0))
 
 
+def ratio_scale(rows: Sequence[ForestRow]) -> Scale:
+    """Return a scale of ratios from 0 that holds 1 and all finite bounds and values."""
+    ends = [x for row in rows for x in (row.value, row.low, row.high, row.published or 0.0) if math.isfinite(x)]
+    steps = math.ceil(2 * max(1.0, *ends)) if ends else 2
+    return Scale(low=0.0, high=steps / 2, ticks=tuple(i / 2 for i in range(steps + 1)), zero=1.0)
+
+
 def difference_scale(rows: Sequence[ForestRow]) -> Scale:
     """Return a symmetric scale of differences that holds all finite bounds and dots."""
     ends = [x for row in rows for x in (row.value, row.low, row.high, *row.dots) if math.isfinite(x)]
@@ -89,12 +98,17 @@ def forest_bar(row: ForestRow, scale: Scale) -> Markup:
         )
     )
     parts += [element("circle", cx=_at(scale, dot), cy=middle, r=2.6, class_="dot") for dot in row.dots]
+    if row.published is not None:
+        box = element("rect", x=-5, y=-5, width=10, height=10, class_="published")
+        parts.append(element("svg", [box], x=_at(scale, row.published), y=middle, overflow="visible"))
     size = 5.0 if row.kind == "total" else 4.0
     square = element(
         "rect", x=-size, y=-size, width=2 * size, height=2 * size, class_=f"mark {row.kind}", transform="rotate(45)"
     )  # fmt: skip
     mark = element("svg", [square], x=_at(scale, row.value), y=middle, overflow="visible")
     said = f"{row.label}: {100 * row.value:.0f} ({_end(row.low)} to {_end(row.high)})"
+    if row.published is not None:
+        said += f", published {100 * row.published:.0f}"
     return element("svg", [*parts, mark], width="100%", height=HEIGHT, class_="bar", role="img", aria_label=said)
 
 
