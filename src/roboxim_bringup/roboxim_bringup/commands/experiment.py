@@ -274,8 +274,11 @@ def report(
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")
-    for name, value in (found.scores or {}).items():
-        click.echo(f"  {name:<17} {_score_text(value)}")
+    scores = dict(found.scores or {})
+    refused = scores.pop("relative_refused", "")
+    for name, value in scores.items():
+        text = f"refused: {refused}" if name == "relative" and refused else _score_text(value)
+        click.echo(f"  {name:<17} {text}")
     for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
     click.echo(f"  sha256            {found.sha256}")
@@ -285,13 +288,13 @@ def report(
 
 
 def _score_text(value: object) -> str:
-    """Format a score: a value with its interval, the reason of a refusal, or that it was not measured."""
+    """Format a score: a value with its interval, or that it was not measured."""
     if isinstance(value, dict):
         return f"{_score_text(value['rate'])} of {value['failed']} failures; {value['worst'] or 'none'}"
     if isinstance(value, list):
         middle, low, high = ("unbounded" if x is None else f"{x:.2f}" for x in value)
         return f"{middle} ({low} to {high})"
-    return "not measured" if value is None else str(value)
+    return "not measured"
 
 
 @command.command("compare")
