@@ -98,7 +98,7 @@ def _power_lines(design: Design) -> Iterator[str]:
     scenes, replicates = design.compared_scenes, design.config.replicates.count
     if not scenes:
         return
-    drop = detectable(Size(replicates=replicates, scenes=scenes))
+    drop = detectable(Size(replicates=replicates, scenes=scenes), alpha=design.config.decide.alpha)
     seen = "no drop" if drop is None else f"a drop from 80 to {100 * (0.8 - drop):.0f} %"
     yield f"  finds           {seen} with a chance of 80 % ({replicates} trainings, {scenes} rollouts each)"
     if replicates < LEAST_REPLICATES:

@@ -1,12 +1,14 @@
 """The card of an experiment: its form, its hash, what follows from its counts; and models compared by their cards."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
 from roboxim_eval.benchmark import BenchmarkCard, benchmark_config, check_benchmark_card, concluded_benchmark
+from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import sha256_of
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
@@ -132,6 +134,11 @@ def test_a_benchmarks_card_is_checked_through_its_experiments(card):
     assert check_benchmark_card(data).dimensions["object"].experiments == ("skill_object", "camera_object")
     with pytest.raises(ConfigError, match="its dimensions do not follow"):
         check_benchmark_card({**data, "dimensions": {}})
+    published = Reference(name="Octo", dimensions={"object": ReferenceScore(absolute=0.21)})
+    beside = concluded_benchmark(replace(whole, reference=published)).plain
+    beside["reference"]["dimensions"]["object"]["absolute"] = 0.95
+    with pytest.raises(ConfigError, match="its sha256 do not follow"):
+        check_benchmark_card(beside)
     changed = json.loads(json.dumps(data))
     changed["experiments"]["camera_object"]["warnings"] = []
     changed["experiments"]["camera_object"]["scores"]["gap"] = [0.0, 0.0, 0.0]

@@ -116,6 +116,9 @@ def test_verdicts_are_sentences():
     assert adjusted.kind == "cannot_tell", "Holm's adjustment counts"
     assert "the difference is -40 points, but p is 0.3 after adjustment for several" in adjusted.sentence
     assert "compatible" not in adjusted.sentence, "the interval alone excludes 0"
+    strict = said(exactly(0.4), exactly(0.8), p_value=0.03, alpha=0.01)
+    assert strict.kind == "cannot_tell"
+    assert "but p is 0.03 (limit 0.01) after adjustment" in strict.sentence
 
 
 def test_one_checkpoint_says_nothing_about_the_way_to_train():
@@ -184,6 +187,18 @@ def test_the_interval_of_the_ratio_holds_the_thesis_ratio():
     assert 0.93 <= held[5] / 500 <= 0.985
     assert held[3] / 500 >= 0.93
     assert alone / 500 < 0.90, "the rollouts alone are too sure of themselves"
+
+
+def test_trainings_that_agree_do_not_make_a_ratio_certain():
+    every = condition_ratio(exactly(1.0, replicates=3), exactly(1.0, replicates=3))
+    assert (every.low, every.high) == (pytest.approx(1 / every.high), pytest.approx(1 / every.low))
+    assert every.high > 1.01
+    halves = {cell: Count(successes=20 * (number < 3), episodes=20) for number, cell in enumerate(HELD_OUT)}
+    half = condition_ratio(Arm(replicates=(halves,) * 3), exactly(1.0, replicates=3))
+    assert half.low < 0.46, "as the interval of the rate alone: 0.45 to 0.55"
+    assert half.high > 0.54
+    none = condition_ratio(exactly(0.0, replicates=3), exactly(0.2, replicates=3))
+    assert none.high > condition_rate(exactly(0.0, replicates=3)).high / 0.2, "the baseline is uncertain, too"
 
 
 def test_a_ratio_to_a_baseline_that_fails_is_refused():

@@ -117,7 +117,7 @@ def run_benchmark(
             continue
         result = run_experiment(
             ExperimentRunConfig(
-                experiment=name, scale=config.scale, changes=changes,
+                experiment=name, scale=config.scale, changes=changes, benchmark=config.benchmark,
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
                 workers=config.workers, trainings=config.trainings, renderer=config.renderer,
             ),

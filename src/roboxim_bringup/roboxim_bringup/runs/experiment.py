@@ -69,6 +69,8 @@ class ExperimentRunConfig:
     """One of its scales."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Keys of the file to replace, e.g. a benchmark's own scales."""
+    benchmark: str = ""
+    """Benchmark that it is a part of, for the command that runs it again; empty: none."""
     out: Path | str = "runs/experiment"
     """The run's folder."""
     trainer: str = ""
@@ -229,7 +231,8 @@ class _Run:
         inputs = {stage.name: plain(self._inputs(stage)) for stage in self.stages}
         content = {
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
-            "renderer": self.config.renderer, "config": to_plain(self.design.config), "stages": {**before, **inputs},
+            "benchmark": self.config.benchmark, "renderer": self.config.renderer,
+            "config": to_plain(self.design.config), "stages": {**before, **inputs},
         }  # fmt: skip
         write_atomically(state, json.dumps(plain(content), indent=2) + "\n")
         self._attest()

@@ -53,6 +53,8 @@ class ExperimentFolder:
     """Renderer of the images; empty: unknown."""
     design: Design
     """The experiment, expanded."""
+    benchmark: str = ""
+    """Benchmark that it is a part of; empty: none."""
 
     @staticmethod
     def of(path: Path) -> ExperimentFolder:
@@ -72,7 +74,7 @@ class ExperimentFolder:
             raise ConfigError(f"{state} is damaged: {error!r}") from None
         return ExperimentFolder(
             path=path, name=name, scale=scale, trainer=trainer, renderer=stored.get("renderer", ""),
-            design=checked_design(name, config, trainer),
+            design=checked_design(name, config, trainer), benchmark=stored.get("benchmark", ""),
         )  # fmt: skip
 
 
@@ -204,5 +206,8 @@ def _episodes(
 
 def reproduction(folder: ExperimentFolder) -> str:
     """Return the command that runs an experiment again."""
-    words = ["roboxim", "experiment", "run", folder.name, "--scale", folder.scale, "--out", folder.path.name]
+    run, out = ["experiment", "run", folder.name], folder.path
+    if folder.benchmark:  # whose scale differs from the experiment's own
+        run, out = ["benchmark", folder.benchmark, "--experiment", folder.name], folder.path.parent
+    words = ["roboxim", *run, "--scale", folder.scale, "--out", out.name]
     return shlex.join([*words, *(["--trainer", folder.trainer] if folder.trainer else [])])

@@ -23,6 +23,7 @@ from roboxim_bringup.runs.experiment_report import (
     ExperimentFolder,
     experiment_episodes,
     folder_card,
+    reproduction,
     write_card,
     write_evaluation_pages,
     write_experiment_report,
@@ -234,8 +235,10 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
     result = run_benchmark(config)
     assert [(call.experiment, call.trainings) for call in calls] == [("one", 2), ("two", 2)]
     assert calls[0].changes == {"scales": {"night": {"replicates": {"count": 3}}}}
-    assert result.card.dimensions["object"].absolute == pytest.approx(0.4)
-    assert result.card.dimensions["object"].relative == pytest.approx(0.4 / 0.9, abs=1e-5)
+    assert result.card.dimensions["object"].absolute[0] == pytest.approx(0.4)
+    assert result.card.dimensions["object"].relative[0] == pytest.approx(0.4 / 0.9, abs=1e-5)
+    one = replace(ExperimentFolder.of(tmp_path / "out/one"), benchmark=calls[0].benchmark)
+    assert reproduction(one).startswith(f"roboxim benchmark {file} --experiment "), "the scale is the benchmark's"
     assert stored_benchmark_card(tmp_path / "out/card.json") == result.card
     page = (tmp_path / "out/report.html").read_text()
     assert result.card.sentences[0] in page

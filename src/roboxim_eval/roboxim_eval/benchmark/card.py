@@ -57,7 +57,7 @@ class BenchmarkCard:
     dimensions: dict[str, CardDimension] = field(default_factory=dict)
     """Dimension to its score."""
     sha256: str = ""
-    """Hash of name, scale, dimensions and the experiments' hashes."""
+    """Hash of all other keys, with the experiments' hashes in place of their cards."""
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -105,11 +105,9 @@ def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
         )
         for name, score in benchmark_scores(analyses).items()
     }  # fmt: skip
-    content = {
-        "name": card.name, "scale": card.scale, "dimensions": json.loads(json.dumps(to_plain(dimensions))),
-        "experiments": {name: one.sha256 for name, one in card.experiments.items()},
-    }  # fmt: skip
-    return replace(card, dimensions=dimensions, sha256=sha256_of(content))
+    found = replace(card, dimensions=dimensions, sha256="")
+    hashes = {name: one.sha256 for name, one in card.experiments.items()}
+    return replace(found, sha256=sha256_of({**found.plain, "experiments": hashes}))
 
 
 def _bounds(interval: Interval) -> Bounds:

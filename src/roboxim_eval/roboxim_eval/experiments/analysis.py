@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.cells import chosen
-from roboxim_eval.experiments.config import CompareConfig
+from roboxim_eval.experiments.config import CompareConfig, DecideConfig
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, independent_difference
@@ -79,9 +79,8 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
     compares = sorted(enumerate(design.config.compare), key=lambda item: item[1] is not design.config.primary)
     found = [(compare, _differences(design, arms, compare, outcomes.pairs.get(n, ()))) for n, compare in compares]
     adjusted = holm([_p_value(difference) for _, (difference, _) in found])
-    margin = design.config.decide.margin
     comparisons = tuple(
-        Comparison(config=compare, verdict=_verdict(compare, difference, pairs, p_value, margin))
+        Comparison(config=compare, verdict=_verdict(compare, difference, pairs, p_value, design.config.decide))
         for (compare, (difference, pairs)), p_value in zip(found, adjusted, strict=True)
     )
     own = _scores(design, arms, outcomes)
@@ -114,19 +113,24 @@ def _p_value(difference: ConditionDifference) -> float:
 
 
 def _verdict(
-    compare: CompareConfig, difference: ConditionDifference, pairs: Sequence[Pairs], p_value: float, margin: float
+    compare: CompareConfig,
+    difference: ConditionDifference,
+    pairs: Sequence[Pairs],
+    p_value: float,
+    decide: DecideConfig,
 ) -> Verdict:
     first, second = compare.first, compare.second
+    limits = {"margin": decide.margin, "alpha": decide.alpha}
     if compare.against:
         first, second = f"{first} in {compare.where} cells", f"{second} in {compare.against} cells"
     elif compare.where != "all":
         first, second = f"{first} in {compare.where} cells", f"{second} there"
     if difference.replicates > 1:
-        return condition_verdict(first, second, difference, margin=margin, p_value=p_value)
+        return condition_verdict(first, second, difference, **limits, p_value=p_value)
     if pairs:
-        return checkpoint_verdict(first, second, pairs[0], margin=margin)
+        return checkpoint_verdict(first, second, pairs[0], **limits)
     apart = independent_difference(*difference.rollouts)
-    verdict = condition_verdict(first, second, difference, margin=margin)
+    verdict = condition_verdict(first, second, difference, **limits)
     return replace(
         verdict,
         sentence=f"{verdict.sentence} These two checkpoints differ by {apart} on different scenes "

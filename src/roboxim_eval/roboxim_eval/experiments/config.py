@@ -247,7 +247,7 @@ class DecideConfig:
     """Limits of the verdicts."""
 
     alpha: float = 0.05
-    """Probability of any false alarm within the file, two-sided."""
+    """Probability of any false alarm within the file, two-sided; at most 0.05, since intervals of 95 % are shown."""
     margin: float = 0.10
     """Largest difference of success rates that counts as equally good."""
     refuse_below: float = 0.10
@@ -259,9 +259,10 @@ class DecideConfig:
         Raises:
             ConfigError: When a number is out of range.
         """
-        for name in ("alpha", "margin"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name):g}")
+        if not 0.0 < self.alpha <= 0.05:
+            raise ConfigError(f"alpha must be above 0 and at most 0.05, got {self.alpha:g}")
+        if not 0.0 < self.margin < 1.0:
+            raise ConfigError(f"margin must be between 0 and 1, got {self.margin:g}")
         if not 0.0 <= self.refuse_below < 1.0:
             raise ConfigError(f"refuse_below must be from 0 to below 1, got {self.refuse_below:g}")
 

@@ -233,7 +233,9 @@ def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
 
 def _detectable(design: Design) -> float | None:
     scenes = design.compared_scenes
-    return detectable(Size(replicates=design.config.replicates.count, scenes=scenes)) if scenes else None
+    config = design.config
+    size = Size(replicates=config.replicates.count, scenes=scenes)
+    return detectable(size, alpha=config.decide.alpha) if scenes else None
 
 
 REPLICATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20)

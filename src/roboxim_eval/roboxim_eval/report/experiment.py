@@ -44,7 +44,7 @@ SCORES = {
     "baseline": ("baseline, s", "success of the baseline in the same cells"),
     "gap": ("gap, s - u", "what holding out costs; the primary test"),
     "relative": ("relative, u / s", "the share of the baseline's success that is left"),
-    "words": ("words, u - b", "what the instruction contributes over the scene alone"),
+    "words": ("words, u - b", "success lost without an instruction; if it is small, the scene suffices"),
     "competence": ("competence", "leave-out minus baseline in cells that both have seen; far from 0, the gap is "
                    "not due to the held-out cells alone"),
     "substitution": ("substitution", "share of failed held-out episodes that satisfied another instruction of the "
@@ -123,7 +123,8 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         "rollouts": f"{sum(n for e in card.evaluations for _, n, _ in e.by_cell.values()):,}",
     }  # fmt: skip
     if design.compared_scenes:
-        drop = detectable(Size(replicates=config.replicates.count, scenes=design.compared_scenes))
+        planned = Size(replicates=config.replicates.count, scenes=design.compared_scenes)
+        drop = detectable(planned, alpha=config.decide.alpha)
         trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"
         size = f"{trainings} x {design.compared_scenes} rollouts"
         facts["planned to find"] = (

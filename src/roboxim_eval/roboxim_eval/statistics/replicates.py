@@ -19,7 +19,6 @@ from functools import lru_cache
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.poses import Array
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.tables import Arm, require_same_replicates
@@ -167,8 +166,9 @@ def condition_ratio(first: Arm, second: Arm) -> Interval:
     """Return the ratio of two conditions' success rates: of the means over trainings, never a mean of ratios.
 
     The logarithm of the ratio has Student's t interval with R - 1 degrees of freedom. Its standard error comes from the
-    delta method over replicates: the spread of first_r / mean(first) - second_r / mean(second). It is never below the
-    standard error of the rollouts alone. The ratio is not clipped at 1.
+    delta method over replicates: the spread of first_r / mean(first) - second_r / mean(second). The interval is never
+    narrower than that of the rollouts alone, by the method of variance estimates recovery on the logarithms of the
+    pooled rates and their intervals (Zou and Donner, Statistics in Medicine 27, 2008). The ratio is not clipped at 1.
 
     Returns:
         The ratio. Unbounded above, and 0 below, for one replicate or if the second condition never succeeds.
@@ -183,22 +183,24 @@ def condition_ratio(first: Arm, second: Arm) -> Interval:
     ratio = float(u.mean() / s.mean())
     if replicates < 2:
         return Interval(value=ratio, low=0.0, high=math.inf)
-    if not u.mean():  # no logarithm: the largest rate of the first that 0 successes are compatible with
-        return Interval(value=0.0, low=0.0, high=condition_rate(first).high / float(s.mean()))
+    if not u.mean():  # no logarithm: the rates that the outcomes are compatible with
+        least = condition_rate(second).low
+        return Interval(value=0.0, low=0.0, high=condition_rate(first).high / least if least else math.inf)
     deviation = u / u.mean() - s / s.mean()
     among = _t_limit(0.975, replicates - 1) * float(np.std(deviation, ddof=1)) / math.sqrt(replicates)
-    rollouts = NORMAL * math.hypot(_relative_error(first, u), _relative_error(second, s))
-    factor = math.exp(max(among, rollouts))
-    return Interval(value=ratio, low=ratio / factor, high=ratio * factor)
+    one, two = _pooled(first), _pooled(second)
+    below = math.hypot(math.log(one.rate / one.low), math.log(two.high / two.rate))
+    above = math.hypot(math.log(one.high / one.rate), math.log(two.rate / two.low))
+    return Interval(value=ratio, low=ratio * math.exp(-max(among, below)), high=ratio * math.exp(max(among, above)))
 
 
 def mean_interval(estimates: Sequence[Interval]) -> Interval:
     """Return the mean of independent estimates with its 95 % interval, from their own intervals.
 
     The distance of a bound from the mean is the root of the sum of the squared distances of the estimates' own bounds,
-    divided by their number: the method of variance estimates recovery (Zou and Donner, Statistics in Medicine 27,
-    2008). Intervals need not be symmetric. With few trainings the result is wider than necessary, since each
-    experiment's quantile of Student's t enters undiminished.
+    divided by their number: the method of variance estimates recovery (see `condition_ratio`). Intervals need not be
+    symmetric. With few trainings and rates away from 0 and 1 the result is wider than necessary, since each estimate's
+    quantile of Student's t enters undiminished. Near 0 and 1 it can be too narrow, as the estimates' own intervals can.
 
     Args:
         estimates: At least one.
@@ -208,17 +210,6 @@ def mean_interval(estimates: Sequence[Interval]) -> Interval:
     below = math.hypot(*(one.value - one.low for one in estimates)) / count
     above = math.hypot(*(one.high - one.value for one in estimates)) / count
     return Interval(value=value, low=value - below, high=value + above)
-
-
-def _relative_error(arm: Arm, rates: Array) -> float:
-    """Return the standard error of a rate from its rollouts alone, relative to the rate."""
-    variance = [
-        count.successes / count.episodes * (1 - count.successes / count.episodes) / count.episodes
-        for replicate in arm.replicates
-        for count in replicate.values()
-        if count.episodes
-    ]
-    return math.sqrt(sum(variance)) / len(variance) / float(rates.mean())
 
 
 def more_trainings(difference: ConditionDifference, margin: float, *, most: int = 10_000) -> int | None:

@@ -1,8 +1,9 @@
 """Verdicts of comparisons: one of four, with its sentence.
 
-``lower`` and ``higher``: the 95 % interval excludes 0. ``as_good``: two one-sided tests at 5 % each show a difference
-within the margin. ``cannot_tell``: none of these; the sentence says what is compatible with the data, and how many more
-trainings would decide the margin. An absence of evidence is never called "no difference".
+``lower`` and ``higher``: p is at most alpha (0.05), and the 95 % interval excludes 0. ``as_good``: two one-sided tests
+at 5 % each show a difference within the margin. ``cannot_tell``: none of these; the sentence says what is compatible
+with the data, and how many more trainings would decide the margin. An absence of evidence is never called "no
+difference".
 """
 
 from __future__ import annotations
@@ -34,7 +35,13 @@ class Verdict:
 
 
 def condition_verdict(
-    first: str, second: str, difference: ConditionDifference, *, margin: float = 0.10, p_value: float | None = None
+    first: str,
+    second: str,
+    difference: ConditionDifference,
+    *,
+    margin: float = 0.10,
+    p_value: float | None = None,
+    alpha: float = 0.05,
 ) -> Verdict:
     """Compare two training conditions (Q2).
 
@@ -44,6 +51,7 @@ def condition_verdict(
         difference: Difference over at least three replicates.
         margin: Largest difference that counts as equally good, 0..1.
         p_value: Adjusted p value, where several comparisons are made; none: the difference's own.
+        alpha: Largest p value that shows a difference, at most 0.05.
     """
     interval = difference.interval()
     own = difference.p_value if p_value is None else p_value
@@ -57,7 +65,7 @@ def condition_verdict(
         return Verdict(kind="cannot_tell", question="condition", difference=interval, p_value=1.0, sentence=sentence)
     narrow = difference.interval(confidence=0.90)
     within = -margin < narrow.low and narrow.high < margin
-    if own <= 0.05 and (interval.low > 0 or interval.high < 0):
+    if own <= alpha and (interval.low > 0 or interval.high < 0):
         kind: Kind = "lower" if interval.high < 0 else "higher"
         points = _points(interval)
         sentence = f"{first} is {kind} than {second} by {points}, over {many}"
@@ -76,14 +84,15 @@ def condition_verdict(
         )
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible with {many}"
         if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
-            adjusted = f"p is {own:.2g} after adjustment for several comparisons"
+            limit = "" if alpha == 0.05 else f" (limit {alpha:g})"
+            adjusted = f"p is {own:.2g}{limit} after adjustment for several comparisons"
             unclear = f"the difference is {_number(interval.value)} points, but {adjusted}, over {many}"
         sentence = f"Cannot tell whether {first} differs from {second}: {unclear}{needed}."
     return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
 
 
 def checkpoint_verdict(
-    first: str, second: str, pairs: Pairs, *, margin: float = 0.10, p_value: float | None = None
+    first: str, second: str, pairs: Pairs, *, margin: float = 0.10, p_value: float | None = None, alpha: float = 0.05
 ) -> Verdict:
     """Compare two checkpoints on the same scenes (Q1).
 
@@ -93,6 +102,7 @@ def checkpoint_verdict(
         pairs: Outcomes of both on each scene.
         margin: Largest difference that counts as equally good, 0..1.
         p_value: Adjusted p value, where several comparisons are made; none: that of the exact McNemar test.
+        alpha: Largest p value that shows a difference, at most 0.05.
 
     Raises:
         InvalidRequestError: If there are no scenes.
@@ -109,7 +119,7 @@ def checkpoint_verdict(
     within = -margin < narrow.low and narrow.high < margin
     where = "on the one scene that both met" if pairs.scenes == 1 else f"on {pairs.scenes} scenes that both met"
     kind: Kind
-    if own <= 0.05:
+    if own <= alpha:
         kind = "lower" if found.value < 0 else "higher"
         sentence = f"This checkpoint of {first} is {kind} than this one of {second} by {_points(interval)}, {where}."
     elif within:
