@@ -91,16 +91,20 @@ def hours(seconds: float) -> str:
 
 
 def _power_lines(design: Design) -> Iterator[str]:
-    from roboxim_eval.statistics.power import SPREAD_AT, TRAINING_SPREAD, detectable
-    from roboxim_eval.statistics.power import Design as Size
+    from roboxim_eval.experiments.cost import detectable_drop
+    from roboxim_eval.statistics.power import SPREAD_AT, TRAINING_SPREAD
     from roboxim_eval.statistics.replicates import LEAST_REPLICATES
 
     scenes, replicates = design.compared_scenes, design.config.replicates.count
     if not scenes:
         return
-    drop = detectable(Size(replicates=replicates, scenes=scenes), alpha=design.config.decide.alpha)
+    drop = detectable_drop(design)
     seen = "no drop" if drop is None else f"a drop from 80 to {100 * (0.8 - drop):.0f} %"
     yield f"  finds           {seen} with a chance of 80 % ({replicates} trainings, {scenes} rollouts each)"
+    many, worst = len(design.config.compare), detectable_drop(design, alone=True)
+    if many > 1:
+        least = "no drop" if worst is None else f"one to {100 * (0.8 - worst):.0f} %"
+        yield f"                  {least} if none of the other {many - 1} comparisons is found (Holm's adjustment)"
     if replicates < LEAST_REPLICATES:
         yield (
             f"  warning         fewer than {LEAST_REPLICATES} trainings compare checkpoints, not ways to train; "

@@ -123,6 +123,13 @@ def test_a_page_without_a_primary_comparison_shows_all_of_them_together(card):
     assert 'href="#cells"' in one
 
 
+def test_a_training_counts_once(card):
+    data = card.plain
+    twice = [row for row in data["evaluations"] if row["replicate"] == 0] * 3
+    with pytest.raises(ConfigError, match=r"must be of the replicates 0, 1, \.\.\.; got \[0, 0, 0\]"):
+        check_card({**data, "evaluations": twice})
+
+
 def test_a_benchmarks_card_is_checked_through_its_experiments(card):
     other = planted_card(shipped("camera_object", replicates=3), rate)
     whole = concluded_benchmark(

@@ -23,7 +23,8 @@ from roboxim_eval.experiments import (
     stages_of,
 )
 from roboxim_eval.experiments.cost import fitted
-from roboxim_eval.statistics.paired import Pairs
+from roboxim_eval.statistics.multiple import holm
+from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.testing import RATES, experiment_of
 
@@ -367,13 +368,25 @@ def test_seen_and_unseen_cells_of_one_condition_are_compared():
 
 def test_several_comparisons_are_adjusted():
     design = design_of(config())
-    found = analyse(design, planted(design, lambda name, unseen: 0.5, seed=3))
-    own = [c.verdict.p_value for c in found.comparisons]
-    assert max(own) >= max(
-        analyse(design_of(config(compare=[{"first": c.config.first, "second": c.config.second, "where": "unseen"}])),
-                planted(design, lambda name, unseen: 0.5, seed=3)).comparisons[0].verdict.p_value
-        for c in found.comparisons
-    )  # fmt: skip
+    outcomes = planted(design, lambda name, unseen: 0.5 if name == "leave_out" else 0.6, seed=3)
+    found = analyse(design, outcomes).comparisons
+    alone = []
+    for one in found:
+        compare = {"first": one.config.first, "second": one.config.second, "where": one.config.where}
+        alone.append(analyse(design_of(config(compare=[compare])), outcomes).comparisons[0].verdict.p_value)
+    adjusted = [one.verdict.p_value for one in found]
+    assert adjusted == pytest.approx(holm(alone))
+    assert adjusted != pytest.approx(alone)
+
+
+def test_scenes_of_one_checkpoint_are_adjusted_too():
+    design = design_of(config(replicates={"count": 1}))
+    pairs = {n: [Pairs(both=60, first=22, second=8, neither=30)] for n in range(len(design.config.compare))}
+    found = analyse(design, planted(design, lambda name, unseen: 0.5, pairs=pairs)).comparisons
+    single = paired_difference(pairs[0][0]).p_value
+    assert single < 0.05
+    assert [one.verdict.p_value for one in found] == pytest.approx([len(found) * single] * len(found))
+    assert found[0].verdict.kind == ("cannot_tell" if len(found) * single > 0.05 else "higher")
 
 
 def test_many_errors_are_named():

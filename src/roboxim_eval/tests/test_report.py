@@ -17,9 +17,10 @@ from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
 from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
 from roboxim_eval.report.charts.table_map import Start, table_map
 from roboxim_eval.report.episodes import Episode, episodes_json
+from roboxim_eval.report.evaluation import comparisons
 from roboxim_eval.report.films import chosen_films, film_strip
 from roboxim_eval.report.reasons import EXPLANATIONS, explained
-from roboxim_eval.statistics import error_line, failure_reasons, is_measured, rate_of, success_rate
+from roboxim_eval.statistics import error_line, factors, failure_reasons, is_measured, rate_of, success_rate
 from roboxim_eval.statistics.factors import Trial, factor_effects
 
 
@@ -86,6 +87,28 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
     assert verdict_line([broken, zero, shaky]) == ("mine is not compared: most of its episodes ended in errors."), (
         "the policy under test was not measured"
     )
+
+
+def test_a_comparison_that_planned_looks_did_not_decide_is_not_decided(tmp_path):
+    # 29 against 15 of 200 scenes: McNemar's p is 0.049, but four looks were planned
+    one = PolicyRun(policy="a", results=[result(i, "success" if i < 129 else "failure") for i in range(200)])
+    other = PolicyRun(
+        policy="b", results=[result(i, "success" if i < 100 or 129 <= i < 144 else "failure") for i in range(200)]
+    )
+    fixed = Report(title="t", runs=[one, other], facts={}, versions={}, command="c")
+    assert 'class="badge higher"' in write_report(fixed, tmp_path).read_text()
+    page = write_report(replace(fixed, undecided=True), tmp_path).read_text()
+    assert 'class="badge cannot_tell"' in page
+    assert 'class="badge higher"' not in page
+    said = json.loads((tmp_path / "summary.json").read_text())["comparison"]
+    assert said == verdict_line([one, other], undecided=True)
+    assert said.startswith(
+        "Cannot tell whether this checkpoint of a differs from this one of b: the difference is +7 points"
+    )
+    assert "but the planned looks did not decide, on 200 scenes" in said
+    assert comparisons([one, other], undecided=True)[0].p_value == 1.0
+    equal = PolicyRun(policy="c", results=one.results)
+    assert comparisons([one, equal], undecided=True)[0].kind == "as_good", "equality needs no looks"
 
 
 def test_report_is_self_contained_and_escapes(tmp_path):
@@ -255,12 +278,37 @@ def trials(effect, *, seed=0, cells=6, each=40):
             light, other = ("dim", "bright")[rng.integers(2)], str(rng.integers(3))
             chance = 0.1 + 0.12 * cell + (effect if light == "bright" else 0.0)
             drawn = {"light": light, "other": other, "cell": str(cell)}
-            found.append(Trial(episode=f"{cell}/{i}", stratum=str(cell), success=rng.random() < chance, drawn=drawn))
+            name, success = f"{cell}/{i}", rng.random() < chance
+            found.append(Trial(episode=name, stratum=str(cell), scene=name, success=success, drawn=drawn))
     return found
 
 
+def trials_of_arms(effect, *, seed=0, arms=6, scenes=60, spread=1.5, missing=0.0):
+    """Simulate arms that meet the same scenes, whose difficulty varies by a standard deviation on the logit."""
+    rng = np.random.default_rng(seed)
+    lights = rng.choice(["dim", "bright"], scenes)
+    logits = spread * rng.standard_normal(scenes) + effect * (lights == "bright")
+    wins = rng.random((arms, scenes)) < 1 / (1 + np.exp(-logits))
+    met = rng.random((arms, scenes)) >= missing
+    return [
+        Trial(
+            episode=f"{arm}/{i}", stratum=str(arm), scene=str(i), success=bool(wins[arm, i]), drawn={"light": lights[i]}
+        )  # fmt: skip
+        for arm in range(arms)
+        for i in range(scenes)
+        if met[arm, i]
+    ]
+
+
+def false_alarms(monkeypatch, repetitions, **simulation):
+    """Return the share of simulations without an effect in which the light is significant at 5 %."""
+    monkeypatch.setattr(factors, "PERMUTATIONS", 199)
+    found = [factor_effects(trials_of_arms(0.0, seed=seed, **simulation)) for seed in range(repetitions)]
+    return float(np.mean([effect.p_value <= 0.05 for (effect,) in found]))
+
+
 def test_a_factor_with_an_effect_is_found_within_cells():
-    effects = {effect.factor: effect for effect in factor_effects(trials(0.3))}
+    effects = {effect.factor: effect for effect in factor_effects(trials(0.3, seed=2))}
     assert set(effects) == {"light", "other"}, "the design's own factor is not tested"
     assert effects["light"].adjusted < 0.01
     assert effects["light"].spread > 0.15
@@ -275,7 +323,8 @@ def test_a_harder_cell_is_no_effect_of_a_factor():
     for cell, chance, rare in (("easy", 0.9, 0.1), ("hard", 0.1, 0.9)):
         for i in range(100):
             drawn = {"light": "rare" if rng.random() < rare else "usual"}
-            found.append(Trial(episode=f"{cell}{i}", stratum=cell, success=rng.random() < chance, drawn=drawn))
+            name, success = f"{cell}{i}", rng.random() < chance
+            found.append(Trial(episode=name, stratum=cell, scene=name, success=success, drawn=drawn))
     (effect,) = factor_effects(found)
     assert effect.spread > 0.4
     assert effect.p_value > 0.05
@@ -289,6 +338,48 @@ def test_scenes_of_the_same_number_in_two_cells_are_two_episodes():
     ]
     (effect,) = factor_effects([e.trial for e in episodes])
     assert {level: rate.episodes for level, rate in effect.levels.items()} == {"x0": 2, "x1": 2, "y0": 2, "y1": 2}
+
+
+def test_hard_scenes_that_all_arms_met_are_no_effect_of_a_factor(monkeypatch):
+    assert false_alarms(monkeypatch, 200) <= 0.09, "0.2 if each arm is permuted alone"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulation", [{"arms": 17}, {"arms": 3, "missing": 0.2}])
+def test_false_alarms_do_not_depend_on_the_arms(monkeypatch, simulation):
+    assert false_alarms(monkeypatch, 200, **simulation) <= 0.09
+
+
+def test_an_effect_on_scenes_that_all_arms_met_is_found():
+    (effect,) = factor_effects(trials_of_arms(2.0))
+    assert effect.p_value < 0.01
+    assert effect.levels["bright"].rate > effect.levels["dim"].rate
+    (effect,) = factor_effects(trials_of_arms(2.0, arms=3, missing=0.1))
+    assert effect.p_value < 0.01, "also where some arms lack scenes"
+
+
+def test_a_scene_moves_together_in_all_strata_that_met_it(monkeypatch):
+    monkeypatch.setattr(factors, "PERMUTATIONS", 50)
+    monkeypatch.setattr(factors, "CHUNK", 100)
+    # strata a and b met scenes 0 to 9, a alone met 10 to 12; a residual names its stratum and its scene
+    met = [("a", scene) for scene in range(13)] + [("b", scene) for scene in range(10)]
+    found = [Trial(episode=f"{s}{i}", stratum=s, scene=f"{i:02d}", success=True, drawn={}) for s, i in met]
+    residuals = np.array([100.0 * (stratum == "b") + scene for stratum, scene in met])
+    shuffled = np.concatenate(list(factors._shuffles(found, residuals, np.random.default_rng(0))))
+    assert shuffled.shape == (50, 23)
+    assert (shuffled[:, 13:] == shuffled[:, :10] + 100).all()
+    assert (np.sort(shuffled[:, :10]) == np.arange(10)).all()
+    assert (np.sort(shuffled[:, 10:13]) == [10, 11, 12]).all()
+    assert len(np.unique(shuffled, axis=0)) > 40
+
+
+def test_policies_that_met_a_scene_share_it():
+    one, other = (Episode(arm=arm, cell="x", scene="3", outcome="success").trial for arm in "ab")
+    assert one.scene == other.scene
+    assert one.episode != other.episode
+    for elsewhere in ({"replicate": 1}, {"cell": "y"}, {"scene": "4"}):
+        given = {"arm": "a", "cell": "x", "scene": "3", "outcome": "success"} | elsewhere
+        assert Episode(**given).trial.scene != one.scene
 
 
 @pytest.mark.slow

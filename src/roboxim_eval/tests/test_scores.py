@@ -201,6 +201,20 @@ def test_trainings_that_agree_do_not_make_a_ratio_certain():
     assert none.high > condition_rate(exactly(0.0, replicates=3)).high / 0.2, "the baseline is uncertain, too"
 
 
+def test_cells_with_few_rollouts_widen_the_interval():
+    rng = np.random.default_rng(2)
+    covered = 0
+    for _ in range(400):
+        cells = {f"seen {i}": Count(successes=int(rng.binomial(3, 0.5)), episodes=3) for i in range(12)}
+        cells |= {f"held out {i}": Count(successes=int(rng.binomial(60, 0.5)), episodes=60) for i in range(6)}
+        rate = condition_rate(Arm(replicates=(cells,)))
+        covered += rate.low <= 0.5 <= rate.high
+    assert covered >= 0.93 * 400, "396 rollouts, but the mean of the cells is as uncertain as that of 77"
+    even = {cell: Count(successes=12, episodes=20) for cell in HELD_OUT}
+    pooled = success_rate(72, 120)
+    assert (condition_rate(Arm(replicates=(even,))).low) == pytest.approx(pooled.low)
+
+
 def test_a_ratio_to_a_baseline_that_fails_is_refused():
     weak = Arm(replicates=({"a": Count(successes=3, episodes=120)},) * 3)
     found = relative_score(weak, weak)
@@ -327,3 +341,6 @@ def test_replicates_before_scenes():
     assert detectable(Design(replicates=3, scenes=2)) is None
     assert power(Design(replicates=5, scenes=120), 0.8, 0.8) == pytest.approx(0.05, abs=0.005)
     assert power(Design(replicates=1, scenes=120), 0.8, 0.6) == pytest.approx(0.96, abs=0.03)
+    assert power(Design(replicates=1, scenes=5), 1.0, 0.0) == 0.0, "five scenes cannot show anything"
+    assert power(Design(replicates=1, scenes=6), 1.0, 0.0) == pytest.approx(1.0)
+    assert power(Design(replicates=2, scenes=500), 1.0, 0.0) == 0.0, "two trainings always end in 'cannot tell'"

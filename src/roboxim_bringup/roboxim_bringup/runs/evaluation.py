@@ -73,6 +73,8 @@ class EvaluationConfig(EpisodesConfig):
     """Command that reproduces the report, shown in it; empty: the call of `evaluate`."""
     stopped: str = ""
     """How the number of episodes was decided, for the report; empty: it was fixed beforehand."""
+    undecided: bool = False
+    """Whether planned looks at the results have not decided; then the report calls no policy better."""
     page: bool = True
     """Whether to write the report's page, which takes seconds; `evaluation_report.report_of` writes it later."""
 
@@ -138,6 +140,7 @@ def evaluate(
     record = EvaluationRecord(
         task=config.task_name, seed=config.seed, policies=tuple(found), facts=policy_facts(chosen, jobs),
         command=config.command or _call(config), stopped=config.stopped,
+        undecided=config.undecided,
     )  # fmt: skip
     return write_evaluation(record, found, out, page=config.page)
 
@@ -202,7 +205,7 @@ def _call(config: EvaluationConfig) -> str:
     given = {
         name: str(value) if isinstance(value, Path) else value
         for name, value in vars(config).items()
-        if value != default[name] and name not in ("workers", "stopped", "shard", "page")
+        if value != default[name] and name not in ("workers", "stopped", "undecided", "shard", "page")
     }
     return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 

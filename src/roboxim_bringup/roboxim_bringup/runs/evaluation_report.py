@@ -48,6 +48,8 @@ class EvaluationRecord:
     """Command that reproduces the evaluation."""
     stopped: str = ""
     """How the number of episodes was decided; empty: it was fixed beforehand."""
+    undecided: bool = False
+    """Whether planned looks at the results have not decided; then no policy is called better."""
 
 
 def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool = True) -> EvaluationResult:
@@ -107,7 +109,8 @@ def write_evaluation(
     runs = [PolicyRun(policy=name, results=result.results) for name, result in found.items()]
     return EvaluationResult(
         policies=dict(found), report=_page(record, found, infos, out) if page else None,
-        comparison=verdict_line(runs), privileged=tuple(n for n, info in infos.items() if info.actor_privileged),
+        comparison=verdict_line(runs, undecided=record.undecided),
+        privileged=tuple(n for n, info in infos.items() if info.actor_privileged),
     )  # fmt: skip
 
 
@@ -138,7 +141,7 @@ def _page(
     report = Report(
         title=f"Evaluation of {' and '.join(found)} on {record.task}",
         runs=[_policy_run(result) for result in found.values()], facts=facts, versions=versions,
-        command=record.command, stopped=record.stopped,
+        command=record.command, stopped=record.stopped, undecided=record.undecided,
     )  # fmt: skip
     return write_report(report, out)
 

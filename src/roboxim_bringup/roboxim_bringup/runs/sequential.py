@@ -43,6 +43,8 @@ def evaluate_sequentially(
 ) -> SequentialResult:
     """Evaluate two policies on the same scenes, and stop at the first look at which they differ.
 
+    If no look decides, the report calls neither better, whatever a test says that knows nothing of the looks.
+
     Args:
         config: Configuration of the evaluation; ``episodes`` is the largest number of scenes.
         looks: Number of looks at the results, evenly spaced.
@@ -70,14 +72,16 @@ def evaluate_sequentially(
     seen = []
     for number, scenes in enumerate(plan.looks, start=1):
         planned = f"Planned: at most {plan.looks[-1]} scenes, looks after {', '.join(map(str, plan.looks))}."
-        step = replace(config, episodes=scenes, stopped=f"{planned} This is look {number}.", page=False)
+        note = f"{planned} This is look {number}."
+        step = replace(config, episodes=scenes, stopped=note, undecided=True, page=False)
         evaluation = evaluate(step, on_event=on_event, cancellation=cancellation, executor=executor, servers=servers)
         first, second = evaluation.policies.values()
         seen.append(_pairs(first, second))
         state = sequential_test(plan, seen)
         if state.finished:
             sentence = _sentence(planned, first, second, state.decided, scenes)
-            whole = replace(step, stopped=sentence, page=config.page)  # only the last look has a report
+            undecided = not state.decided
+            whole = replace(step, stopped=sentence, undecided=undecided, page=config.page)  # the only page
             evaluation = evaluate(whole, on_event=ignore, cancellation=cancellation)
             return SequentialResult(evaluation=evaluation, decided=state.decided, sentence=sentence)
     raise AssertionError("the last look finishes the comparison")

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.cells import chosen
-from roboxim_eval.experiments.config import CompareConfig, DecideConfig
+from roboxim_eval.experiments.config import CompareConfig, ExperimentConfig
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.statistics.multiple import holm
-from roboxim_eval.statistics.paired import Pairs, independent_difference
+from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, condition_difference
 from roboxim_eval.statistics.scores import Scores, scores
@@ -78,10 +78,10 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
     arms = {name: _arm(design, name, outcomes) for name in design.config.conditions}
     compares = sorted(enumerate(design.config.compare), key=lambda item: item[1] is not design.config.primary)
     found = [(compare, _differences(design, arms, compare, outcomes.pairs.get(n, ()))) for n, compare in compares]
-    adjusted = holm([_p_value(difference) for _, (difference, _) in found])
+    adjusted = holm([_p_value(difference) for _, difference in found])
     comparisons = tuple(
-        Comparison(config=compare, verdict=_verdict(compare, difference, pairs, p_value, design.config.decide))
-        for (compare, (difference, pairs)), p_value in zip(found, adjusted, strict=True)
+        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value))
+        for (compare, difference), p_value in zip(found, adjusted, strict=True)
     )
     own = _scores(design, arms, outcomes)
     warnings = (*(own.warnings if own else ()), *_errors(arms))
@@ -102,39 +102,43 @@ def _keys(design: Design, where: str) -> list[str]:
 
 def _differences(
     design: Design, arms: Mapping[str, Arm], compare: CompareConfig, pairs: Sequence[Pairs]
-) -> tuple[ConditionDifference, Sequence[Pairs]]:
+) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    return condition_difference(first, second, pairs, same_cells=not compare.against), pairs
+    return condition_difference(first, second, pairs, same_cells=not compare.against)
 
 
 def _p_value(difference: ConditionDifference) -> float:
-    return difference.p_value if difference.replicates >= LEAST_REPLICATES else 1.0
+    """Return the p value of a comparison by itself: over trainings, or over scenes if there is one training each."""
+    if difference.replicates >= LEAST_REPLICATES:
+        return difference.p_value
+    if difference.replicates > 1:
+        return 1.0
+    if difference.pairs is not None and difference.pairs.scenes:
+        return paired_difference(difference.pairs).p_value
+    return independent_difference(*difference.rollouts).p_value
 
 
 def _verdict(
-    compare: CompareConfig,
-    difference: ConditionDifference,
-    pairs: Sequence[Pairs],
-    p_value: float,
-    decide: DecideConfig,
+    config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float
 ) -> Verdict:
     first, second = compare.first, compare.second
-    limits = {"margin": decide.margin, "alpha": decide.alpha}
+    margin, alpha = config.decide.margin, config.decide.alpha
     if compare.against:
         first, second = f"{first} in {compare.where} cells", f"{second} in {compare.against} cells"
     elif compare.where != "all":
         first, second = f"{first} in {compare.where} cells", f"{second} there"
     if difference.replicates > 1:
-        return condition_verdict(first, second, difference, **limits, p_value=p_value)
-    if pairs:
-        return checkpoint_verdict(first, second, pairs[0], **limits)
+        return condition_verdict(first, second, difference, margin=margin, alpha=alpha, p_value=p_value)
+    if difference.pairs is not None and difference.pairs.scenes:
+        return checkpoint_verdict(first, second, difference.pairs, margin=margin, alpha=alpha, p_value=p_value)
     apart = independent_difference(*difference.rollouts)
-    verdict = condition_verdict(first, second, difference, **limits)
+    verdict = condition_verdict(first, second, difference, margin=margin, alpha=alpha)
+    which = "These rates of one checkpoint" if compare.first == compare.second else "These two checkpoints"
+    adjusted = " after adjustment" if len(config.compare) > 1 else ""
     return replace(
         verdict,
-        sentence=f"{verdict.sentence} These two checkpoints differ by {apart} on different scenes "
-        f"(p {apart.p_value:.2g}).",
+        sentence=f"{verdict.sentence} {which} differ by {apart} on different scenes (p {p_value:.2g}{adjusted}).",
     )
 
 

@@ -24,11 +24,17 @@ def outcomes_of_card(card: Card) -> Outcomes:
     """Return the outcomes of a card's final evaluations.
 
     Raises:
+        ConfigError: When a replicate is missing or appears twice.
         InvalidRequestError: When counts are impossible.
     """
     counts: dict[str, list[Mapping[str, Count]]] = {}
     for row in sorted(card.evaluations, key=lambda row: row.replicate):
         if not row.checkpoint:
+            if row.replicate != len(counts.get(row.condition, [])):
+                numbers = [r.replicate for r in card.evaluations if r.condition == row.condition and not r.checkpoint]
+                raise ConfigError(
+                    f"evaluations of condition '{row.condition}' must be of the replicates 0, 1, ...; got {numbers}"
+                )
             counts.setdefault(row.condition, []).append(
                 {cell: Count(successes=s, episodes=n, errors=e) for cell, (s, n, e) in row.by_cell.items()}
             )

@@ -197,7 +197,7 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
         + exported * rates.dataset_bytes
         + (len(design.trainings) * rates.checkpoint_bytes if here else 0.0)
         + design.rollouts * rates.rollout_bytes,
-        detectable=_detectable(design),
+        detectable=detectable_drop(design),
     )
 
 
@@ -231,14 +231,22 @@ def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
     return passed_s
 
 
-def _detectable(design: Design) -> float | None:
-    scenes = design.compared_scenes
-    config = design.config
+def detectable_drop(design: Design, *, alone: bool = False) -> float | None:
+    """Return the smallest drop from 80 % that a comparison finds with a chance of 80 %; none: not even one to 0.
+
+    Args:
+        design: The experiment.
+        alone: Whether none of the other comparisons is found. Holm's adjustment then asks for p <= alpha / k with k
+            comparisons; if all others are found, for p <= alpha.
+    """
+    config, scenes = design.config, design.compared_scenes
+    if not scenes:
+        return None
     size = Size(replicates=config.replicates.count, scenes=scenes)
-    return detectable(size, alpha=config.decide.alpha) if scenes else None
+    return detectable(size, alpha=config.decide.alpha / (max(1, len(config.compare)) if alone else 1))
 
 
-REPLICATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20)
+REPLICATES = (1, 3, 4, 5, 6, 8, 10, 12, 16, 20)
 SCENES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Numbers of trainings, and factors on the rollouts of each cell, among which a budget chooses."""
 

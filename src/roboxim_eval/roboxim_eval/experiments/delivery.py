@@ -1,14 +1,15 @@
 """What a cell demands of an episode, what the episode's bag shows, and the checks of one against the other.
 
 A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 show what
-the cell's task demands, and if the policy received the words that the condition demands. The values here are plain;
+the cell's task demands, and if the policy received the words that the condition demands. A NaN is a fault: comparisons
+are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
 `roboxim_bringup.runs.delivery_demands` reads them from task configurations, `delivery_reader` from bags.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,14 +46,17 @@ class Allowed:
     """Upper end."""
 
     def excess(self, value: Value) -> float:
-        """Return by how much a value is beyond what is allowed, at most over the axes; infinity for another word."""
+        """Return by how much a value is beyond what is allowed, at most over the axes.
+
+        Infinity for another word, and for a NaN, so that no comparison lets it pass.
+        """
         if self.values:
             return min(_apart(value, allowed) for allowed in self.values)
         if isinstance(value, str):
             return math.inf
         numbers = value if isinstance(value, tuple) else (value,)
-        beyond = (max(a - x, x - b, 0.0) for a, x, b in zip(self.lower, numbers, self.upper, strict=False))
-        return max(beyond, default=math.inf)
+        axes = list(zip(self.lower, numbers, self.upper, strict=False))
+        return _largest([end for a, x, b in axes for end in (a - x, x - b, 0.0)]) if axes else math.inf
 
     def __str__(self) -> str:
         """Format the values, or the range."""
@@ -75,7 +79,12 @@ def _apart(value: Value, allowed: Value) -> float:
     second = allowed if isinstance(allowed, tuple) else (allowed,)
     if len(first) != len(second):
         return math.inf
-    return max((abs(a - b) for a, b in zip(first, second, strict=True)), default=0.0)
+    return _largest([abs(a - b) for a, b in zip(first, second, strict=True)])
+
+
+def _largest(numbers: Sequence[float]) -> float:
+    """Return the largest number; infinity if one is NaN, 0 if there is none."""
+    return math.inf if any(map(math.isnan, numbers)) else max(numbers, default=0.0)
 
 
 def _text(value: Value) -> str:
@@ -186,7 +195,7 @@ def _skill(demand: Demand, shown: Shown) -> Iterator[str]:
     if shown.skill != demand.skill:
         yield f"its skill is {shown.skill}, the cell demands {demand.skill}"
     for name, allowed in demand.arguments.items():
-        if allowed.excess(shown.arguments.get(name, "")) > 1e-6:
+        if not allowed.excess(shown.arguments.get(name, "")) <= 1e-6:
             yield f"{name} is {_text(shown.arguments.get(name, ''))}, the cell demands {allowed}"
 
 
@@ -197,13 +206,13 @@ def _object(demand: Demand, shown: Shown) -> Iterator[str]:
     for role, kinds in demand.modifiers.items():
         for kind, allowed in kinds.items():
             value = shown.modifiers.get(role, {}).get(kind, "")
-            if allowed.excess(value) > 1e-6:
+            if not allowed.excess(value) <= 1e-6:
                 yield f"{kind} of the {role} is {_text(value)}, the cell demands {allowed}"
     for role, pixels in shown.pixels.items():
-        if pixels < VISIBLE_PX:
+        if not pixels >= VISIBLE_PX:
             yield f"the {role} has {pixels:.0f} visible pixels in the best fixed camera, at least {VISIBLE_PX} expected"
     for role, difference in shown.colors.items():
-        if role != "table" and difference > COLOR_DIFFERENCE:
+        if role != "table" and not difference <= COLOR_DIFFERENCE:
             yield (
                 f"the {role}'s median colour is {difference:.1f} (CIEDE2000) from that of its model, at most "
                 f"{COLOR_DIFFERENCE:g} expected"
@@ -224,12 +233,12 @@ def _area(demand: Demand, shown: Shown) -> Iterator[str]:
             continue
         position = shown.positions[role][:2]
         beyond = min(area.excess(position) for area in areas)
-        if beyond > AREA_M:
+        if not beyond <= AREA_M:
             yield f"the {role} lies at {_text(position)} m, {100 * beyond:.1f} cm outside of the cell's area"
 
 
 def _start(demand: Demand, shown: Shown) -> Iterator[str]:
-    if demand.start is not None and (beyond := demand.start.excess(shown.start)) > START_M:
+    if demand.start is not None and not (beyond := demand.start.excess(shown.start)) <= START_M:
         yield f"the tool starts at {_text(shown.start)} m, {100 * beyond:.1f} cm outside of the demanded volume"
 
 
@@ -250,26 +259,26 @@ def _camera(demand: Demand, shown: Shown) -> Iterator[str]:
                 allowed.excess(tuple(a - b for a, b in zip(found.pose.position, view.pose.position, strict=True)))
                 for view in views
             )
-        if far > CAMERA_M:
+        if not far <= CAMERA_M:
             yield f"camera '{name}' is {100 * far:.1f} cm from the demanded pose"
-        elif turned > CAMERA_RAD and name not in demand.turned:
+        elif name not in demand.turned and not turned <= CAMERA_RAD:
             yield f"camera '{name}' is turned by {math.degrees(turned):.1f} degrees from the demanded pose"
     for name, offset in shown.tool_px.items():
-        if offset > TOOL_PX:
+        if not offset <= TOOL_PX:
             seen = "is not found" if math.isinf(offset) else f"is {offset:.1f} px from its projection"
             yield f"in camera '{name}' the tool {seen}, at most {TOOL_PX:g} px expected"
 
 
 def _within(demand: Demand, shown: Shown, kinds: tuple[str, ...]) -> Iterator[str]:
     for name, allowed in demand.look.items():
-        if name.startswith(kinds) and allowed.excess(shown.look.get(name, "")) > 1e-4:
+        if name.startswith(kinds) and not allowed.excess(shown.look.get(name, "")) <= 1e-4:
             yield f"{name} is {_text(shown.look.get(name, ''))}, the condition demands {allowed}"
 
 
 def _light(demand: Demand, shown: Shown) -> Iterator[str]:
     yield from _within(demand, shown, ("light", "exposure"))
     for name, difference in shown.brightness.items():
-        if abs(difference) > BRIGHTNESS:
+        if not abs(difference) <= BRIGHTNESS:
             yield (
                 f"the picture of camera '{name}' differs by {difference:+.1f} of 255 from the luminance that its light "
                 f"gives, at most {BRIGHTNESS:g} expected"
@@ -278,7 +287,7 @@ def _light(demand: Demand, shown: Shown) -> Iterator[str]:
 
 def _texture(demand: Demand, shown: Shown) -> Iterator[str]:
     yield from _within(demand, shown, ("table", "floor", "wall", "background"))
-    if shown.colors.get("table", 0.0) > COLOR_DIFFERENCE:
+    if not shown.colors.get("table", 0.0) <= COLOR_DIFFERENCE:
         yield (
             f"the table's median colour is {shown.colors['table']:.1f} (CIEDE2000) from that of its material, at most "
             f"{COLOR_DIFFERENCE:g} expected"
@@ -292,7 +301,7 @@ def _words(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def _latency(demand: Demand, shown: Shown) -> Iterator[str]:
-    if abs(shown.latency_ticks - demand.latency_ticks) > 1e-6:
+    if not abs(shown.latency_ticks - demand.latency_ticks) <= 1e-6:
         yield f"the policy's answers were {shown.latency_ticks:g} ticks late, {demand.latency_ticks} expected"
 
 

@@ -1,25 +1,37 @@
 """Models side by side: the same condition of several runs of an experiment, on the cells that all of them met.
 
-Each model has trainings of its own. With three or more each, trainings are the sample (Q2, Student's t over the
-difference of each replicate). With fewer, only these checkpoints are compared (Q1): on the scenes that both met
-(McNemar) or, where the scenes differ, on the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models
-without a common letter differ.
+Each model has trainings of its own. With three or more each, trainings are the sample (Q2): Student's t over the
+difference of each replicate or, where the numbers of trainings differ, Welch's t over all trainings of both. With
+fewer, only these checkpoints are compared (Q1): on the scenes that both met (McNemar) or, where the scenes differ, on
+the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ.
+
+Errors count as failures. A model with many of them is named, since its rate says little about the model.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.experiments.analysis import MOST_ERRORS
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.statistics.multiple import compact_letters, holm
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
-from roboxim_eval.statistics.rates import success_rate
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES, Interval, condition_difference, condition_rate
+from roboxim_eval.statistics.rates import SuccessRate, success_rate
+from roboxim_eval.statistics.replicates import (
+    LEAST_REPLICATES,
+    ConditionDifference,
+    Interval,
+    condition_difference,
+    condition_rate,
+)
 from roboxim_eval.statistics.tables import Arm
 
 Wins = Mapping[tuple[str, str], bool]
@@ -36,10 +48,17 @@ class Model:
     """Rollouts that succeeded."""
     episodes: int
     """All rollouts."""
+    errors: int
+    """Rollouts that ended in an error; they count as failures."""
     trainings: int
     """Number of trainings."""
     letters: str
     """Models without a common letter differ."""
+
+    @property
+    def has_many_errors(self) -> bool:
+        """Whether more rollouts ended in errors than an experiment's results allow, see `MOST_ERRORS`."""
+        return self.errors > MOST_ERRORS * self.episodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,26 +93,56 @@ class Models:
     """Name to model, the best first."""
     pairs: tuple[PairOfModels, ...]
     """All pairs."""
+    warnings: Mapping[str, tuple[str, ...]]
+    """Model to the warnings of its own card."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The result in words."""
+        """The result in words: models with many errors, the pairs, cells left out, and the warnings of the cards."""
+        own = [f"The card of {name} warns: {said}" for name, warnings in self.warnings.items() for said in warnings]
+        return (*self.errors, *self.verdicts, *own)
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """A sentence for each model with many errors."""
+        return tuple(
+            f"{name}: {success_rate(model.errors, model.episodes)} of the rollouts ended in errors, more than "
+            f"{100 * MOST_ERRORS:.0f} %; its results are not to be relied on."
+            for name, model in self.models.items()
+            if model.has_many_errors
+        )
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """A sentence for each pair, those that differ first, then the cells that are left out."""
         differing = [pair for pair in self.pairs if pair.p <= 0.05]
         found = [
             f"{best} is better than {worse} by {100 * abs(pair.difference.value):.0f} points "
-            f"({_ends(pair.difference)}), {pair.test}."
+            f"({_ends(pair.difference)}), {self._basis(pair)}."
             for pair in differing
             for best, worse in [_ordered(pair)]
         ]
         rest = [pair for pair in self.pairs if pair.p > 0.05]
         found += [
-            f"Cannot tell whether {pair.first} or {pair.second} is better: {_signed(pair.difference)} points are "
-            f"compatible, {pair.test}."
+            f"Cannot tell whether {pair.first} or {pair.second} is better: {self._unclear(pair)}, {self._basis(pair)}."
             for pair in rest
         ]
         if self.left_out:
             found.append(f"Left out, since not all models met them: {', '.join(self.left_out)}.")
         return tuple(found)
+
+    def _basis(self, pair: PairOfModels) -> str:
+        """Return what a pair's sentence rests on: the test, and whose errors count as failures."""
+        broken = [name for name in (pair.first, pair.second) if self.models[name].has_many_errors]
+        return f"{pair.test}; errors of {' and '.join(broken)} count as failures" if broken else pair.test
+
+    def _unclear(self, pair: PairOfModels) -> str:
+        """Return why a pair is not decided; an interval without 0 does not decide where p is too large."""
+        interval = pair.difference
+        if interval.low <= 0 <= interval.high:
+            return f"{_signed(interval)} points are compatible"
+        adjusted = " after adjustment for several comparisons" if len(self.pairs) > 1 else ""
+        return f"the difference is {_points(interval.value)} points, but p is {pair.p:.2g}{adjusted}"
 
 
 def compare_models(
@@ -138,6 +187,7 @@ def compare_models(
         condition=condition, where=where, cells=tuple(order),
         left_out=tuple(sorted(set.union(*keys.values()) - common)), pairs=pairs,
         models={name: _model(arms[name], letters[name]) for name in letters},
+        warnings={name: cards[name].warnings for name in letters},
     )  # fmt: skip
 
 
@@ -155,8 +205,8 @@ def _keys(card: Card, where: str) -> set[str]:
 def _model(arm: Arm, letters: str) -> Model:
     pooled = arm.pooled
     return Model(
-        rate=condition_rate(arm), successes=pooled.successes, episodes=pooled.episodes, trainings=len(arm.replicates),
-        letters=letters,
+        rate=condition_rate(arm), successes=pooled.successes, episodes=pooled.episodes, errors=pooled.errors,
+        trainings=len(arm.replicates), letters=letters,
     )  # fmt: skip
 
 
@@ -164,11 +214,15 @@ def _pair(
     one: str, two: str, arms: Mapping[str, Arm], cells: set[str], scenes: Mapping[str, Sequence[Wins]]
 ) -> PairOfModels:
     first, second = arms[one], arms[two]
-    replicates = min(len(first.replicates), len(second.replicates))
-    pairs = _shared(scenes.get(one, ()), scenes.get(two, ()), cells)
+    numbers = len(first.replicates), len(second.replicates)
+    replicates, equal = min(numbers), numbers[0] == numbers[1]
+    pairs = _shared(scenes.get(one, ()), scenes.get(two, ()), cells) if equal else []
+    if replicates >= LEAST_REPLICATES and not equal:
+        interval, p = _welch(first, second)
+        test = f"over {numbers[0]} and {numbers[1]} trainings"
+        return PairOfModels(first=one, second=two, difference=interval, p=p, test=test)
     if replicates >= LEAST_REPLICATES:
-        same = Arm(replicates=first.replicates[:replicates]), Arm(replicates=second.replicates[:replicates])
-        difference = condition_difference(*same, pairs[:replicates] if len(pairs) >= replicates else ())
+        difference = condition_difference(first, second, pairs[:replicates] if len(pairs) >= replicates else ())
         return PairOfModels(
             first=one, second=two, difference=difference.interval(), p=difference.p_value,
             test=f"over {replicates} trainings each",
@@ -177,10 +231,48 @@ def _pair(
         together = sum(pairs[1:], start=pairs[0])
         found, test = paired_difference(together), f"these checkpoints, on {together.scenes} scenes that both met"
     else:
-        rates = [success_rate(a.pooled.successes, a.pooled.episodes) for a in (first, second)]
-        found, test = independent_difference(*rates), "these checkpoints, on different scenes"
+        found, test = independent_difference(*_rollouts(first, second)), "these checkpoints, on different scenes"
     interval = Interval(value=found.value, low=found.low, high=found.high)
     return PairOfModels(first=one, second=two, difference=interval, p=found.p_value, test=test)
+
+
+def _rollouts(first: Arm, second: Arm) -> tuple[SuccessRate, SuccessRate]:
+    """Return the success rates of the rollouts of two models, those of all trainings together."""
+    return condition_difference(Arm(replicates=(first.by_cell,)), Arm(replicates=(second.by_cell,))).rollouts
+
+
+def _welch(first: Arm, second: Arm) -> tuple[Interval, float]:
+    """Compare models with different numbers of trainings, which have no partners: Welch's t over all trainings.
+
+    As for `ConditionDifference`, the interval is never narrower than that of the rollouts alone, and p never smaller.
+
+    Args:
+        first: Outcomes of a model with at least two trainings.
+        second: Outcomes of another one, with at least two trainings.
+
+    Returns:
+        The difference of the mean rates, first minus second, with its 95 % interval; and the two-sided p value.
+
+    Source:
+        Welch (1947), Biometrika 34, 28-35; as `scipy.stats.ttest_ind` with unequal variances, which warns of equal
+        rates and returns no number if all are equal.
+    """
+    from scipy.stats import t as student
+
+    value = first.rate - second.rate
+    alone = ConditionDifference(differences=(value, value), rollouts=_rollouts(first, second))  # without a spread
+    floor, p_alone = alone.interval(), alone.p_value
+    numbers = np.array([len(first.replicates), len(second.replicates)])
+    squares = np.array([np.var(first.rates, ddof=1), np.var(second.rates, ddof=1)]) / numbers
+    error = math.sqrt(squares.sum())
+    if error < 1e-9:  # equal trainings of each, but for rounding
+        return floor, p_alone
+    freedom = squares.sum() ** 2 / (squares**2 / (numbers - 1)).sum()
+    half = float(student.ppf(0.975, freedom)) * error
+    interval = Interval(
+        value=value, low=max(-1.0, min(floor.low, value - half)), high=min(1.0, max(floor.high, value + half))
+    )
+    return interval, max(p_alone, float(2 * student.sf(abs(value) / error, freedom)))
 
 
 def _shared(first: Sequence[Wins], second: Sequence[Wins], cells: set[str]) -> list[Pairs]:
@@ -200,4 +292,9 @@ def _ends(interval: Interval) -> str:
 
 
 def _signed(interval: Interval) -> str:
-    return f"{round(100 * interval.low) + 0:+d} to {round(100 * interval.high) + 0:+d}"
+    return f"{_points(interval.low)} to {_points(interval.high)}"
+
+
+def _points(difference: float) -> str:
+    """Format a difference in points with its sign, e.g. ``-7``; never ``-0``."""
+    return f"{round(100 * difference) + 0:+d}"

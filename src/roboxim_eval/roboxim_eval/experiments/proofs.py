@@ -8,8 +8,9 @@ taken out of the weights.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from roboxim_eval.experiments.delivery import CHANGED, CHECKS, Demand, Shown, belongs_to, faults_of
 
@@ -112,8 +113,10 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     """Check that conditions met the same scenes.
 
     Conditions without changes must share states and pictures of tick 0; where their policies get pictures of different
-    sizes, they must share the pose of the camera. A condition that changes light or surfaces
-    alone must share the states and have other pictures. Other changes move objects or cameras, which `tally` checks.
+    sizes, they must share the pose of the camera. What most of them show on a scene is right, and another condition's
+    episode is a fault. Where no majority agrees, e.g. of two conditions, the scene is a fault of each. A condition that
+    changes light or surfaces alone must share the states of the majority and have other pictures. Other changes move
+    objects or cameras, which `tally` checks. A scene that one condition alone met is not checked.
 
     Args:
         arms: Condition to its episodes of one replicate.
@@ -124,23 +127,29 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     looks = [name for name in arms if changed.get(name) and all(_is_look(part) for part in changed[name])]
     if not plain:
         return Tally()
-    first = plain[0]
     faults: list[Fault] = []
     paired = delivered = asked = 0
-    for name in (*plain[1:], *looks):
-        for scene, shown in scenes[name].items():
-            other = scenes[first].get(scene)
-            if other is None:
+    for scene in dict.fromkeys(scene for name in plain for scene in scenes[name]):
+        alike = {name: scenes[name][scene] for name in plain if scene in scenes[name]}
+        lit = {name: scenes[name][scene] for name in looks if scene in scenes[name]}
+        if len(alike) + len(lit) < 2:
+            continue
+        paired += len(alike) + len(lit)
+        asked += len(lit)
+        odd = _deviating(alike)
+        faults += [Fault(check="pairing", bag=alike[name].bag, text=text) for name, text in odd.items()]
+        right = next((name for name in alike if name not in odd), None)
+        for shown in lit.values():
+            if right is None:
+                faults.append(Fault(check="pairing", bag=shown.bag, text=f"no majority of {_named(alike)} agrees"))
                 continue
-            paired += 1
-            if text := _unequal(shown, other, first, pictures=name in plain):
+            if shown.state_hash != alike[right].state_hash:
+                text = _difference("the state of tick 0", _STATE, shown.state_hash, right, alike[right].state_hash)
                 faults.append(Fault(check="pairing", bag=shown.bag, text=text))
-            if name in looks:
-                asked += 1
-                delivered += (seen := _seen_change(shown, other)) >= CHANGED
-                if seen < CHANGED:
-                    text = f"its pictures are {seen:.2f} of 255 from those of '{first}', at least {CHANGED:g} expected"
-                    faults.append(Fault(check="changed", bag=shown.bag, text=text))
+            delivered += (seen := _seen_change(shown, alike[right])) >= CHANGED
+            if seen < CHANGED:
+                text = f"its pictures are {seen:.2f} of 255 from those of '{right}', at least {CHANGED:g} expected"
+                faults.append(Fault(check="changed", bag=shown.bag, text=text))
     failed = sum(fault.check == "pairing" for fault in faults)
     checks = {"pairing": (paired - failed, paired)} if paired else {}
     return Tally(checks=checks | ({"changed": (delivered, asked)} if asked else {}), faults=tuple(faults))
@@ -150,21 +159,60 @@ def _is_look(part: str) -> bool:
     return part.removeprefix("reset.").split(".")[0] in LOOKS
 
 
-def _unequal(shown: Shown, other: Shown, condition: str, *, pictures: bool) -> str:
-    if shown.state_hash != other.state_hash:
-        return f"the state of tick 0 is {shown.state_hash[:8]}, that of '{condition}' is {other.state_hash[:8]}"
-    if not pictures:
-        return ""
-    for camera in shown.pictures.keys() & other.pictures.keys():
-        if shown.sizes.get(camera) != other.sizes.get(camera):  # policies get pictures of different sizes
-            if shown.cameras.get(camera) != other.cameras.get(camera):
-                return f"camera '{camera}' stands elsewhere than that of '{condition}'"
-        elif shown.pictures[camera] != other.pictures[camera]:
-            return f"the picture of camera '{camera}' at tick 0 is not that of '{condition}'"
-    for name in shown.look.keys() & other.look.keys():
-        if shown.look[name] != other.look[name]:
-            return f"{name} is {shown.look[name]}, that of '{condition}' is {other.look[name]}"
-    return ""
+def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
+    """Return the conditions whose episode of a scene is not that of the majority, to what differs.
+
+    A condition that deviates in one part has no vote on the next ones. Without a majority each that votes deviates.
+    """
+    found: dict[str, str] = {}
+    for what, form, values in _parts(arms):
+        votes = {name: value for name, value in values.items() if name not in found}
+        if len(votes) < 2:
+            continue
+        given = list(votes.values())
+        right = max(given, key=given.count)
+        if 2 * given.count(right) <= len(given):
+            end = f"no majority of {_named(votes)} agrees"
+            found |= {name: f"{what} is {form.format(value)}, {end}" for name, value in votes.items()}
+            continue
+        witness = next(name for name, value in votes.items() if value == right)
+        found |= {
+            name: _difference(what, form, value, witness, right) for name, value in votes.items() if value != right
+        }
+    return found
+
+
+_STATE = "{:.8}"
+"""How messages show the hash of a state."""
+
+
+def _parts(arms: Mapping[str, Shown]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield what conditions must share on a scene: its name, how a message shows it, and condition to its value.
+
+    The state comes first, pictures last: what differs before explains them.
+    """
+    yield "the state of tick 0", _STATE, {name: shown.state_hash for name, shown in arms.items()}
+    pictures: dict[str, dict[tuple[int, ...] | None, dict[str, int]]] = {}
+    for name, shown in arms.items():
+        for camera, checksum in shown.pictures.items():
+            pictures.setdefault(camera, {}).setdefault(shown.sizes.get(camera), {})[name] = checksum
+    for camera, of_sizes in pictures.items():
+        if len(of_sizes) > 1:  # policies get pictures of different sizes
+            views = {name: arms[name].cameras.get(camera) for same in of_sizes.values() for name in same}
+            yield f"the pose of camera '{camera}'", "{}", views
+    for look in dict.fromkeys(look for shown in arms.values() for look in shown.look):
+        yield look, "{}", {name: shown.look[look] for name, shown in arms.items() if look in shown.look}
+    for camera, of_sizes in pictures.items():
+        for same in of_sizes.values():
+            yield f"the CRC-32 of the picture of camera '{camera}' at tick 0", "{:08x}", same
+
+
+def _difference(what: str, form: str, value: Any, condition: str, right: Any) -> str:
+    return f"{what} is {form.format(value)}, that of '{condition}' is {form.format(right)}"
+
+
+def _named(conditions: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in conditions)
 
 
 def _seen_change(shown: Shown, other: Shown) -> float:

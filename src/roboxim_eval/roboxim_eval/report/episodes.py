@@ -55,7 +55,8 @@ class Episode:
         """The episode, as the test of factors sees it."""
         stratum = f"{self.arm}.{self.replicate} {self.cell}"
         return Trial(
-            episode=f"{stratum}/{self.scene}", stratum=stratum, success=self.success, drawn=self.drawn
+            episode=f"{stratum}/{self.scene}", stratum=stratum, scene=f"{self.replicate} {self.cell}/{self.scene}",
+            success=self.success, drawn=self.drawn,
         )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,8 @@ class Report:
     """Command that reproduces the evaluation."""
     stopped: str = ""
     """How the number of episodes was decided, where it was not fixed beforehand; empty: it was fixed."""
+    undecided: bool = False
+    """Whether planned looks at the results did not decide; then the comparison does not decide either."""
 
 
 def _rates_by_name(results: Sequence[EpisodeResult], names: Mapping[str, str]) -> dict[str, SuccessRate]:
@@ -121,25 +123,55 @@ def pairs_of(first: PolicyRun, second: PolicyRun) -> Pairs:
     return Pairs.of((one[index], two[index]) for index in one if index in two)
 
 
-def comparisons(runs: Sequence[PolicyRun]) -> list[Verdict]:
+def comparisons(runs: Sequence[PolicyRun], *, undecided: bool = False) -> list[Verdict]:
     """Compare the first policy with each other one on the scenes that both met; p values are adjusted (Holm).
 
     Policies whose episodes mostly ended in errors are left out.
+
+    Args:
+        runs: Runs of the policies, the one under test first.
+        undecided: Whether planned looks at the results did not decide. Then no policy is called better, and p is 1: a
+            test that knows nothing of the looks would have more false alarms.
     """
     measured = [run for run in runs if is_measured(run.results)]
     if not runs or not measured or measured[0] is not runs[0]:
         return []
     first, *others = measured
     found = [(other, pairs) for other in others if (pairs := pairs_of(first, other)).scenes]
-    adjusted = holm([paired_difference(pairs).p_value for _, pairs in found])
-    return [
+    adjusted = holm([1.0 if undecided else paired_difference(pairs).p_value for _, pairs in found])
+    verdicts = [
         checkpoint_verdict(first.policy, other.policy, pairs, p_value=p_value)
         for (other, pairs), p_value in zip(found, adjusted, strict=True)
     ]
+    if not undecided:
+        return verdicts
+    return [
+        _by_looks(verdict, first, other, pairs) for (other, pairs), verdict in zip(found, verdicts, strict=True)
+    ]  # fmt: skip
 
 
-def verdict_line(runs: Sequence[PolicyRun]) -> str:
-    """Compare the first policy with each other policy, in one sentence each; empty for one policy."""
+def _by_looks(verdict: Verdict, first: PolicyRun, second: PolicyRun, pairs: Pairs) -> Verdict:
+    """Return a verdict that says that the planned looks did not decide; one that shows equality as it is."""
+    if verdict.kind != "cannot_tell":
+        return verdict
+    value, low, high = (
+        f"{round(100 * x) + 0:+d}" for x in (verdict.difference.value, verdict.difference.low, verdict.difference.high)
+    )
+    sentence = (
+        f"Cannot tell whether this checkpoint of {first.policy} differs from this one of {second.policy}: the "
+        f"difference is {value} points ({low} to {high}, without account of the looks), but the planned looks did not "
+        f"decide, on {pairs.scenes} scenes that both met. One training says nothing about the way to train."
+    )
+    return replace(verdict, sentence=sentence)
+
+
+def verdict_line(runs: Sequence[PolicyRun], *, undecided: bool = False) -> str:
+    """Compare the first policy with each other policy, in one sentence each; empty for one policy.
+
+    Args:
+        runs: Runs of the policies, the one under test first.
+        undecided: Whether planned looks at the results did not decide, see `comparisons`.
+    """
     if len(runs) < 2:
         return ""
     broken = [
@@ -147,7 +179,7 @@ def verdict_line(runs: Sequence[PolicyRun]) -> str:
         for run in runs
         if not is_measured(run.results)
     ]
-    return " ".join([*broken, *(verdict.sentence for verdict in comparisons(runs))])
+    return " ".join([*broken, *(verdict.sentence for verdict in comparisons(runs, undecided=undecided))])
 
 
 def summary(report: Report) -> dict[str, Any]:
@@ -155,7 +187,7 @@ def summary(report: Report) -> dict[str, Any]:
     return {
         "title": report.title,
         "policies": {run.policy: _numbers(run) for run in report.runs},
-        "comparison": verdict_line(report.runs),
+        "comparison": verdict_line(report.runs, undecided=report.undecided),
         "stopped": report.stopped,
         "facts": report.facts,
         "versions": report.versions,
@@ -207,7 +239,7 @@ def evaluation_page(report: Report) -> str:
         "evaluation.html",
         title=report.title,
         report=report,
-        verdicts=comparisons(report.runs),
+        verdicts=comparisons(report.runs, undecided=report.undecided),
         broken=[run.policy for run in report.runs if not is_measured(run.results)],
         runs=[_run_view(run) for run in report.runs],
         map=map_view(episodes, arms),

@@ -15,6 +15,7 @@ from typing import Any
 from roboxim_eval.experiments.card import Card, CardVerdict
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
@@ -33,8 +34,6 @@ from roboxim_eval.report.parts import (
 )
 from roboxim_eval.report.vocabulary import vocabulary
 from roboxim_eval.statistics.paired import newcombe
-from roboxim_eval.statistics.power import Design as Size
-from roboxim_eval.statistics.power import detectable
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import Interval, condition_rate
 from roboxim_eval.statistics.tables import Arm, Count, total
@@ -123,13 +122,15 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         "rollouts": f"{sum(n for e in card.evaluations for _, n, _ in e.by_cell.values()):,}",
     }  # fmt: skip
     if design.compared_scenes:
-        planned = Size(replicates=config.replicates.count, scenes=design.compared_scenes)
-        drop = detectable(planned, alpha=config.decide.alpha)
+        drop, worst = detectable_drop(design), detectable_drop(design, alone=True)
         trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"
         size = f"{trainings} x {design.compared_scenes} rollouts"
+        if len(config.compare) > 1:
+            least = "no drop" if worst is None else f"{100 * worst:.0f} points"
+            size += f"; {least} if no other comparison is found"
         facts["planned to find"] = (
-            f"{size}: too few to find any drop from 80 % with a chance of 80 %" if drop is None
-            else f"{size}: a drop of {100 * drop:.0f} points from 80 %, with a chance of 80 %"
+            f"no drop from 80 % with a chance of 80 % ({size})" if drop is None
+            else f"a drop of {100 * drop:.0f} points from 80 %, with a chance of 80 % ({size})"
         )  # fmt: skip
     decide = config.decide
     facts["decided by"] = (
@@ -286,8 +287,9 @@ def _curve(card: Card) -> Any:
     for row in card.evaluations:
         if row.checkpoint:
             count = total(Count(successes=s, episodes=n, errors=e) for s, n, e in row.by_cell.values())
-            rates = points.setdefault(row.condition, {}).setdefault(row.checkpoint, [])
-            rates.append(count.successes / count.episodes)
+            if count.episodes:
+                rates = points.setdefault(row.condition, {}).setdefault(row.checkpoint, [])
+                rates.append(count.successes / count.episodes)
     curves = {
         name: [CurvePoint(steps=steps, rates=tuple(rates)) for steps, rates in sorted(found.items())]
         for name, found in points.items()

@@ -48,7 +48,8 @@ def _experiment(card: Card, level: int) -> Iterator[str]:
         yield "\n" + _table(
             ("score", "value", "95 % interval"), ((r["name"], r["value"], r["interval"]) for r in score_rows(card))
         )
-    yield "\n" + _table(("condition", "success", "95 % interval", "each training"), map(_rate, arms, arms.values()))
+    head = ("condition", "success, mean of cells", "each training", "rollouts")
+    yield "\n" + _table(head, map(_rate, arms, arms.values()))
     yield "\n" + _by_cell(design.cells, arms)
     if card.experiment.deviations:
         yield "\nDeviations:\n"
@@ -77,7 +78,8 @@ def _benchmark(card: BenchmarkCard) -> Iterator[str]:
 def _rate(name: str, arm: Arm) -> tuple[str, ...]:
     rate, pooled = condition_rate(arm), arm.pooled
     each = ", ".join(f"{100 * value:.0f} %" for value in arm.rates)
-    return name, f"{pooled.successes} of {pooled.episodes}", f"{100 * rate.low:.0f} to {_percent(rate.high)}", each
+    mean = f"{100 * rate.value:.0f} % ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
+    return name, mean, each, f"{pooled.successes} of {pooled.episodes}"
 
 
 def _by_cell(cells: Sequence[Cell], arms: Mapping[str, Arm]) -> str:

@@ -37,7 +37,8 @@ def compact_letters(rates: Mapping[str, float], different: Mapping[tuple[str, st
     """Return letters of models: two models without a common letter differ.
 
     Args:
-        rates: Model to its success rate; the best gets the first letter.
+        rates: Model to its success rate; the best gets the first letter. After ``z`` follow ``A`` to ``Z``, then
+            ``(53)``, ``(54)``, ...
         different: Pair of models to whether they differ after Holm's adjustment; either order of the names.
 
     Raises:
@@ -58,9 +59,12 @@ def compact_letters(rates: Mapping[str, float], different: Mapping[tuple[str, st
             split += [group - {one}, group - {two}] if {one, two} <= group else [group]
         groups = [g for i, g in enumerate(split) if not any(g < o or (g == o and j < i) for j, o in enumerate(split))]
     groups.sort(key=lambda group: min(names.index(name) for name in group))
-    return {
-        name: "".join(string.ascii_lowercase[i] for i, group in enumerate(groups) if name in group) for name in names
-    }
+    return {name: "".join(_letter(i) for i, group in enumerate(groups) if name in group) for name in names}
+
+
+def _letter(number: int) -> str:
+    """Return the letter of a group, e.g. ``a`` for 0; a number in brackets where no letter is left."""
+    return string.ascii_letters[number] if number < len(string.ascii_letters) else f"({number + 1})"
 
 
 def bradley_terry(wins: Mapping[tuple[str, str], int]) -> dict[str, float]:

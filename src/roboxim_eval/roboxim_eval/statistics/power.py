@@ -48,8 +48,8 @@ class Design:
 def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -> float:
     """Return the chance to find a difference of two conditions' success rates.
 
-    Three or more replicates: Student's t over them (Q2). Fewer: the paired test of one checkpoint (Q1), without the
-    spread of trainings.
+    Three or more replicates: Student's t over them (Q2). One: the exact McNemar test of one checkpoint (Q1), without
+    the spread of trainings. Two decide nothing.
 
     Args:
         design: Size of the comparison.
@@ -60,11 +60,11 @@ def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -
     from scipy.stats import norm
     from scipy.stats import t as student
 
+    if design.replicates == 1:
+        return _mcnemar_power(design.scenes, first, second, alpha)
+    if design.replicates == 2:
+        return 0.0
     rollouts = (_within(first) + _within(second)) / design.scenes
-    if design.replicates < 3:
-        apart = max(0.0, abs(first - second) - 1 / design.scenes)  # the exact test is discrete
-        lead = apart / math.sqrt(rollouts) if rollouts else math.inf
-        return float(norm.sf(norm.ppf(1 - alpha / 2) - lead) + norm.cdf(-norm.ppf(1 - alpha / 2) - lead))
     trainings = design.training_spread**2 * (_logit_scale(first) ** 2 + _logit_scale(second) ** 2)
     if not trainings + rollouts:
         return 1.0 if first != second else alpha
@@ -106,19 +106,48 @@ def _sample_spreads(freedom: int) -> Array:
     return spreads
 
 
+def _mcnemar_power(scenes: int, first: float, second: float, alpha: float) -> float:
+    """Return the chance that the exact McNemar test of two checkpoints on the same scenes finds their difference."""
+    from scipy.stats import binom
+
+    one, two = _chances(first), _chances(second)
+    weights = _nodes()[1]
+    only_first, only_second = float(weights @ (one * (1 - two))), float(weights @ (two * (1 - one)))
+    if not only_first + only_second:
+        return 0.0
+    discordant = np.arange(scenes + 1)
+    limits = binom.ppf(alpha / 2, discordant, 0.5)
+    limits -= binom.cdf(limits, discordant, 0.5) > alpha / 2  # the most successes of one of them that show it is worse
+    share = only_first / (only_first + only_second)
+    below, above = binom.cdf(limits, discordant, share), binom.sf(discordant - limits - 1, discordant, share)
+    found = np.where(limits >= 0, below + above, 0.0)
+    return float(binom.pmf(discordant, scenes, only_first + only_second) @ found)
+
+
+@lru_cache(maxsize=1)
+def _nodes() -> tuple[Array, Array]:
+    """Return standard normal nodes and their weights, for means over scenes."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    return nodes, weights / weights.sum()
+
+
 @lru_cache(maxsize=1024)
-def _within(rate: float) -> float:
-    """Return the mean variance of one rollout given its scene: scenes differ in difficulty."""
+def _chances(rate: float) -> Array:
+    """Return the success rate in scenes of increasing ease, at `_nodes`, whose mean is a rate."""
     from scipy.optimize import brentq
 
+    nodes, weights = _nodes()
     if not 0 < rate < 1:
-        return 0.0
-    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    weights = weights / weights.sum()
+        return np.full(len(nodes), float(rate))
 
-    def mean_rate(middle: float) -> float:
-        return float(weights @ (1 / (1 + np.exp(-(middle + SCENE_SPREAD * nodes)))))
+    def at(middle: float) -> Array:
+        chances: Array = 1 / (1 + np.exp(-(middle + SCENE_SPREAD * nodes)))
+        return chances
 
-    middle = brentq(lambda m: mean_rate(m) - rate, -40, 40)
-    chances = 1 / (1 + np.exp(-(middle + SCENE_SPREAD * nodes)))
-    return float(weights @ (chances * (1 - chances)))
+    return at(brentq(lambda middle: float(weights @ at(middle)) - rate, -40, 40))
+
+
+def _within(rate: float) -> float:
+    """Return the mean variance of one rollout given its scene: scenes differ in difficulty."""
+    chances = _chances(rate)
+    return float(_nodes()[1] @ (chances * (1 - chances)))

@@ -62,9 +62,10 @@ class ConditionDifference:
     differences: tuple[float, ...]
     """Difference of each replicate, -1..1."""
     rollouts: tuple[SuccessRate, SuccessRate]
-    """Successes of all replicates together, for the rollouts' share of the uncertainty."""
+    """Success rates of both conditions over all replicates, for the rollouts' share of the uncertainty."""
     pairs: Pairs | None = None
-    """Outcomes of all replicates on the same scenes, which narrow the rollouts' share; none: the scenes differ."""
+    """Outcomes of all replicates on the same scenes, which narrow the rollouts' share; none: the scenes differ, or
+    cells have different numbers of them."""
 
     @property
     def replicates(self) -> int:
@@ -140,16 +141,25 @@ def condition_difference(
         odd = ", ".join(sorted(set(first.cells) ^ set(second.cells)))
         raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
     differences = first.rates - second.rates
+    even = len({count.episodes for count in first.by_cell.values()}) == 1  # else scenes of some cells would weigh more
     return ConditionDifference(
         differences=tuple(float(d) for d in differences),
         rollouts=(_pooled(first), _pooled(second)),
-        pairs=sum(pairs[1:], start=pairs[0]) if pairs else None,
+        pairs=sum(pairs[1:], start=pairs[0]) if pairs and even else None,
     )
 
 
 def _pooled(arm: Arm) -> SuccessRate:
-    count = arm.pooled
-    return success_rate(count.successes, count.episodes)
+    """Return the rate of an arm, the mean of its cells', as that of the rollouts which would tell it as exactly.
+
+    With n_c rollouts in each of C cells these are C^2 / sum(1 / n_c): all rollouts if the cells have equally many.
+    """
+    counts = [count.episodes for count in arm.by_cell.values() if count.episodes]
+    episodes = max(1, round(len(counts) ** 2 / sum(1 / count for count in counts)))
+    successes = round(arm.rate * episodes)
+    if 0 < arm.rate < 1:
+        successes = min(max(successes, 1), episodes - 1)
+    return success_rate(successes, episodes)
 
 
 def condition_rate(arm: Arm) -> Interval:
@@ -212,12 +222,15 @@ def mean_interval(estimates: Sequence[Interval]) -> Interval:
     return Interval(value=value, low=value - below, high=value + above)
 
 
-def more_trainings(difference: ConditionDifference, margin: float, *, most: int = 10_000) -> int | None:
-    """Return about how many more trainings an arm would decide a margin: 80 % power at 5 %, two-sided.
+def more_trainings(
+    difference: ConditionDifference, margin: float, *, alpha: float = 0.05, most: int = 10_000
+) -> int | None:
+    """Return about how many more trainings an arm would decide a margin with a chance of 80 %.
 
     Args:
         difference: The difference so far.
         margin: Difference to detect, 0..1.
+        alpha: Probability of a false alarm of this comparison, two-sided.
         most: Number of trainings above which none is returned.
 
     Returns:
@@ -225,12 +238,13 @@ def more_trainings(difference: ConditionDifference, margin: float, *, most: int 
     """
     if difference.replicates < 2 or margin <= 0:
         return None
+    alpha = max(alpha, 1e-9)  # beyond it the quantiles become infinite
     first, second = difference.rollouts
     episodes = (first.episodes + second.episodes) / 2 / difference.replicates
     spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 is chance
-    least = math.ceil(((NORMAL + _t_limit(0.8, MANY)) * spread / margin) ** 2)
+    least = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
     for replicates in range(max(2, difference.replicates, least), most + 1):
-        needed = _t_limit(0.975, replicates - 1) + _t_limit(0.8, replicates - 1)
+        needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)
         if needed * spread / math.sqrt(replicates) <= margin:
             return replicates - difference.replicates
     return None

@@ -103,7 +103,7 @@ def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refu
             ratio=None, refused=f"fewer than {LEAST_REPLICATES} trainings of each condition have no interval"
         )
     s = condition_rate(baseline)
-    if s.low < refuse_below:
+    if s.low < refuse_below or not s.value:
         return Relative(
             ratio=None,
             refused=f"the baseline may succeed in as little as {100 * s.low:.0f} % of these episodes (limit: "

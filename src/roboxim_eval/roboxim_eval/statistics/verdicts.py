@@ -78,7 +78,8 @@ def condition_verdict(
         )
     else:
         kind = "cannot_tell"
-        more = more_trainings(difference, margin)
+        adjustment = max(1.0, own / difference.p_value) if difference.p_value else 1.0
+        more = more_trainings(difference, margin, alpha=alpha / adjustment)
         needed = {None: "", 0: "; more scenes for each training would decide"}.get(
             more, f"; about {more} more training{'' if more == 1 else 's'} each would decide {100 * margin:.0f} points"
         )
@@ -130,9 +131,12 @@ def checkpoint_verdict(
         )
     else:
         kind = "cannot_tell"
+        unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible"
+        if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
+            adjusted = f"p is {own:.2g} after adjustment for several comparisons"
+            unclear = f"the difference is {_number(interval.value)} points, but {adjusted}"
         sentence = (
-            f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: "
-            f"{_number(interval.low)} to {_number(interval.high)} points are compatible, {where}."
+            f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: {unclear}, {where}."
         )
     return Verdict(
         kind=kind, question="checkpoint", difference=interval, p_value=own,

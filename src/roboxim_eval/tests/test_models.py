@@ -1,0 +1,139 @@
+"""Models side by side: different numbers of trainings, errors, adjusted p values, and letters of many models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_ind
+
+from roboxim_eval.experiments.card_checks import concluded
+from roboxim_eval.experiments.models import compare_models
+from roboxim_eval.report.models import models_page
+from roboxim_eval.statistics.multiple import compact_letters
+from roboxim_eval.statistics.paired import newcombe
+from roboxim_eval.statistics.rates import success_rate
+from roboxim_eval.testing import planted_card, shipped
+
+
+def card_of(rates, *, errors=0, per_cell=20):
+    """Return a card whose leave-out trainings have these rates in every cell, and errors in each cell."""
+    design = shipped(replicates=len(rates), per_cell=per_cell)
+    card = planted_card(design, lambda condition, cell: 0.5)
+    evaluations = tuple(
+        replace(
+            one,
+            by_cell={cell: (round(rates[one.replicate] * n), n, errors) for cell, (_, n, _) in one.by_cell.items()},
+        )
+        if one.condition == "leave_out"
+        else one
+        for one in card.evaluations
+    )
+    return concluded(replace(card, evaluations=evaluations), design)
+
+
+# ------------------------------------------------------------------ different numbers of trainings
+
+
+@pytest.mark.filterwarnings("ignore:Precision loss:RuntimeWarning")  # SciPy's, of B
+def test_all_trainings_count_where_their_numbers_differ():
+    found = compare_models({"A": card_of([0.5] * 3 + [0.9] * 3), "B": card_of([0.65] * 3)})
+    (pair,) = found.pairs
+    assert [model.rate.value for model in found.models.values()] == pytest.approx([0.7, 0.65])
+    assert pair.difference.value == pytest.approx(0.05), "of the rates in the table"
+    assert pair.test == "over 6 and 3 trainings"
+    welch = ttest_ind([0.5] * 3 + [0.9] * 3, [0.65] * 3, equal_var=False)
+    ends = welch.confidence_interval(0.95)
+    assert (pair.difference.low, pair.difference.high) == pytest.approx((ends.low, ends.high))
+    assert pair.p == pytest.approx(welch.pvalue)
+    assert found.sentences[0] == (
+        "Cannot tell whether A or B is better: -18 to +28 points are compatible, over 6 and 3 trainings."
+    )
+
+
+def test_welchs_test_agrees_with_scipy_where_both_vary():
+    one, two = [0.1, 0.3, 0.45, 0.2], [0.9, 0.6, 0.7, 0.75, 0.95]
+    (pair,) = compare_models({"A": card_of(one), "B": card_of(two)}).pairs
+    welch = ttest_ind(one, two, equal_var=False)
+    ends = welch.confidence_interval(0.95)
+    assert (pair.difference.low, pair.difference.high) == pytest.approx((ends.low, ends.high))
+    assert pair.p == pytest.approx(welch.pvalue)
+
+
+def test_trainings_that_agree_by_chance_are_no_surer_than_their_rollouts():
+    (pair,) = compare_models({"A": card_of([0.55] * 4), "B": card_of([0.5] * 3)}).pairs
+    low, high = newcombe(success_rate(264, 480), success_rate(180, 360))
+    assert (pair.difference.low, pair.difference.high) == pytest.approx((low, high))
+    assert 0.1 < pair.p < 0.2
+    equal = compare_models({"A": card_of([0.5] * 4), "B": card_of([0.5] * 3)}).pairs[0]
+    assert equal.p == 1.0
+    assert np.isfinite([equal.difference.low, equal.difference.high]).all()
+
+
+def test_fewer_than_three_trainings_of_different_numbers_are_compared_by_all_their_rollouts():
+    cards = {"A": card_of([0.1, 0.9]), "B": card_of([0.5])}
+    scene = {("pick_up target=cube", str(i)): True for i in range(30)}
+    found = compare_models(cards, scenes={"A": [scene, scene], "B": [dict.fromkeys(scene, False)]})
+    assert found.pairs[0].difference.value == pytest.approx(0.0)
+    assert found.pairs[0].test == "these checkpoints, on different scenes"
+
+
+# ------------------------------------------------------------------ errors and warnings
+
+
+def test_a_model_whose_episodes_ended_in_errors_is_named_with_its_errors():
+    cards = {"A": card_of([0.0] * 3, errors=20), "B": card_of([0.6] * 3)}
+    found = compare_models(cards)
+    assert found.models["A"].errors == 360
+    assert found.sentences[0] == found.errors[0]
+    assert found.errors[0].startswith("A: 360 of 360 = 100 %")
+    assert found.errors[0].endswith("ended in errors, more than 1 %; its results are not to be relied on.")
+    assert found.verdicts[0].startswith("B is better than A by 60 points")
+    assert found.verdicts[0].endswith("over 3 trainings each; errors of A count as failures.")
+    page = models_page(found, cards)
+    assert found.errors[0] in page
+    few = compare_models({"A": card_of([0.5] * 3, errors=1, per_cell=100), "B": cards["B"]})
+    assert few.models["A"].errors == 18, "1 %"
+    assert not few.errors
+    assert "errors" not in " ".join(few.verdicts)
+
+
+def test_warnings_of_each_card_are_shown():
+    exposed = planted_card(shipped(replicates=3), lambda condition, cell: 0.5, exposure="yes")
+    cards = {"A": exposed, "B": card_of([0.5] * 3)}
+    found = compare_models(cards)
+    said = next(warning for warning in exposed.warnings if "pre-training" in warning)
+    assert f"The card of A warns: {said}" in found.sentences
+    own = models_page(found, cards).partition("Scores of each model")[2]
+    of_a = own.partition(">A</h3>")[2].partition("</h3>")[0]
+    of_b = own.partition(">B</h3>")[2]
+    assert f'<p class="warning">{said}</p>' in of_a
+    assert said not in of_b
+
+
+# ------------------------------------------------------------------ adjusted p values
+
+
+def test_an_interval_without_0_is_not_called_compatible_with_both():
+    cards = {
+        "A": card_of([0.5, 0.55, 0.6]), "D": card_of([0.7, 0.85, 0.8]),
+        "E": card_of([0.6, 0.7, 0.75]), "F": card_of([0.65, 0.7, 0.6]),
+    }  # fmt: skip
+    found = compare_models(cards)
+    pair = next(p for p in found.pairs if (p.first, p.second) == ("A", "D"))
+    assert pair.difference.high < 0
+    assert pair.p > 0.05
+    sentence = next(s for s in found.sentences if s.startswith("Cannot tell whether A or D is better"))
+    assert sentence == (
+        f"Cannot tell whether A or D is better: the difference is {100 * pair.difference.value:+.0f} points, but p is "
+        f"{pair.p:.2g} after adjustment for several comparisons, over 3 trainings each."
+    )
+    alone = compare_models({name: cards[name] for name in "AD"})
+    assert alone.sentences[0].startswith("D is better than A by 23 points"), "one comparison needs no adjustment"
+
+
+def test_letters_do_not_run_out():
+    names = [f"model{i}" for i in range(56)]
+    rates = {name: 1 - i / 100 for i, name in enumerate(names)}
+    every = compact_letters(rates, {(a, b): True for i, a in enumerate(names) for b in names[i + 1 :]})
+    assert [every[names[i]] for i in (0, 25, 26, 51, 52, 55)] == ["a", "z", "A", "Z", "(53)", "(56)"]
+    assert len(set(every.values())) == 56
