@@ -65,5 +65,6 @@ def shown_from(data: Mapping[str, Any]) -> Shown:
     values["modifiers"] = {r: {k: plain_value(v) for k, v in kinds.items()} for r, kinds in data["modifiers"].items()}
     values["cameras"] = {name: from_plain(view, View) for name, view in data["cameras"].items()}
     values["positions"] = {role: tuple(position) for role, position in data["positions"].items()}
+    values["sizes"] = {name: tuple(shape) for name, shape in data["sizes"].items()}
     values["thumbnails"] = {name: tuple(numbers) for name, numbers in data["thumbnails"].items()}
     return Shown(**{**values, "others": tuple(data["others"]), "start": tuple(data["start"])})
