@@ -87,7 +87,8 @@ def _by_cell(cells: Sequence[Cell], arms: Mapping[str, Arm]) -> str:
     names = [f"**{cell.key}**" if cell.unseen else cell.key for cell in cells]
     counts = [tuple(_count(arm, cell.key) for arm in arms.values()) for cell in cells]
     rows = [(name, *row) for name, row in zip(names, counts, strict=True) if set(row) != {"-"}]
-    head, table = ("cell, **held out**", *arms), [*rows]
+    heading = "cell, **held out**" if any(cell.unseen for cell in cells) else "cell"
+    head, table = (heading, *arms), [*rows]
     if len(arms) > len(rows):
         head, *table = zip(head, *rows, strict=True)
     return _table(head, table)
