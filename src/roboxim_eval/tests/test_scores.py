@@ -127,6 +127,10 @@ def test_one_checkpoint_says_nothing_about_the_way_to_train():
     assert found.sentence.endswith("One training says nothing about the way to train.")
     assert checkpoint_verdict("a", "b", Pairs(both=500, first=4, second=5, neither=91)).kind == "as_good"
     assert checkpoint_verdict("a", "b", Pairs(both=10, first=4, second=5, neither=1)).kind == "cannot_tell"
+    few = Pairs(both=0, first=5, second=0, neither=15)  # Newcombe's interval excludes 0, the exact test decides
+    assert "the difference is +25 points, but p is 0.062, on 20 scenes" in checkpoint_verdict("a", "b", few).sentence
+    several = checkpoint_verdict("a", "b", few, p_value=0.19).sentence
+    assert "but p is 0.19 after adjustment for several comparisons" in several
 
 
 def test_replicates_that_agree_by_chance_do_not_end_the_doubt():

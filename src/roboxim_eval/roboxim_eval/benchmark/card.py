@@ -76,13 +76,18 @@ class BenchmarkCard:
 
 def dimension_sentence(name: str, score: CardDimension) -> str:
     """Return the score of a dimension in words."""
-    absolute, low, high = score.absolute
     if score.relative is None:
         ratio = f"no relative score, since the ratio of {' and '.join(score.refused)} is refused"
     else:
         ratio = f"{percent_text(score.relative)} of the baseline"
     among = f"mean of {' and '.join(score.experiments)}"
-    return f"{name}: {absolute:.2f} ({low:.2f} to {high:.2f}) absolute, {ratio}; {among}."
+    return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {among}."
+
+
+def rate_text(bounds: Bounds) -> str:
+    """Format an estimate with its interval, e.g. ``0.69 (0.58 to 0.80)``."""
+    value, low, high = bounds
+    return str(Interval(value=value, low=low, high=high))
 
 
 def percent_text(bounds: Bounds) -> str:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text
+from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text, rate_text
 from roboxim_eval.benchmark.card import Bounds
 from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
-from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, ratio_scale
+from roboxim_eval.report.charts.forest import RATES, ForestRow, ratio_scale
 from roboxim_eval.report.charts.heat_map import rate_map
 from roboxim_eval.report.experiment import primary_forest, provenance_of, score_rows
 from roboxim_eval.report.page import render
@@ -38,8 +38,7 @@ class BenchmarkRow:
     @property
     def absolute_text(self) -> str:
         """The success rate with its interval."""
-        value, low, high = self.absolute
-        return f"{value:.2f} ({low:.2f} to {high:.2f})"
+        return rate_text(self.absolute)
 
     @property
     def relative_text(self) -> str:
@@ -98,8 +97,8 @@ def _charts(rows: Iterable[BenchmarkRow]) -> Iterator[dict[str, Any]]:
     yield {"heading": "Absolute: success in held-out cells, %", "rows": absolute, "scale": RATES}
     relative = _chart(rows, lambda row: row.relative, lambda published: published.relative)
     if relative:
-        scale: Scale = ratio_scale(relative)
-        yield {"heading": "Relative: share of the baseline's success, %", "rows": relative, "scale": scale}
+        heading = "Relative: share of the baseline's success, %"
+        yield {"heading": heading, "rows": relative, "scale": ratio_scale(relative)}
 
 
 def _chart(
@@ -117,7 +116,7 @@ def _chart(
             number=f"{100 * bounds[0]:.0f} ({100 * bounds[1]:.0f} to {100 * bounds[2]:.0f})",
             link="" if row.dimension else f"#{row.name}",
             published=published(row.published) if row.published else None,
-        )  # fmt: skip
+        )
         for row in rows
         if (bounds := found(row)) is not None
     ]

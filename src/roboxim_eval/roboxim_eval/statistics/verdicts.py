@@ -132,9 +132,9 @@ def checkpoint_verdict(
     else:
         kind = "cannot_tell"
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible"
-        if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
-            adjusted = f"p is {own:.2g} after adjustment for several comparisons"
-            unclear = f"the difference is {_number(interval.value)} points, but {adjusted}"
+        if interval.low > 0 or interval.high < 0:  # the exact test is stricter, or adjustment decides
+            adjusted = " after adjustment for several comparisons" if own > found.p_value else ""
+            unclear = f"the difference is {_number(interval.value)} points, but p is {own:.2g}{adjusted}"
         sentence = (
             f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: {unclear}, {where}."
         )
