@@ -71,9 +71,10 @@ def make_experiments() -> Catalog:
             times = {}
             for scale in scale_names(config):
                 scaled = load_experiment(name, scale)
-                design, rates = design_of(scaled), stored_rates(scaled.image_size)
+                design, rates = design_of(scaled), stored_rates(scaled.image_size, name)
                 made["measured"] |= rates is not None
-                times[scale] = "" if rates is None else hours(cost_of(design, rates).total_s)
+                about = "" if rates is None or rates.experiment == name else "about "
+                times[scale] = "" if rates is None else about + hours(cost_of(design, rates).total_s)
         except ConfigError as error:
             made["broken"][name] = str(error)
             continue

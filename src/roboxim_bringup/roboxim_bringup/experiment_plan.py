@@ -55,6 +55,7 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
     cost = known_cost(design, rates, trainings)
     yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"
     if cost is not None and rates is not None:
+        yield f"                  {_success_text(cost, design, rates)}"
         yield f"  disk            {cost.disk_bytes / 1e9:.1f} GB"
         yield f"  rates           of {rates.measured}: {rates.source}; {rates.workers} workers on {rates.machine}"
         rate = rates.at_once(trainings_at_once(design, trainings))
@@ -75,6 +76,16 @@ def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:
         f"unknown: the rate of {most} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
         f"{most}' measures it"
     )
+
+
+def _success_text(cost: Cost, design: Design, rates: Rates) -> str:
+    """Return which share of the rollouts is taken as successful, and why."""
+    if cost.succeeded == 0:
+        return "as if no rollout succeeded: these trainings are too short to learn anything"
+    own = rates.succeeded is not None
+    why = f"as in the last run of {rates.experiment}" if own else "an assumption"
+    failing = f"{hours(cost.total_s - cost.evaluate_s + cost.failing_s)} if none does"
+    return f"if {100 * cost.succeeded:.0f} % of the rollouts succeed, {why}; {failing}"
 
 
 def time_text(cost: Cost) -> str:
@@ -156,5 +167,6 @@ def plan_data(name: str, scale: str, design: Design, rates: Rates | None, traini
         "scenes": design.compared_scenes,
         "replicates": design.config.replicates.count,
         "hours": None if cost is None else cost.total_s / 3600,
+        "rollouts_taken_as_successful": None if cost is None else cost.succeeded,
         "disk_bytes": None if cost is None else cost.disk_bytes,
     }

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from importlib import metadata
 
 import pytest
@@ -16,7 +17,7 @@ from roboxim_bringup.experiment_files import (
     mixes,
     write_mixes,
 )
-from roboxim_bringup.experiment_plan import plan_lines
+from roboxim_bringup.experiment_plan import plan_data, plan_lines
 from roboxim_bringup.experiment_provenance import packages_sha256
 from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
@@ -123,8 +124,12 @@ def test_a_plan_says_counts_time_disk_and_power():
     assert "compare checkpoints, not ways to train" in "\n".join(plan_lines("skill_object", "smoke", smoke, RATES))
 
 
+OWN = replace(RATES, experiment="skill_object")
+"""Rates of a machine on which that experiment was measured."""
+
+
 def test_the_command_plans_and_lists():
-    store_rates(RATES)
+    store_rates(OWN)
     run = CliRunner()
     planned = run.invoke(command, ["plan", "skill_object", "--scale", "laptop", "--json"], catch_exceptions=False)
     data = json.loads(planned.stdout)[0]
@@ -135,7 +140,9 @@ def test_the_command_plans_and_lists():
     )
     assert int(re.search(r"\((\d+) trainings", fitted.stdout)[1]) >= 5
     assert float(re.search(r"time +([\d.]+) h", fitted.stdout)[1]) <= 8
-    night = run.invoke(command, ["plan", "--benchmark", "transfer", "--scale", "night"], catch_exceptions=False)
+    night = run.invoke(
+        command, ["plan", "--benchmark", "transfer", "--scale", "night", "--no-probe"], catch_exceptions=False
+    )
     assert night.stdout.count("scale night") == 3
     assert "in all: " in night.stdout
     with pytest.raises(ConfigError, match="did you mean 'skill_object'"):
@@ -160,7 +167,7 @@ def test_a_plan_of_trainings_side_by_side_says_how_their_rate_was_measured():
 
 
 def test_the_command_measures_trainings_side_by_side_once(monkeypatch):
-    store_rates(RATES)
+    store_rates(OWN)
     probed = []
 
     def probe(config, **_):
@@ -178,7 +185,7 @@ def test_the_command_measures_trainings_side_by_side_once(monkeypatch):
         assert (data["trainings"], data["trainings_at_a_time"]) == (6, 2)
         assert data["hours"] < 2.7, "3.0 h with one at a time"
     assert probed == [2]
-    assert stored_rates("128x128") == RATES.learned(TWO)
+    assert stored_rates("128x128", "skill_object") == OWN.learned(TWO)
     run.invoke(command, ["plan", "skill_object", "--scale", "laptop"], catch_exceptions=False)
     assert probed == [2], "one at a time was measured before"
 
@@ -192,12 +199,51 @@ def test_the_benchmark_has_the_three_experiments_and_fits_a_night():
 
 
 def test_rates_are_stored_for_this_machine():
-    assert stored_rates("128x128") is None
-    assert store_rates(RATES) == rates_file("128x128")
-    assert stored_rates("128x128") == RATES
-    assert stored_rates("256x256") is None, "rates hold for one image size"
-    rates_file("128x128").write_text("{}")
-    assert stored_rates("128x128") is None, "those of another version are measured again"
+    assert stored_rates("128x128", "test") is None
+    assert store_rates(RATES) == rates_file("128x128", "test")
+    assert stored_rates("128x128", "test") == RATES
+    assert stored_rates("256x256", "test") is None, "rates hold for one image size"
+    rates_file("128x128", "test").write_text("{}")
+    assert stored_rates("128x128", "test") is None, "those of another version are measured again"
+
+
+def test_an_experiment_has_rates_of_its_own_and_the_trainings_of_all():
+    store_rates(replace(RATES, experiment="area", measured="2026-01-03").learned(TWO))
+    store_rates(replace(RATES, experiment="faults", measured="2026-01-02", success_s=1.0))
+    mine, unknown = stored_rates("128x128", "faults"), stored_rates("128x128", "triple")
+    assert (mine.experiment, mine.success_s) == ("faults", 1.0)
+    assert mine.side_by_side == (TWO,), "a training does not depend on who measured it"
+    assert unknown.experiment == "area", "the last one that was measured"
+
+
+def test_a_plan_measures_an_experiment_that_was_never_run_once(monkeypatch):
+    store_rates(OWN.learned(TWO))
+    probed = []
+
+    def probe(settings, **_):
+        probed.append((settings.mix.stem, settings.trainings))
+        return replace(RATES, experiment=settings.mix.stem, failure_s=16.0)
+
+    monkeypatch.setattr(calibration, "calibrate", probe)
+    run = CliRunner()
+    for _ in range(2):
+        words = ["plan", "robustness", "--scale", "laptop", "--trainings", "2"]
+        text = run.invoke(command, words, catch_exceptions=False).stdout
+    assert probed == [("robustness", 1)], "two trainings at a time were measured with another experiment"
+    assert "if 80 % of the rollouts succeed, an assumption; " in text
+    assert stored_rates("128x128", "skill_object").failure_s == OWN.failure_s
+    listed = run.invoke(command, ["list"], catch_exceptions=False).stdout
+    assert "about " in next(line for line in listed.splitlines() if "laptop" in line), "area has no rates of its own"
+
+
+def test_a_plan_says_which_share_of_the_rollouts_it_takes_as_successful():
+    ran = replace(OWN, succeeded=0.5)
+    design = design_of(load_experiment("skill_object", "laptop"))
+    text = "\n".join(plan_lines("skill_object", "laptop", design, ran))
+    assert "if 50 % of the rollouts succeed, as in the last run of skill_object; 4.6 h if none does" in text
+    assert plan_data("skill_object", "laptop", design, ran)["rollouts_taken_as_successful"] == 0.5
+    smoke = design_of(load_experiment("skill_object", "smoke"))
+    assert "as if no rollout succeeded" in "\n".join(plan_lines("skill_object", "smoke", smoke, ran))
 
 
 def test_durations():

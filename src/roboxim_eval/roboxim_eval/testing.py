@@ -18,10 +18,10 @@ from roboxim_eval.experiments.card_checks import concluded
 Won = dict[tuple[str, int, str], npt.NDArray[np.bool_]]
 """Condition, replicate and cell to the outcome of each episode."""
 RATES = Rates(
-    machine="test", measured="2026-01-01", source="test", size="128x128", workers=2, demonstration_s=1.2,
-    demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7, checkpoint_bytes=1e7, rollout_s=4.0,
-    rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10, first_evaluate_s=7,
-    evaluate_start_s=10, proof_start_s=5, film_s=0.5,
+    experiment="test", machine="test", measured="2026-01-01", source="test", size="128x128", workers=2,
+    demonstration_s=1.2, demonstration_bytes=1e7, dataset_bytes=1e6, export_s=0.1, steps_per_s=5.7,
+    checkpoint_bytes=1e7, success_s=3.0, failure_s=8.0, rollout_bytes=1e7, proof_s=0.1, start_s=10, train_start_s=10,
+    first_evaluate_s=7, evaluate_start_s=10, proof_start_s=5, film_s=0.5,
 )  # fmt: skip
 """Rates of a machine."""
 SKILL_AND_OBJECT = """

@@ -22,7 +22,7 @@ from roboxim_eval.experiments import (
     scale_names,
     stages_of,
 )
-from roboxim_eval.experiments.cost import fitted
+from roboxim_eval.experiments.cost import ASSUMED_SUCCEEDED, fitted
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.tables import Count
@@ -222,8 +222,20 @@ def test_the_cost_follows_from_measured_rates():
     away = cost_of(design_of(config(trainers={"external": {}})), RATES)
     assert away.train_s is None
     assert away.total_s == pytest.approx(cost.generate_s + cost.evaluate_s)
+    assert cost.failing_s == pytest.approx(cost.evaluate_s + 1400 * 0.8 * (8.0 - 3.0))
+    with pytest.raises(ConfigError, match="share of successes"):
+        replace(RATES, succeeded=1.5)
     with pytest.raises(ConfigError, match="steps_per_s"):
         Rates(**{**vars(RATES), "steps_per_s": 0.0})
+
+
+def test_failures_last_longer_and_their_share_is_that_of_the_last_run():
+    design = design_of(config())
+    assumed, ran = cost_of(design, RATES), cost_of(design, replace(RATES, succeeded=0.25))
+    assert (assumed.succeeded, ran.succeeded) == (ASSUMED_SUCCEEDED, 0.25)
+    assert ran.evaluate_s - assumed.evaluate_s == pytest.approx(1400 * 0.55 * (8.0 - 3.0))
+    short = replace(design, trainings=tuple(replace(one, steps=50) for one in design.trainings))
+    assert cost_of(short, RATES).evaluate_s == pytest.approx(assumed.failing_s), "50 steps teach nothing"
 
 
 def side_by_side(trainings, steps_per_s, start_s):

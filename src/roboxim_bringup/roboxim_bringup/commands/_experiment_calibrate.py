@@ -48,7 +48,7 @@ def command(
         )  # fmt: skip
         with EventPrinter() as printer:
             rates = calibrate(settings, on_event=printer)
-    if before := stored_rates(rates.size):
+    if before := stored_rates(rates.size, rates.experiment):
         rates = rates.learned(*before.side_by_side, *rates.side_by_side)  # other numbers of trainings at a time
     hourly = 3600 / rates.demonstration_s
     click.echo(f"demonstrations   {hourly:.0f} an hour, {rates.demonstration_bytes / 1e6:.1f} MB each")
@@ -57,7 +57,10 @@ def command(
     for number, rate in rates.training_rates.items():
         if number > 1:
             click.echo(f"{number} trainings      {rate.steps_per_s:.1f} steps a second each ({rate.source})")
-    click.echo(f"rollouts         {rates.rollout_s:.1f} s, {rates.rollout_bytes / 1e6:.1f} MB each")
+    click.echo(
+        f"rollouts         {rates.success_s:.1f} s if successful, else {rates.failure_s:.1f} s; "
+        f"{rates.rollout_bytes / 1e6:.1f} MB each"
+    )
     click.echo(f"proofs           {rates.proof_s:.2f} s each")
     click.echo(
         f"start of a stage {rates.start_s:.0f} s generation, {rates.train_start_s:.0f} s training, "
@@ -68,9 +71,16 @@ def command(
 
 
 def probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: int) -> Rates:
-    """Return rates of this machine that include a number of trainings at a time.
+    """Return rates of this machine for an experiment that include a number of trainings at a time.
 
-    What is not known is measured, for about a minute, and stored. The probe's lines go to the error stream.
+    What is not known is measured, for about a minute, and stored; so are the rates of this experiment if those that are
+    known are of another one. The probe's lines go to the error stream.
+
+    Args:
+        name: Name of the experiment, or a path.
+        config: The experiment at its scale.
+        known: This machine's rates; none: never measured.
+        trainings: Number of trainings at a time.
     """
     import sys
     import tempfile
@@ -82,20 +92,27 @@ def probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: 
     from roboxim_bringup.runs.calibration import CalibrationConfig, calibrate, calibrate_trainings
     from roboxim_bringup.runs.rates import store_rates
 
-    if known is not None and trainings in known.training_rates:
+    stem = Path(name).stem
+    own = known is not None and known.experiment == stem
+    beside = known is not None and trainings in known.training_rates
+    if known is not None and own and beside:
         return known
     size = parse_size(config.image_size)
-    what = f" and {trainings} trainings at a time" if trainings > 1 else ""
-    click.echo(f"no rates of this machine for images of {config.image_size}{what}: measuring, about a minute", err=True)
+    what = "" if beside else f", {trainings} trainings at a time" if trainings > 1 else ""
+    click.echo(
+        f"no rates of this machine for {stem}, images of {config.image_size}{what}: measuring, about a minute", err=True
+    )
     with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
-        mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(
-            Path(folder) / f"{Path(name).stem}.yaml"
+        mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(Path(folder) / f"{stem}.yaml")
+        settings = CalibrationConfig.probe(
+            mix, size if isinstance(size, tuple) else (size, size), trainings=1 if beside else trainings
         )
-        settings = CalibrationConfig.probe(mix, size if isinstance(size, tuple) else (size, size), trainings=trainings)
         with redirect_stdout(sys.stderr), EventPrinter() as printer:
-            if known is None:
-                rates = calibrate(settings, on_event=printer)
-            else:
+            if known is not None and own:
                 rates = known.learned(calibrate_trainings(settings, on_event=printer))
+            else:
+                rates = calibrate(settings, on_event=printer)
+                if known is not None:
+                    rates = rates.learned(*known.side_by_side, *rates.side_by_side)
     store_rates(rates)
     return rates

@@ -64,8 +64,8 @@ def plan(
 ) -> None:  # fmt: skip
     r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
 
-    Times come from this machine's last runs. If it has none with this image size, or none with so many trainings at a
-    time, a probe of about a minute measures them.
+    Times come from this machine's last run of the experiment. If there is none with this image size, or none with so
+    many trainings at a time, a probe of about a minute measures them.
 
     \b
     roboxim experiment plan skill_object --scale laptop
@@ -93,19 +93,17 @@ def plan(
         benchmark_experiments(load_benchmark(benchmark), scale) if benchmark else {name: load_experiment(name, scale)}
     )
     most = {key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()}
-    by_size: dict[str, Rates | None] = {
-        config.image_size: stored_rates(config.image_size) for config in configs.values()
-    }
+    rates_of: dict[str, Rates | None] = {}
     for key, config in configs.items():
+        rates_of[key] = known = stored_rates(config.image_size, Path(key).stem)
         if config.datasets and not no_probe:
-            known = by_size[config.image_size]
-            by_size[config.image_size] = _experiment_calibrate.probed(key, config, known, most[key])
+            rates_of[key] = _experiment_calibrate.probed(key, config, known, most[key])
     if budget:
-        if None in by_size.values():
+        if None in rates_of.values():
             raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
         seconds = duration_s(budget) / len(configs)
         for key, config in configs.items():
-            rates = by_size[config.image_size]
+            rates = rates_of[key]
             assert rates is not None
             sized = fitted(config, rates, seconds, trainer, trainings)
             if sized is None:
@@ -113,7 +111,6 @@ def plan(
                     f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
                 )
             configs[key] = sized
-    rates_of = {key: by_size[config.image_size] for key, config in configs.items()}
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
         plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]

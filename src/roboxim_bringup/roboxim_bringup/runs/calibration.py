@@ -120,8 +120,8 @@ def calibrate(
 ) -> Rates:
     """Measure the rates of all stages in a temporary folder.
 
-    Rollouts are those of a policy that can do nothing yet. They last until the limit of actions, so that the rate of
-    rollouts is that of the slowest case.
+    Rollouts are those of a policy that can do nothing yet. They last until the limit of actions, as failures do.
+    Successes are taken to be as much shorter as the demonstrations have fewer actions.
 
     Args:
         config: What to measure.
@@ -162,9 +162,11 @@ def calibrate(
         bags = [str(folder / "demos" / result.bag) for result in demos.kept]
         proof_s, proof_start_s = _proof_times(bags, config, folder / "logs", options)
         demonstration_s = episode_s(demos.results, config.workers) * len(demos.results) / kept
-        rollout_s = sum(result.wall_s for result in rollouts.results) / config.rollouts / config.workers
+        rollout_s = _rollouts_s(rollouts.results, config.workers) / config.rollouts
+        success_s, failure_s = rollout_times(demos.kept, rollouts.results, config.workers)
         evaluate_start_s = max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts)
         return Rates(
+            experiment=config.mix.stem,
             machine=f"{platform.machine()}, {os.cpu_count()} cores",
             measured=datetime.now().isoformat(timespec="minutes"),
             source=f"{config.kind} of {kept} demonstrations and {config.rollouts} rollouts of {config.mix.stem}, "
@@ -177,7 +179,8 @@ def calibrate(
             export_s=export_s / kept,
             steps_per_s=watch.steps_per_s,
             checkpoint_bytes=_size(trained.checkpoint.parent),
-            rollout_s=rollout_s,
+            success_s=success_s,
+            failure_s=failure_s,
             rollout_bytes=_size(rollouts.first.folder / "episodes") / config.rollouts,
             proof_s=proof_s,
             start_s=max(LEAST_START_S, generate_s - demonstration_s * kept),
@@ -258,6 +261,22 @@ def episode_s(results: Sequence[EpisodeResult], workers: int) -> float:
     """
     warm = results[workers:] or results
     return sum(result.wall_s for result in warm) / len(warm) / workers
+
+
+def rollout_times(
+    demonstrations: Sequence[EpisodeResult], rollouts: Sequence[EpisodeResult], workers: int
+) -> tuple[float, float]:
+    """Return the wall times of a successful and of a failed rollout with all workers busy [s].
+
+    Args:
+        demonstrations: Results of demonstrations of the same tasks; a success has as many actions as they have.
+        rollouts: Results of rollouts of which at least one failed at the limit of actions; a failure has its actions.
+        workers: Number of workers.
+    """
+    step_s = _rollouts_s(rollouts, workers) / max(1, sum(result.steps for result in rollouts))
+    limit = max(result.steps for result in rollouts)
+    mean = sum(result.steps for result in demonstrations) / len(demonstrations)
+    return step_s * max(1.0, min(mean, limit)), step_s * max(1, limit)
 
 
 def _rollouts_s(results: Sequence[EpisodeResult], workers: int) -> float:

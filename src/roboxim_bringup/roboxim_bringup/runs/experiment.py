@@ -173,7 +173,7 @@ def run_experiment(
         )  # fmt: skip
         write_card(card, run.out)
         write_experiment_report(ExperimentFolder.of(run.out), card)
-        run.learn_rates(f"{name} at scale {config.scale}")
+        run.learn_rates(name)
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing,
         waiting=tuple(name for name in missing if run.waits_for_policy(name)), card=card,
@@ -290,10 +290,10 @@ class _Run:
 
     def learn_rates(self, name: str) -> None:
         """Store the rates that a whole run on this machine showed, for later plans."""
-        before = stored_rates(self.design.config.image_size)
+        before = stored_rates(self.design.config.image_size, name)
         if before is None or not self._ran or self._runner.executor is not None:
             return
-        found = rates_of_run(name, self.out, self.design, self.config.workers, before)
+        found = rates_of_run(name, self.config.scale, self.out, self.design, self.config.workers, before)
         if found is not None:
             store_rates(found)
 

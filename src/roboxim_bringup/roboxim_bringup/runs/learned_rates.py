@@ -11,10 +11,11 @@ from typing import Any
 from roboxim_bringup.runs.calibration import episode_s
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
+from roboxim_core.episode import EpisodeResult
 from roboxim_eval.experiments import Design, Rates, SideBySide
-from roboxim_eval.experiments.cost import LEAST_START_S
+from roboxim_eval.experiments.cost import LEAST_LEARNING_STEPS, LEAST_START_S
 
-LEAST_EPISODES, LEAST_STEPS = 20, 1000
+LEAST_EPISODES, LEAST_STEPS = 20, LEAST_LEARNING_STEPS
 """Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
 NEARLY = 0.05
 """Largest part by which the mean number of trainings at a time may differ from the number whose rate it shows."""
@@ -22,13 +23,14 @@ ALONE = "; trainings alone: "
 """What separates the source of a training's rate from that of the other rates."""
 
 
-def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
+def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int, before: Rates) -> Rates | None:
     """Return the rates that a finished run of an experiment shows; none: it was too small, or a stage was interrupted.
 
     What a run does not show, e.g. the start of its trainings, is taken from earlier rates.
 
     Args:
-        name: Name and scale of the experiment, for messages.
+        name: Name of the experiment.
+        scale: Its scale, for messages.
         out: Its folder.
         design: The experiment.
         workers: Processes that ran episodes.
@@ -50,11 +52,13 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
         for result in RunFolder(out / stage / stage.removeprefix("evaluate/").rpartition(".")[0]).results()
     ]
     demonstration_s = episode_s(demos, workers)
-    rollout_s = sum(result.wall_s for result in rollouts) / len(rollouts) / workers
+    rollout_s = _mean_s(rollouts, workers)
+    successes = [result for result in rollouts if result.outcome == "success"]
+    failures = [result for result in rollouts if result.outcome != "success"]
     evaluating_s = sum(wall[stage] for stage in of["evaluate"]) - before.first_evaluate_s
     if not demonstration_s > 0 or not rollout_s > 0:
         return None
-    measured, run = datetime.now().isoformat(timespec="minutes"), f"run of {name}"
+    measured, run = datetime.now().isoformat(timespec="minutes"), f"run of {name} {scale}"
     trained = {rate.trainings: rate for rate in _training_rates(entries, design, before, run, measured)}
     alone = trained.pop(1, None)
     steps = f"{alone.source.removeprefix(f'{run}: ')}, " if alone else ""
@@ -63,6 +67,7 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
     proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
     return replace(
         before,
+        experiment=name,
         measured=measured,
         source=source if alone else f"{source}{ALONE}{before.source.rpartition(ALONE)[2]}",
         workers=workers,
@@ -70,10 +75,17 @@ def rates_of_run(name: str, out: Path, design: Design, workers: int, before: Rat
         start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
                     - demonstration_s * len(demos) / len(of["generate"])),
         steps_per_s=alone.steps_per_s if alone else before.steps_per_s,
-        rollout_s=rollout_s,
+        success_s=_mean_s(successes, workers) or before.success_s,
+        failure_s=_mean_s(failures, workers) or before.failure_s,
+        succeeded=len(successes) / len(rollouts),
         evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
         proof_s=proof_s if proof_s > 0 else before.proof_s,
     ).learned(*trained.values())  # fmt: skip
+
+
+def _mean_s(results: Sequence[EpisodeResult], workers: int) -> float:
+    """Return the mean wall time of an episode with all workers busy [s]; 0 without episodes."""
+    return sum(result.wall_s for result in results) / len(results) / workers if results else 0.0
 
 
 def _training_rates(

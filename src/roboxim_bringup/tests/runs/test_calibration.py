@@ -9,6 +9,7 @@ import pytest
 from roboxim_bringup.experiment_card import evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs import calibration_trainings, experiment_trainings
+from roboxim_bringup.runs.calibration import rollout_times
 from roboxim_bringup.runs.calibration_trainings import common_rate, common_steps, measure_side_by_side
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.learned_rates import rates_of_run
@@ -36,12 +37,14 @@ BEFORE = replace(RATES, size="64x64")
 WALL = {"generate": 60.0, "export": 2.0, "train": 210.0, "evaluate": 80.0, "prove": 9.0}
 
 
-def episodes(folder, first_s, wall_s):
-    """Write 20 episodes of which the first one of each of two workers takes longer."""
+def episodes(folder, first_s, wall_s, failure_s=None):
+    """Write 20 episodes of which the first one of each of two workers takes longer, or the first five fail."""
     with RunFolder(folder).opened({}) as run:
         for index in range(20):
-            seconds = first_s if index < 2 else wall_s
-            run.append(EpisodeResult(episode_id=str(index), index=index, outcome="success", wall_s=seconds))
+            fails = failure_s is not None and index < 5
+            seconds = failure_s if fails else first_s if index < 2 else wall_s
+            outcome = "failure" if fails else "success"
+            run.append(EpisodeResult(episode_id=str(index), index=index, outcome=outcome, wall_s=seconds))
 
 
 def finished(out, text=TEXT, training=None, **more):
@@ -51,16 +54,18 @@ def finished(out, text=TEXT, training=None, **more):
         trained = (training or {}).get(stage.name, {})
         log.append(stage.name, {"stage": stage.name, "wall_s": WALL[stage.kind], **more, **trained})
     episodes(out / "generate/0", 14.0, 4.0)
-    episodes(evaluation_folder(out, "evaluate/all.0"), 6.0, 6.0)
+    episodes(evaluation_folder(out, "evaluate/all.0"), 6.0, 5.0, 9.0)
     return design
 
 
 def test_a_run_teaches_the_rates_of_its_stages(tmp_path):
-    found = rates_of_run("mine", tmp_path, finished(tmp_path), 2, BEFORE)
+    found = rates_of_run("mine", "night", tmp_path, finished(tmp_path), 2, BEFORE)
     assert found.demonstration_s == pytest.approx(2.0), "both workers work, and what they load is no episode's"
     assert found.start_s == pytest.approx(60 - 20 * 2.0)
     assert found.steps_per_s == pytest.approx(1000 / (210 - 10))
-    assert found.rollout_s == pytest.approx(3.0)
+    assert (found.success_s, found.failure_s, found.succeeded) == (pytest.approx(2.5), pytest.approx(4.5), 0.75)
+    assert found.rollout_s(found.succeeded) == pytest.approx(3.0)
+    assert found.experiment == "mine"
     assert found.evaluate_start_s == pytest.approx(80 - 7 - 20 * 3.0)
     assert found.proof_s == pytest.approx((9 - 5) / 20)
     assert (found.film_s, found.train_start_s) == (BEFORE.film_s, BEFORE.train_start_s), "which a run does not show"
@@ -76,22 +81,33 @@ def test_trainings_side_by_side_teach_a_rate_of_their_own(tmp_path):
     for replicate in (1, 2, 3):
         episodes(evaluation_folder(tmp_path, f"evaluate/all.{replicate}"), 6.0, 6.0)
     measured = SideBySide(trainings=2, steps_per_s=1.0, start_s=20.0, measured="2026-01-02", source="probe")
-    found = rates_of_run("mine", tmp_path, design, 2, BEFORE.learned(measured))
+    found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE.learned(measured))
     assert found.at_once(2).steps_per_s == pytest.approx(1000 / (270 - 20)), "of those that always ran beside another"
-    assert found.at_once(2).source == "run of mine: 2,000 steps"
+    assert found.at_once(2).source == "run of mine night: 2,000 steps"
     assert found.steps_per_s == pytest.approx(1000 / (230 - 10)), "of the one that was alone"
-    assert found.source == "run of mine: 20 demonstrations, 1,000 steps, 80 rollouts"
+    assert found.source == "run of mine night: 20 demonstrations, 1,000 steps, 80 rollouts"
 
 
 def test_a_run_without_a_training_alone_keeps_the_rate_of_one(tmp_path):
     design = finished(tmp_path, training={"train/all.0": {"wall_s": 510.0, "at_once": 2.0}})
-    found = rates_of_run("mine", tmp_path, design, 2, BEFORE)
+    found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)
     assert found.steps_per_s == BEFORE.steps_per_s
-    assert found.source == "run of mine: 20 demonstrations, 20 rollouts; trainings alone: test"
+    assert found.source == "run of mine night: 20 demonstrations, 20 rollouts; trainings alone: test"
     assert found.at_once(2).steps_per_s == pytest.approx(1000 / (510 - 10)), "its start is not known any better"
-    again = rates_of_run("mine", tmp_path, design, 2, found)
+    again = rates_of_run("mine", "night", tmp_path, design, 2, found)
     assert again.source == found.source
     assert again.demonstration_s == pytest.approx(2.0)
+
+
+def test_a_probe_takes_successes_as_long_as_demonstrations_and_failures_as_long_as_the_limit():
+    demonstrations = [
+        EpisodeResult(episode_id=str(index), index=index, steps=steps) for index, steps in enumerate((30, 50))
+    ]
+    rollouts = [
+        EpisodeResult(episode_id=str(index), index=index, steps=steps, wall_s=wall_s)
+        for index, (steps, wall_s) in enumerate(((100, 11.0), (60, 5.0)))
+    ]
+    assert rollout_times(demonstrations, rollouts, 2) == (pytest.approx(0.05 * 40), pytest.approx(0.05 * 100))
 
 
 def test_the_rate_side_by_side_is_that_of_the_time_in_which_all_made_steps():
@@ -153,4 +169,4 @@ def test_a_training_that_fails_ends_the_measurement(trainers, tmp_path):
 
 def test_a_run_in_pieces_teaches_nothing(tmp_path):
     """The log has the time of the last piece alone, in which most of a stage may have been done before."""
-    assert rates_of_run("mine", tmp_path, finished(tmp_path, continued=True), 2, BEFORE) is None
+    assert rates_of_run("mine", "night", tmp_path, finished(tmp_path, continued=True), 2, BEFORE) is None

@@ -16,6 +16,10 @@ FILMS = 8
 """Films of each condition in an experiment's report."""
 LEAST_START_S = 0.5
 """Least time of a start, where a measurement is too short to show one [s]."""
+ASSUMED_SUCCEEDED = 0.8
+"""Share of rollouts taken as successful until a run shows one; power is computed at the same rate."""
+LEAST_LEARNING_STEPS = 1000
+"""Fewest steps of a training for which any success is expected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,8 @@ class SideBySide:
 class Rates:
     """Measured rates of a machine; ``roboxim experiment calibrate`` measures and stores them."""
 
+    experiment: str
+    """Name of the experiment whose episodes were measured; those of another one may be longer or shorter."""
     machine: str
     """Processor and number of cores, for messages."""
     measured: str
@@ -68,8 +74,10 @@ class Rates:
     """Training steps a second of a training alone."""
     checkpoint_bytes: float
     """Size of a training's folder."""
-    rollout_s: float
-    """Wall time of a rollout, with all workers busy [s]."""
+    success_s: float
+    """Wall time of a successful rollout, with all workers busy [s]."""
+    failure_s: float
+    """Wall time of a rollout that fails, mostly at the limit of actions, with all workers busy [s]."""
     rollout_bytes: float
     """Size of a rollout's bag."""
     proof_s: float
@@ -86,6 +94,8 @@ class Rates:
     """Wall time of the start of a proof [s]."""
     film_s: float
     """Wall time of a film of the report, its episode's facts included [s]."""
+    succeeded: float | None = None
+    """Share of the rollouts of the experiment's last run that succeeded, 0..1; none: it was not run yet."""
     side_by_side: tuple[SideBySide, ...] = ()
     """Rates of several trainings at a time, for each number that was measured."""
 
@@ -93,9 +103,15 @@ class Rates:
         """Check the numbers.
 
         Raises:
-            ConfigError: When one is not positive.
+            ConfigError: When one is not positive, or a share not from 0 to 1.
         """
         _require_positive(self)
+        if self.succeeded is not None and not 0 <= self.succeeded <= 1:
+            raise ConfigError(f"the share of successes must be from 0 to 1, got {self.succeeded!r}; measure again")
+
+    def rollout_s(self, succeeded: float) -> float:
+        """Return the mean wall time of a rollout of which a share succeeds, 0..1, with all workers busy [s]."""
+        return succeeded * self.success_s + (1 - succeeded) * self.failure_s
 
     @property
     def training_rates(self) -> dict[int, SideBySide]:
@@ -132,7 +148,7 @@ class Rates:
 
 def _require_positive(rates: Rates | SideBySide) -> None:
     for name, value in vars(rates).items():
-        if isinstance(value, int | float) and not value > 0:
+        if name != "succeeded" and isinstance(value, int | float) and not value > 0:
             raise ConfigError(f"a rate must be > 0, got {name} {value!r}; measure again")
 
 
@@ -146,6 +162,10 @@ class Cost:
     """Time of the trainings [s]; none: they run elsewhere."""
     evaluate_s: float
     """Time of the rollouts, of their proofs and of the report [s]."""
+    succeeded: float
+    """Share of the rollouts that are taken as successful, 0..1; failures last longer."""
+    failing_s: float
+    """Time of the rollouts, of their proofs and of the report if none succeeds [s]."""
     disk_bytes: float
     """Disk of bags, datasets and checkpoints."""
     detectable: float | None
@@ -183,22 +203,39 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
         for name in design.config.conditions
     )
     start_s = rates.start_s + rates.proof_start_s
+    succeeded = expected_success(design, rates)
+    around_s = (
+        design.rollouts * rates.proof_s
+        + len(design.evaluations) * rates.evaluate_start_s
+        + rates.first_evaluate_s
+        + films * rates.film_s
+        + design.config.replicates.count * rates.proof_start_s
+    )
     return Cost(
         generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)
         + exported * rates.export_s
         + design.generations * start_s,
         train_s=train_s,
-        evaluate_s=design.rollouts * (rates.rollout_s + rates.proof_s)
-        + len(design.evaluations) * rates.evaluate_start_s
-        + rates.first_evaluate_s
-        + films * rates.film_s
-        + design.config.replicates.count * rates.proof_start_s,
+        evaluate_s=design.rollouts * rates.rollout_s(succeeded) + around_s,
+        succeeded=succeeded,
+        failing_s=design.rollouts * rates.failure_s + around_s,
         disk_bytes=design.episodes * rates.demonstration_bytes
         + exported * rates.dataset_bytes
         + (len(design.trainings) * rates.checkpoint_bytes if here else 0.0)
         + design.rollouts * rates.rollout_bytes,
         detectable=detectable_drop(design),
     )
+
+
+def expected_success(design: Design, rates: Rates) -> float:
+    """Return the share of an experiment's rollouts that a plan takes as successful, 0..1.
+
+    It is that of the experiment's last run, else an assumption; trainings too short to learn anything have none.
+    """
+    steps = [training.steps for training in design.trainings] if design.trainer.command else []
+    if steps and max(steps) < LEAST_LEARNING_STEPS:
+        return 0.0
+    return ASSUMED_SUCCEEDED if rates.succeeded is None else rates.succeeded
 
 
 def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
