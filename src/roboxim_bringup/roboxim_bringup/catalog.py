@@ -37,8 +37,8 @@ PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
 """Kind of name to the part of the catalog that knows the names; names of other kinds are those of files."""
 
 _PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_eval", "roboxim_bringup")
-RATES_FILES = "rates-*.json"
-"""This machine's measured rates in the user's cache folder; see `roboxim_bringup.runs.rates`."""
+RATES_FILES = "rates-*/*.json"
+"""This machine's measured rates of all image sizes and experiments, see `roboxim_bringup.runs.rates`."""
 
 
 def catalog(part: Part) -> Catalog:
@@ -122,7 +122,7 @@ def _fingerprint(part: Part) -> str:
                 digest.update(f"{place} {os.stat(place).st_mtime_ns}\n".encode())
     if part == "experiments":
         for path in sorted(_cache_folder().glob(RATES_FILES)):
-            digest.update(f"{path.name} {path.stat().st_mtime_ns}\n".encode())
+            digest.update(f"{path.parent.name}/{path.name} {path.stat().st_mtime_ns}\n".encode())
     return digest.hexdigest()
 
 

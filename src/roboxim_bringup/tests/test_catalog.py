@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from roboxim_bringup import catalog
 from roboxim_bringup.cli import group
 from roboxim_bringup.named import Named
+from roboxim_bringup.runs.rates import rates_file
 from roboxim_core.errors import ConfigError
 from roboxim_ros.testing import PATIENCE_S
 
@@ -118,7 +119,8 @@ def test_experiments_are_listed_anew_when_rates_were_measured(cache, monkeypatch
     assert made["experiments"]["skill_object"]["scales"]["smoke"] == ""
     monkeypatch.setattr("roboxim_bringup.catalog_maker.make_catalog", lambda part: {"measured": True})
     assert catalog.catalog("experiments") == made, "nothing has changed"
-    rates = cache / "roboxim" / "rates-128x128.json"
+    rates = rates_file("128x128", "skill_object")
+    rates.parent.mkdir(exist_ok=True)
     rates.write_text("{}")
     assert catalog.catalog("experiments") == {"measured": True}
     rates.unlink()
