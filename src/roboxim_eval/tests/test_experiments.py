@@ -229,6 +229,15 @@ def test_the_cost_follows_from_measured_rates():
         Rates(**{**vars(RATES), "steps_per_s": 0.0})
 
 
+def test_faults_are_planted_in_one_process():
+    design = design_of(config())
+    faulty = replace(design.config.datasets["baseline"], fault="wrong_instruction", share=0.25)
+    datasets = {**design.config.datasets, "baseline": faulty}
+    planted = replace(design, config=replace(design.config, datasets=datasets))
+    more_s = cost_of(planted, RATES).generate_s - cost_of(design, RATES).generate_s
+    assert more_s == pytest.approx(0.25 * sum(design.datasets["baseline"].values()) * 2 * 1.2)
+
+
 def test_failures_last_longer_and_their_share_is_that_of_the_last_run():
     design = design_of(config())
     assumed, ran = cost_of(design, RATES), cost_of(design, replace(RATES, succeeded=0.25))

@@ -157,7 +157,7 @@ class Cost:
     """Cost of an experiment on a machine."""
 
     generate_s: float
-    """Time of generating, proving and exporting the demonstrations [s]."""
+    """Time of generating, proving, planting faults in and exporting the demonstrations [s]."""
     train_s: float | None
     """Time of the trainings [s]; none: they run elsewhere."""
     evaluate_s: float
@@ -202,6 +202,10 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
         min(FILMS, sum(one.rollouts for one in design.evaluations if one.condition == name and not one.checkpoint))
         for name in design.config.conditions
     )
+    planted = design.generations * sum(
+        design.config.datasets[name].share * sum(counts.values()) for name, counts in design.datasets.items()
+    )
+    plant_s = rates.demonstration_s * rates.workers  # most faults execute an episode again, in one process
     start_s = rates.start_s + rates.proof_start_s
     succeeded = expected_success(design, rates)
     around_s = (
@@ -213,6 +217,7 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
     )
     return Cost(
         generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)
+        + planted * plant_s
         + exported * rates.export_s
         + design.generations * start_s,
         train_s=train_s,
