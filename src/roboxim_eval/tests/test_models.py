@@ -77,6 +77,33 @@ def test_fewer_than_three_trainings_of_different_numbers_are_compared_by_all_the
     assert found.pairs[0].test == "these checkpoints, on different scenes"
 
 
+# ------------------------------------------------------------------ scenes that not all met
+
+
+def test_models_that_met_different_scenes_have_strengths_over_those_that_pairs_met():
+    cards = {name: card_of([rate]) for name, rate in (("A", 0.9), ("B", 0.6), ("C", 0.3))}
+
+    def met(numbers, solved):
+        return [{("pick_up target=cube", str(i)): i in solved for i in numbers}]
+
+    scenes = {
+        "A": met(range(40), range(10, 40)),
+        "B": met(range(80), [*range(10), *range(40, 70)]),
+        "C": met(range(40, 80), range(70, 80)),
+    }
+    found = compare_models(cards, scenes=scenes)
+    assert list(found.strengths) == ["A", "B", "C"]
+    assert found.strengths["A"] - found.strengths["B"] == pytest.approx(np.log(30 / 10), abs=0.05)
+    assert found.strengths["B"] - found.strengths["C"] == pytest.approx(np.log(30 / 10), abs=0.05)
+    (said,) = [sentence for sentence in found.verdicts if "Bradley-Terry" in sentence]
+    assert "Not all models met the same scenes" in said
+    assert said in models_page(found, cards)
+    apart = {**scenes, "C": met(range(90, 99), range(95, 99))}
+    assert not compare_models(cards, scenes=apart).strengths, "no scene connects C with the others"
+    same = dict.fromkeys(scenes, scenes["A"])
+    assert not compare_models(cards, scenes=same).strengths, "letters say it where all met the same scenes"
+
+
 # ------------------------------------------------------------------ errors and warnings
 
 

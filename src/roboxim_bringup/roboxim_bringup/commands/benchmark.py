@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from roboxim_bringup.named import Named
+from roboxim_bringup.options import with_executor
 
 REPORT = "report"
 
@@ -64,12 +65,16 @@ def _run_command(name: str) -> click.Command:
         help="Trainings of an experiment at a time; they share processors and GPUs. Results do not depend on it.",
     )  # fmt: skip
     @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
+    @with_executor
     def run(
         out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
         experiments: tuple[str, ...], cards: tuple[Path, ...], only: str, workers: int | None, trainings: int,
-        renderer: str,
+        renderer: str, executor: str, address: str, resources: str,
     ) -> None:  # fmt: skip
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
+        from contextlib import nullcontext
+
+        from roboxim_bringup.options import make_executor
         from roboxim_bringup.printer import EventPrinter
         from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark
         from roboxim_bringup.runs.experiment import KINDS, named_policies
@@ -80,8 +85,9 @@ def _run_command(name: str) -> click.Command:
             only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
             **({} if workers is None else {"workers": workers}),
         )  # fmt: skip
-        with EventPrinter() as printer:
-            result = run_benchmark(config, on_event=printer)
+        runs_on = make_executor(executor, address, resources, config.workers)
+        with EventPrinter() as printer, runs_on or nullcontext():
+            result = run_benchmark(config, executor=runs_on, on_event=printer)
         if result.card is None:
             click.echo(f"missing: {', '.join(result.missing)}")
             return
@@ -103,7 +109,7 @@ def _run_command(name: str) -> click.Command:
 @click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
 def report(folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None) -> None:
     """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
-    from roboxim_bringup.runs.benchmark import stored_benchmark_card, write_benchmark_report
+    from roboxim_bringup.runs.benchmark import benchmark_card_page, stored_benchmark_card, write_benchmark_report
     from roboxim_core.errors import ConfigError
 
     if (folder is None) == (card is None):
@@ -115,9 +121,7 @@ def report(folder: Path | None, card: Path | None, html: Path | None, markdown: 
         assert card is not None
         found = stored_benchmark_card(card)
         if html is not None:
-            from roboxim_eval.report.benchmark import benchmark_page
-
-            html.write_text(benchmark_page(found))
+            html.write_text(benchmark_card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import benchmark_markdown
 

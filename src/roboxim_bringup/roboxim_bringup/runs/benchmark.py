@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roboxim_bringup.executors import Cancellation
+from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.experiment_card import CARD_FILE
 from roboxim_bringup.experiment_files import benchmark_experiments, load_benchmark
 from roboxim_bringup.runs.events import OnEvent, ignore
@@ -17,7 +17,9 @@ from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, run_expe
 from roboxim_bringup.runs.experiment_report import (
     REPORT_FILE,
     ExperimentFolder,
+    card_warnings,
     folder_card,
+    policy_words,
     stored_card,
     write_card,
 )
@@ -82,12 +84,17 @@ class BenchmarkResult:
 
 
 def run_benchmark(
-    config: BenchmarkRunConfig, *, on_event: OnEvent = ignore, cancellation: Cancellation | None = None
+    config: BenchmarkRunConfig,
+    *,
+    executor: Executor | None = None,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
 ) -> BenchmarkResult:
     """Run the stages of a benchmark's experiments that its folder lacks; write its card and report at the end.
 
     Args:
         config: Configuration of the run.
+        executor: Runs episodes and reads bags; none: processes of this machine.
         on_event: Receives the events of all stages.
         cancellation: Ends the run when it is set.
 
@@ -121,7 +128,7 @@ def run_benchmark(
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
                 workers=config.workers, trainings=config.trainings, renderer=config.renderer,
             ),
-            on_event=on_event, cancellation=cancellation,
+            executor=executor, on_event=on_event, cancellation=cancellation,
         )  # fmt: skip
         missing += [f"{name}/{stage}" for stage in result.missing]
         if result.card is None and not any(one.startswith(f"{name}/") for one in missing):
@@ -229,12 +236,38 @@ def write_benchmark_report(out: Path) -> BenchmarkCard:
     from roboxim_eval.report.benchmark import benchmark_page
 
     card = benchmark_card(out)
-    trainer = parse_json(read_text(out / STATE_FILE), source=STATE_FILE).get("trainer", "")
-    words = ["roboxim", "benchmark", card.name, "--scale", card.scale, "--out", out.name]
-    command = shlex.join([*words, *(["--trainer", trainer] if trainer else [])])
+    pages = {name: f"{name}/{REPORT_FILE}" for name in card.experiments if (out / name / REPORT_FILE).exists()}
     write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
-    write_atomically(out / REPORT_FILE, benchmark_page(card, command=command))
+    write_atomically(out / REPORT_FILE, benchmark_page(
+        card, command=benchmark_reproduction(out, card.experiments), pages=pages,
+        warnings={name: card_warnings(one) for name, one in card.experiments.items()},
+    ))  # fmt: skip
     return card
+
+
+def benchmark_card_page(card: BenchmarkCard) -> str:
+    """Return the page of a card without its run's folder."""
+    from roboxim_eval.report.benchmark import benchmark_page
+
+    return benchmark_page(card, warnings={name: card_warnings(one) for name, one in card.experiments.items()})
+
+
+def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:
+    """Return the command that runs a benchmark again, as far as its folder states it.
+
+    Args:
+        out: The benchmark's folder.
+        experiments: Its experiments; those that ran elsewhere enter by their cards.
+    """
+    stored = parse_json(read_text(out / STATE_FILE), source=STATE_FILE)
+    words = ["roboxim", "benchmark", stored["benchmark"], "--scale", stored["scale"], "--out", out.name]
+    words += ["--trainer", stored["trainer"]] if stored.get("trainer") else []
+    here = {name: ExperimentFolder.of(out / name) for name in experiments if not _only_card(out / name)}
+    renderer = next((folder.renderer for folder in here.values()), "")
+    words += ["--renderer", renderer] if renderer else []
+    for name in experiments:
+        words += policy_words(here[name], f"{name}.") if name in here else ["--card", f"{out.name}/{name}/{CARD_FILE}"]
+    return shlex.join(words)
 
 
 def stored_benchmark_card(path: Path) -> BenchmarkCard:

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from roboxim_bringup import options
 from roboxim_bringup.cli import group
+from roboxim_bringup.commands.benchmark import command as benchmark_command
+from roboxim_bringup.executors import LocalExecutor
 from roboxim_bringup.experiment_card import collect_card, evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs import benchmark, evaluation, experiment_pack, sequential
@@ -258,6 +261,21 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
     with pytest.raises(ConfigError, match="scale 'night', not 'full'"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "out"))
     assert pack(tmp_path / "out", tmp_path / "all.tar.gz").files > 20
+
+
+def test_a_benchmark_runs_its_episodes_where_it_is_told(planted_benchmark, tmp_path, monkeypatch):
+    file, _ = planted_benchmark
+    planted, cluster, used = benchmark.run_experiment, LocalExecutor(1, log_dir=tmp_path / "logs"), []
+
+    def run_experiment(config, *, executor, **more):
+        used.append(executor)
+        return planted(config, **more)
+
+    monkeypatch.setattr(benchmark, "run_experiment", run_experiment)
+    monkeypatch.setattr(options, "make_executor", lambda *given: cluster if given[:2] == ("ray", "auto") else None)
+    words = [str(file), "--scale", "night", "--out", str(tmp_path / "out"), "--executor", "ray", "--address", "auto"]
+    CliRunner().invoke(benchmark_command, words, catch_exceptions=False)
+    assert used == [cluster, cluster]
 
 
 def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted_benchmark, tmp_path, monkeypatch):

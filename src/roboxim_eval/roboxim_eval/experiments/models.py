@@ -3,7 +3,9 @@
 Each model has trainings of its own. With three or more each, trainings are the sample (Q2): Student's t over the
 difference of each replicate or, where the numbers of trainings differ, Welch's t over all trainings of both. With
 fewer, only these checkpoints are compared (Q1): on the scenes that both met (McNemar) or, where the scenes differ, on
-the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ.
+the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ. Where
+more than two models did not all meet the same scenes, their strengths say who solved what another one did not
+(Bradley-Terry).
 
 Errors count as failures. A model with many of them is named, since its rate says little about the model.
 """
@@ -22,7 +24,7 @@ from roboxim_eval.experiments.analysis import MOST_ERRORS
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
-from roboxim_eval.statistics.multiple import compact_letters, holm
+from roboxim_eval.statistics.multiple import bradley_terry, compact_letters, holm
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.replicates import (
@@ -95,6 +97,9 @@ class Models:
     """All pairs."""
     warnings: Mapping[str, tuple[str, ...]]
     """Model to the warnings of its own card."""
+    strengths: Mapping[str, float]
+    """Model to the log-odds that it, not an average model, solved a scene that one of two solved; the strongest first.
+    Empty where all met the same scenes, or too few scenes connect them."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -127,6 +132,12 @@ class Models:
             f"Cannot tell whether {pair.first} or {pair.second} is better: {self._unclear(pair)}, {self._basis(pair)}."
             for pair in rest
         ]
+        if self.strengths:
+            odds = ", ".join(f"{name} {value:+.2f}" for name, value in self.strengths.items())
+            found.append(
+                "Not all models met the same scenes. Log-odds of solving a scene that one of two models solved, over "
+                f"the scenes that pairs met, against the average model (Bradley-Terry): {odds}."
+            )
         if self.left_out:
             found.append(f"Left out, since not all models met them: {', '.join(self.left_out)}.")
         return tuple(found)
@@ -187,7 +198,7 @@ def compare_models(
         condition=condition, where=where, cells=tuple(order),
         left_out=tuple(sorted(set.union(*keys.values()) - common)), pairs=pairs,
         models={name: _model(arms[name], letters[name]) for name in letters},
-        warnings={name: cards[name].warnings for name in letters},
+        warnings={name: cards[name].warnings for name in letters}, strengths=_strengths(scenes or {}, set(order)),
     )  # fmt: skip
 
 
@@ -280,6 +291,32 @@ def _shared(first: Sequence[Wins], second: Sequence[Wins], cells: set[str]) -> l
         Pairs.of((one[scene], two[scene]) for scene in one if scene in two and scene[0] in cells)
         for one, two in zip(first, second, strict=False)
     ]
+
+
+def _strengths(scenes: Mapping[str, Sequence[Wins]], cells: set[str]) -> dict[str, float]:
+    """Return the strengths of more than two models that did not all meet the same scenes; empty: not needed, or none.
+
+    Args:
+        scenes: Model to the outcomes of each replicate by scene.
+        cells: Cells to look at.
+    """
+    met = {
+        name: {(replicate, *scene) for replicate, wins in enumerate(found) for scene in wins if scene[0] in cells}
+        for name, found in scenes.items()
+    }
+    if len(met) < 3 or len({frozenset(found) for found in met.values()}) == 1:
+        return {}
+    wins: dict[tuple[str, str], int] = {}
+    for one, two in itertools.combinations(met, 2):
+        pairs = sum(_shared(scenes[one], scenes[two], cells), start=Pairs(both=0, first=0, second=0, neither=0))
+        wins |= {(one, two): pairs.first, (two, one): pairs.second} if pairs.first + pairs.second else {}
+    connected = {next(iter(met))}
+    for _ in met:
+        connected |= {name for pair in wins if connected & set(pair) for name in pair}
+    if connected != set(met):
+        return {}
+    found = bradley_terry(wins)
+    return {name: found[name] for name in sorted(found, key=lambda name: -found[name])}
 
 
 def _ordered(pair: PairOfModels) -> tuple[str, str]:

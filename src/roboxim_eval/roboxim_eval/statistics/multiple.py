@@ -26,13 +26,6 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
     return tuple(adjusted)
 
 
-def benjamini_hochberg(p_values: Sequence[float]) -> tuple[float, ...]:
-    """Return p values adjusted for the expected share of false alarms; for exploratory tables alone."""
-    from scipy.stats import false_discovery_control
-
-    return tuple(float(p) for p in false_discovery_control(np.asarray(p_values, dtype=float))) if p_values else ()
-
-
 def compact_letters(rates: Mapping[str, float], different: Mapping[tuple[str, str], bool]) -> dict[str, str]:
     """Return letters of models: two models without a common letter differ.
 
