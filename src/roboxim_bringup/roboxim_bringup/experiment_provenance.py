@@ -18,7 +18,7 @@ import yaml
 from roboxim_core.config import from_plain, load_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
-from roboxim_eval.experiments.config import TrainerConfig
+from roboxim_eval.experiments.trainers import TrainerConfig
 
 ATTEST_FILE = "attest.yaml"
 OWN_TRAINER = "roboxim train "
@@ -55,13 +55,25 @@ def packages_sha256() -> str:
     return sha256_of(sorted({f"{d.metadata['Name']}=={d.version}".lower() for d in found}))
 
 
-def device() -> str:
-    """Return the machine's processor."""
+def device(proc: Path = Path("/proc")) -> str:
+    """Return the machine's processor and its NVIDIA GPUs, e.g. ``AMD EPYC, NVIDIA H100 80GB HBM3``.
+
+    Args:
+        proc: Where the kernel and the GPUs' driver tell about the machine.
+    """
+    processors = _values(proc / "cpuinfo", "model name") or [platform.machine()]
+    gpus = sorted(proc.glob("driver/nvidia/gpus/*/information"))
+    return ", ".join([processors[0], *(name for file in gpus for name in _values(file, "Model"))])
+
+
+def _values(file: Path, key: str) -> list[str]:
+    """Return the values of a key in a file with lines ``key : value``; none where it cannot be read."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = file.read_text().splitlines()
     except OSError:
-        lines = []
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+        return []
+    parts = [line.partition(":") for line in lines]
+    return [value.strip() for name, _, value in parts if name.strip() == key]
 
 
 def folder_sha256(folder: Path) -> str:

@@ -1,6 +1,7 @@
 """The shipped experiments, their plans, and the command."""
 
 import json
+import platform
 import re
 from dataclasses import replace
 from importlib import metadata
@@ -18,7 +19,7 @@ from roboxim_bringup.experiment_files import (
     write_mixes,
 )
 from roboxim_bringup.experiment_plan import plan_data, plan_lines
-from roboxim_bringup.experiment_provenance import packages_sha256
+from roboxim_bringup.experiment_provenance import device, packages_sha256
 from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
@@ -261,3 +262,15 @@ def test_packages_that_a_library_adds_to_the_path_do_not_change_the_environment(
     packages_sha256.cache_clear()
     assert "carried" in {d.metadata["Name"] for d in metadata.distributions()}
     assert packages_sha256() == before
+
+
+def test_a_card_names_processor_and_gpus(tmp_path):
+    (tmp_path / "cpuinfo").write_text(
+        "processor\t: 0\nmodel name\t: AMD EPYC 9654\nprocessor\t: 1\nmodel name\t: AMD EPYC 9654\n"
+    )
+    assert device(tmp_path) == "AMD EPYC 9654"
+    gpu = tmp_path / "driver/nvidia/gpus/0000:01:00.0"
+    gpu.mkdir(parents=True)
+    (gpu / "information").write_text("Model: \t\t NVIDIA H100 80GB HBM3\nIRQ:   \t\t 16\n")
+    assert device(tmp_path) == "AMD EPYC 9654, NVIDIA H100 80GB HBM3"
+    assert device(tmp_path / "nothing") == platform.machine()

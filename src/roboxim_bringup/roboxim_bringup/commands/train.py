@@ -30,12 +30,13 @@ def command() -> None:
 def behaviour_cloning(
     dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, until: int | None, limit: int
 ) -> None:
-    r"""Train a small behaviour-cloning network on a dataset of any format, on CPU.
+    r"""Train a small behaviour-cloning network on a dataset of any format.
 
     \b
     roboxim train bc runs/demos-rlds --out runs/bc --steps 2000
 
-    Ctrl-C saves a checkpoint. The same command continues from it and ends with the same weights.
+    Ctrl-C saves a checkpoint. The same command continues from it and ends with the same weights. Processors suffice; a
+    GPU is used where JAX has one.
     """
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.training import read_bc_config, train_bc

@@ -66,7 +66,7 @@ class CardEnvironment:
     renderer: str = ""
     """Renderer of the evaluations' images."""
     device: str = ""
-    """Processor, or the accelerator that trained."""
+    """Processor and GPUs of the machine that wrote the card; trainings may have run elsewhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
