@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from roboxim_bringup.core_graph import CoreGraph
+from roboxim_bringup.core_graph import CoreActor, CoreGraph
+from roboxim_bringup.experiment_files import load_experiment
 from roboxim_bringup.runs.delivery_demands import demands_of
 from roboxim_bringup.runs.delivery_reader import DeliveryReader
 from roboxim_bringup.runs.export import ExportConfig, export_rlds
@@ -26,9 +27,14 @@ from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import SimError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.poses import Pose
+from roboxim_eval.experiments.cells import mix_of
+from roboxim_eval.experiments.changes import changed_parts
+from roboxim_eval.experiments.design import design_of
 from roboxim_eval.experiments.proofs import tally
 from roboxim_policies.builtin import ZeroPolicy
+from roboxim_policies.reworded import RewordedPolicy
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.edited import copy_edited
@@ -101,7 +107,9 @@ def test_clean_rollouts_pass_every_check(rollouts, tmp_path):
     assert "pairing" in found.checks
     (shown, *_) = shown_of(list_bags(rollouts)[:1])[1]
     assert shown.tool_px[CAMERA] == 0.0
-    assert shown.pixels["target"] > 100
+    assert min(shown.pixels["target"], shown.pixels["distractor_1"]) > 100
+    assert shown.received == (shown.instruction,)
+    assert shown.weights["target"] == pytest.approx(shown.physics["target"]["mass_kg"], rel=0.01)
 
 
 def test_a_camera_moved_by_5_cm_is_found_with_bag_and_figure(rollouts, tmp_path):
@@ -150,6 +158,81 @@ def test_a_missing_distractor_is_found(rollouts, tmp_path):
     assert (fault.bag, fault.text) == (str(fallen), "0 distractors lie on the table, 1 expected")
 
 
+def test_the_words_that_reach_a_policy_are_in_its_bag(tmp_path, monkeypatch):
+    class Deaf(RewordedPolicy):
+        """Claims to pass on no words, and passes on the task's at its requests."""
+
+        def act(self, window):
+            return self._policy.act(window)
+
+    quick = {"max_steps": 1, "settle_ticks": 1}
+    record(tmp_path / "blind", MIX, 1, policy=RewordedPolicy(policy="zero"), **quick)
+    record(tmp_path / "broken", MIX, 1, policy=Deaf(policy="zero"), **quick)
+    monkeypatch.setattr(GuardedPolicy, "_received", lambda self: ())
+    record(tmp_path / "old", MIX, 1, policy=RewordedPolicy(policy="zero"), **quick)
+
+    def proof(name, words):
+        arm = ArmClaim(condition=name, folder=tmp_path / name, mix=MIX, words=words)
+        return prove_evaluation([arm], Reading(logs=tmp_path))[0]
+
+    assert proof("blind", "").checks["words"] == (1, 1)
+    (fault,) = proof("blind", None).faults
+    assert (fault.check, fault.text[:39]) == ("words", "the policy received '', expected 'Pick ")
+    (fault,) = proof("broken", "").faults
+    assert fault.check == "words"
+    old = proof("old", "")
+    assert "words" not in old.checks
+    assert "the bags of 1 of 1 rollouts do not say which instruction" in old.statements[0]
+
+
+def test_a_task_that_no_template_of_the_cell_says_is_found(rollouts, tmp_path):
+    def lie(topic, message):
+        if topic == topics.INFO:
+            message.task.instruction = "Pick up the plate"
+
+    lying = copy_edited(list_bags(rollouts)[0], tmp_path / "lying", (topics.INFO,), lie)
+    demands, shown = shown_of([lying])
+    assert {fault.check for fault in tally(demands, shown).faults} == {"instruction", "words"}
+
+
+def test_the_physics_that_a_reset_draws_are_demanded(tmp_path):
+    physics = {"table_friction": {"values": [0.5]}, "objects": {"mass_kg": {"values": [0.1]}}}
+    mix = {**MIX, "set": {**MIX["set"], "reset": {"physics": physics}}}
+    record(tmp_path / "drawn", mix, 1, policy=ZeroPolicy(), max_steps=1, settle_ticks=1)
+    bags = list_bags(tmp_path / "drawn")
+    demands, shown = shown_of(bags, mix)
+    assert tally(demands, shown).faults == ()
+    heavier = {**physics, "table_friction": {"values": [0.6]}, "objects": {"mass_kg": {"values": [0.15]}}}
+    demands, shown = shown_of(bags, {**mix, "set": {**mix["set"], "reset": {"physics": heavier}}})
+    (fault,) = tally(demands, shown).faults
+    assert fault.check == "physics"
+    assert "mass_kg of the target is 0.1, the cell demands 0.15" in fault.text
+    assert "the table's friction is 0.5, the cell demands 0.6" in fault.text
+
+    def lie(topic, message):
+        for entity in message.scene.entities if topic == topics.INFO else ():
+            for pair in entity.modifiers:
+                if entity.name == "target" and pair.key == "mass":
+                    pair.value = str(1.5 * float(pair.value))
+
+    lying = copy_edited(bags[0], tmp_path / "lying", (topics.INFO,), lie)
+    demands, shown = shown_of([lying], {**mix, "set": {**mix["set"], "reset": {"physics": heavier | {
+        "table_friction": {"values": [0.5]}}}}})  # fmt: skip
+    (fault,) = tally(demands, shown).faults
+    assert "0.1 kg of the target press on the table, its model has 0.15 kg" in fault.text
+
+
+def test_a_distractor_of_another_model_or_colour_is_found(rollouts):
+    def faults(**distractors):
+        other = {**MIX, "set": {"distractors": {**MIX["set"]["distractors"], **distractors}}}
+        demands, shown = shown_of(list_bags(rollouts)[:1], other)
+        return {fault.check for fault in tally(demands, shown).faults}
+
+    assert faults() == set()
+    assert faults(models={"values": ["plate"]}, modifiers=None) == {"distractors"}
+    assert faults(models={"values": ["cube"]}, modifiers={"color": {"values": ["black"]}}) == {"distractors"}
+
+
 @pytest.mark.slow
 def test_a_held_out_episode_that_claims_a_seen_cell_is_refused_by_name(tmp_path):
     cells = [{"tasks": [task], "models": {"target": ["cube"]}, "episodes": 1} for task in ("pick_up", "rotate")]
@@ -182,3 +265,55 @@ def test_a_held_out_episode_that_claims_a_seen_cell_is_refused_by_name(tmp_path)
     _, found = proof(tmp_path / "lying", {seen: 1})
     assert f"{lying}: unseen: it is of the held-out cell '{CELL}', although it claims '{seen}'" in found.refusal(0.0)
     assert Path(lying).exists()
+
+
+@pytest.mark.slow
+def test_every_condition_of_robustness_is_compared_with_the_unchanged_one(tmp_path):
+    config = load_experiment("robustness", "smoke")
+    design = design_of(config)
+    counts, arms = {cell.key: 2 for cell in design.cells}, []
+    with CoreGraph(tmp_path, policy=ZeroPolicy()) as graph:
+        for name, condition in config.conditions.items():
+            mix = json.loads(json.dumps(mix_of(config, counts, condition.set)))
+            out = tmp_path / name
+            graph._recorder._output_dir = out
+            graph._actor = CoreActor(
+                ZeroPolicy()
+                if condition.instruction is None
+                else RewordedPolicy(policy="zero", instruction=condition.instruction)
+            )
+            runner = EpisodeRunner(
+                graph.ports,
+                RunConfig(
+                    task_config=yaml.safe_dump(mix), output_dir=str(out), image_width=96, image_height=96, max_steps=1,
+                    settle_ticks=1, latency_ticks=condition.latency_ticks,
+                ),
+            )  # fmt: skip
+            results = [runner.run_index(index) for index in range(2)]
+            lines = [json.dumps({**to_plain(result), "key": ""}) for result in results]
+            (out / "results.jsonl").write_text("\n".join(lines) + "\n")
+            arms.append(
+                ArmClaim(
+                    condition=name, folder=out, mix=mix, words=condition.instruction,
+                    latency_ticks=condition.latency_ticks, changed=changed_parts(condition.set),
+                )
+            )  # fmt: skip
+    found, excluded = prove_evaluation(arms, Reading(logs=tmp_path))
+    assert (found.faults, excluded) == ((), {})
+    number = 2 * len(arms)
+    assert found.checks["pairing"] == found.checks["words"] == found.checks["physics"] == (number, number)
+    unseen = {"nominal", "mass", "friction", "paraphrase", "no_words", "late_2"}
+    seen = 2 * len(config.conditions.keys() - unseen)
+    assert found.checks["changed"] == (seen, seen)
+    # a condition whose rollouts were those of another one would not pass
+    claims = {arm.condition: arm for arm in arms}
+    for name, other, check in (
+        ("mass", "friction", "object"), ("camera", "nominal", "changed"), ("paraphrase", "nominal", "instruction"),
+        ("distractors", "nominal", "distractors"), ("exposure", "light", "pairing"),
+    ):  # fmt: skip
+        swapped = [claims["nominal"], replace(claims[name], folder=claims[other].folder)]
+        if other == "nominal":
+            copied = Path(shutil.copytree(claims[other].folder, tmp_path / f"copy-{name}"))
+            swapped = [claims["nominal"], replace(claims[name], folder=copied)]
+        faults = prove_evaluation(swapped, Reading(logs=tmp_path))[0].faults
+        assert check in {fault.check for fault in faults}, (name, faults)

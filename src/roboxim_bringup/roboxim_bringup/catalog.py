@@ -30,8 +30,8 @@ Catalog = dict[str, Any]
 - ``policies``: ``policies`` (name to its first sentence and options);
 - ``conventions``: ``conventions`` (name to its line in a list and its whole description), ``broken``;
 - ``experiments``: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
-  empty text), ``benchmarks`` (name to chapter, description and experiments), ``broken``, ``measured`` (whether this
-  machine's rates are known)."""
+  empty text), ``benchmarks`` (name to chapter, description, experiments and scales), ``broken``, ``measured`` (whether
+  this machine's rates are known)."""
 Part = Literal["tasks", "policies", "conventions", "experiments"]
 PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
 """Kind of name to the part of the catalog that knows the names; names of other kinds are those of files."""

@@ -7,12 +7,16 @@ import inspect
 import itertools
 import re
 import sys
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
 
 from roboxim_bringup.catalog import Catalog, Part, catalog
 from roboxim_core.config import named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from roboxim_eval.experiments import ExperimentConfig
 
 
 def make_catalog(part: Part) -> Catalog:
@@ -59,10 +63,8 @@ def make_tasks() -> Catalog:
 
 def make_experiments() -> Catalog:
     """Return experiments and benchmarks as plain values; see `roboxim_bringup.catalog.Catalog`."""
-    from roboxim_bringup.experiment_files import load_benchmark, load_experiment
-    from roboxim_bringup.experiment_plan import hours
-    from roboxim_bringup.runs.rates import stored_rates
-    from roboxim_eval.experiments import cost_of, design_of, scale_names
+    from roboxim_bringup.experiment_files import benchmark_experiments, load_benchmark, load_experiment
+    from roboxim_eval.experiments import scale_names
 
     made: Catalog = {"experiments": {}, "benchmarks": {}, "broken": {}, "measured": False}
     for name in config_names("experiments"):
@@ -70,11 +72,8 @@ def make_experiments() -> Catalog:
             config = load_experiment(name)
             times = {}
             for scale in scale_names(config):
-                scaled = load_experiment(name, scale)
-                design, rates = design_of(scaled), stored_rates(scaled.image_size, name)
-                made["measured"] |= rates is not None
-                about = "" if rates is None or rates.experiment == name else "about "
-                times[scale] = "" if rates is None else about + hours(cost_of(design, rates).total_s)
+                times[scale] = _time({name: load_experiment(name, scale)})
+                made["measured"] |= bool(times[scale])
         except ConfigError as error:
             made["broken"][name] = str(error)
             continue
@@ -82,13 +81,37 @@ def make_experiments() -> Catalog:
     for name in config_names("benchmark"):
         try:
             benchmark = load_benchmark(name)
+            first = load_experiment(benchmark.experiments[0])
+            scales = dict.fromkeys((*benchmark.scales, *scale_names(first)))
+            times = {scale: _time(benchmark_experiments(benchmark, scale)) for scale in scales}
         except ConfigError as error:
             made["broken"][name] = str(error)
             continue
         made["benchmarks"][name] = {
             "thesis": benchmark.thesis, "about": benchmark.about, "experiments": list(benchmark.experiments),
+            "scales": times,
         }  # fmt: skip
     return made
+
+
+def _time(configs: Mapping[str, ExperimentConfig]) -> str:
+    """Return the time that experiments take on this machine together, e.g. ``about 3.1 h``; empty: rates are unknown.
+
+    Args:
+        configs: Name to experiment, at its scale.
+    """
+    from roboxim_bringup.experiment_plan import hours
+    from roboxim_bringup.runs.rates import stored_rates
+    from roboxim_eval.experiments import cost_of, design_of
+
+    total_s, about = 0.0, ""
+    for name, config in configs.items():
+        rates = stored_rates(config.image_size, name)
+        if rates is None:
+            return ""
+        about = about if rates.experiment == name else "about "
+        total_s += cost_of(design_of(config), rates).total_s
+    return about + hours(total_s)
 
 
 def _policies() -> dict[str, Any]:

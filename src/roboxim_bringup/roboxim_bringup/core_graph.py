@@ -6,7 +6,7 @@ For tests (an episode through the nodes must equal this one, bit for bit) and fo
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -176,11 +176,11 @@ class CoreRecorder:
     def wait_written(self) -> None:
         """Return at once: `step` writes."""
 
-    def close(self, result: EpisodeResult, keep: str) -> str:
+    def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:
         """Close the bag."""
         assert self._recording is not None
         result = replace(result, bag=bag_path(result.episode_id, keep))
-        path = self._recording.close(result, serialize_message(to_msg(result, EpisodeResultMsg)), keep)
+        path = self._recording.close(result, serialize_message(to_msg(result, EpisodeResultMsg)), keep, received)
         self._recording = None
         return path
 

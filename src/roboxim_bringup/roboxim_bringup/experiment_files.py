@@ -1,4 +1,4 @@
-"""Files of ``config/experiments`` and ``config/benchmark``, checked as a whole before anything runs.
+"""Files of ``config/experiments``, ``config/trainers`` and ``config/benchmark``, checked before anything runs.
 
 The rooms check their own parts: `roboxim_eval` the experiment, `roboxim_tasks` the task mixes that it expands to.
 """
@@ -7,32 +7,92 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from roboxim_core.config import load_yaml, located, named_config
+from roboxim_bringup.runs.experiment_exports import require_readable
+from roboxim_core.config import load_yaml, located, named_config, to_plain
+from roboxim_core.config_folders import config_names, is_path
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
 from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
+from roboxim_eval.experiments.trainers import TrainerConfig, trainer_config
 from roboxim_tasks.config import task_mix
 
+TRAINERS = "trainers"
+"""Folder of ``config`` with trainers."""
 
-def load_experiment(name: str, scale: str = "full", *, changes: Mapping[str, Any] | None = None) -> ExperimentConfig:
+
+def load_experiment(
+    name: str, scale: str = "full", *, changes: Mapping[str, Any] | None = None, trainer: str = ""
+) -> ExperimentConfig:
     """Load ``config/experiments/<name>.yaml``, or a path to a YAML file, at a scale.
 
     Args:
         name: Name, or path.
         scale: One of the file's scales, or ``full``.
         changes: Keys of the file to replace; none: the file as it stands.
+        trainer: Trainer that will be chosen. One that the file lacks is added: a name in ``config/trainers``, or a
+            path to a YAML file.
 
     Raises:
-        ConfigError: When the file is missing or invalid, or its scale is unknown.
+        ConfigError: When a file is missing or invalid, the scale is unknown, or the trainer cannot read a dataset.
     """
     path = named_config("experiments", name)
     data = located(load_yaml(path), str(path))
-    return experiment_config(merged(data, changes or {}), source=str(path), scale=scale)
+    config = experiment_config(merged(data, changes or {}), source=str(path), scale=scale)
+    config = with_trainer(config, trainer)
+    require_readable(config, config.trainers.get(trainer or next(iter(config.trainers), ""), TrainerConfig()))
+    return config
+
+
+def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
+    """Return an experiment that has a trainer, added from a file of its own if the experiment lacks it.
+
+    A trainer's file that does not say how many steps it trains takes those of the experiment's first trainer: the
+    experiment knows how long its trainings are, at each scale.
+
+    Args:
+        config: The experiment at its scale.
+        name: Name of one of its trainers or of a file in ``config/trainers``, or a path to a YAML file; empty: no
+            trainer is added.
+
+    Raises:
+        ConfigError: When there is no such trainer, or its file is invalid.
+    """
+    if not name or name in config.trainers or not config.datasets:
+        return config
+    if not is_path(name) and name not in config_names(TRAINERS):
+        known = [*config.trainers, *config_names(TRAINERS)]
+        raise ConfigError(
+            f"no trainer '{name}' in the experiment or in config/{TRAINERS}; {one_of(known, name)}, or name a YAML file"
+        )
+    path = named_config(TRAINERS, name)
+    trainer = trainer_config(load_yaml(path), source=str(path))
+    if not trainer.steps and config.trainers:
+        trainer = replace(trainer, steps=next(iter(config.trainers.values())).steps)
+    return replace(config, trainers={**config.trainers, name: trainer})
+
+
+def write_experiment(config: ExperimentConfig, path: Path) -> None:
+    """Write an experiment at its scale as a file that `load_experiment` reads; the file has no other scales.
+
+    Args:
+        config: The experiment, e.g. with numbers that a budget chose.
+        path: The YAML file.
+
+    Raises:
+        ConfigError: When the file exists.
+    """
+    if path.exists():
+        raise ConfigError(f"{path} exists; choose another file")
+    content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
 
 
 def load_benchmark(name: str) -> BenchmarkConfig:
@@ -45,14 +105,19 @@ def load_benchmark(name: str) -> BenchmarkConfig:
     return benchmark_config(located(load_yaml(path), str(path)), source=str(path))
 
 
-def benchmark_experiments(config: BenchmarkConfig, scale: str) -> dict[str, ExperimentConfig]:
+def benchmark_experiments(config: BenchmarkConfig, scale: str, trainer: str = "") -> dict[str, ExperimentConfig]:
     """Return the experiments of a benchmark at a scale.
+
+    Args:
+        config: The benchmark.
+        scale: One of its scales.
+        trainer: Trainer that will be chosen, see `load_experiment`.
 
     Raises:
         ConfigError: When a file is missing or invalid, or has no such scale.
     """
     changes = experiment_changes(config, scale)
-    return {name: load_experiment(name, scale, changes=changes) for name in config.experiments}
+    return {name: load_experiment(name, scale, changes=changes, trainer=trainer) for name in config.experiments}
 
 
 def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> Design:
@@ -61,7 +126,7 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
     Args:
         name: Name of the experiment, for messages.
         config: The experiment at its scale.
-        trainer: Name of a trainer of the file; empty: the first one.
+        trainer: Name of one of its trainers, see `with_trainer`; empty: the first one.
 
     Raises:
         ConfigError: When the experiment or one of its task mixes is invalid.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
-from roboxim_eval.experiments.cost import trainings_at_once
+from roboxim_eval.experiments.cost import detectable_drop, trainings_at_once
 
 NO_RATES = (
     "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"
@@ -102,7 +103,6 @@ def hours(seconds: float) -> str:
 
 
 def _power_lines(design: Design) -> Iterator[str]:
-    from roboxim_eval.experiments.cost import detectable_drop
     from roboxim_eval.statistics.power import SPREAD_AT, TRAINING_SPREAD
     from roboxim_eval.statistics.replicates import LEAST_REPLICATES
 
@@ -132,15 +132,19 @@ def _table(design: Design) -> Iterator[str]:
     """Yield the demonstrations by cell.
 
     A row is a combination of the first factors, a column a level of the last one. Each place has the numbers of all
-    datasets; held-out cells are in brackets.
+    datasets, one for those with the same numbers; held-out cells are in brackets.
     """
     *rows, column = design.config.factors
     levels = list(dict.fromkeys(cell.levels[column] for cell in design.cells))
-    if len(design.datasets) > 3:
-        return
+    alike: dict[str, list[str]] = {}  # datasets that differ in their faults alone have one number
+    for name, counts in design.datasets.items():
+        alike.setdefault(json.dumps(counts, sort_keys=True), []).append(name)
+    shown = {", ".join(names): design.datasets[names[0]] for names in alike.values()}
+    if len(shown) > 1:
+        yield f"by cell: {' / '.join(shown)}"
     found: dict[str, dict[str, str]] = {}
     for cell in design.cells:
-        text = "/".join(str(counts.get(cell.key, "-")) for counts in design.datasets.values())
+        text = "/".join(str(counts.get(cell.key, "-")) for counts in shown.values())
         row = " ".join(cell.levels[factor] for factor in rows) or "all"
         found.setdefault(row, {})[cell.levels[column]] = f"[{text}]" if cell.unseen else text
     width = max(map(len, found))
@@ -166,6 +170,8 @@ def plan_data(name: str, scale: str, design: Design, rates: Rates | None, traini
         "rollouts": design.rollouts,
         "scenes": design.compared_scenes,
         "replicates": design.config.replicates.count,
+        "detectable_drop": detectable_drop(design),
+        "detectable_drop_if_none_of_the_others_is_found": detectable_drop(design, alone=True),
         "hours": None if cost is None else cost.total_s / 3600,
         "rollouts_taken_as_successful": None if cost is None else cost.succeeded,
         "disk_bytes": None if cost is None else cost.disk_bytes,

@@ -3,6 +3,8 @@
 import json
 import platform
 import re
+import shlex
+import subprocess
 from dataclasses import replace
 from importlib import metadata
 
@@ -21,10 +23,11 @@ from roboxim_bringup.experiment_files import (
 from roboxim_bringup.experiment_plan import plan_data, plan_lines
 from roboxim_bringup.experiment_provenance import device, packages_sha256
 from roboxim_bringup.runs import calibration
+from roboxim_bringup.runs.experiment_policies import require_trainers_policy
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import SideBySide, design_of, scale_names
+from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
 from roboxim_eval.testing import RATES
 from roboxim_tasks.config import load_task_config, task_mix
 
@@ -46,7 +49,8 @@ def test_every_shipped_experiment_is_valid_at_every_scale(name):
 @pytest.mark.parametrize(
     ("name", "datasets", "demonstrations", "trainings", "scenes"),
     [
-        ("pick_cube", {"cube": 200}, 200, 3, 50),
+        ("pick_cube", {"cube": 200}, 200, 1, 0),
+        ("pick_cube_axes", {"converted": 200, "unity": 200}, 200, 2, 50),
         ("colors", {"all": 400}, 400, 5, 80),
         ("objects", {"all": 600}, 600, 5, 120),
         ("skills", {"all": 500}, 500, 5, 100),
@@ -63,6 +67,45 @@ def test_the_experiments_of_the_thesis_have_its_counts(name, datasets, demonstra
     assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == datasets
     assert (design.episodes, len(design.trainings)) == (demonstrations, trainings)
     assert design.compared_scenes == scenes
+
+
+def test_the_axes_of_pick_cube_differ_in_training_and_bc_is_refused_there(tmp_path):
+    design = design_of(load_experiment("pick_cube_axes"))
+    stages = {stage.name: stage for stage in stages_of(design)}
+    trained, other = stages["train/converted.0"], stages["train/unity_axes.0"]
+    assert trained.sha != other.sha
+    assert stages[other.needs[0]].inputs["options"] == {"convention": "unity"}
+    file = tmp_path / "mine.yaml"
+    file.write_text("{command: 'roboxim train bc {dataset} --out {out} --seed {seed} --steps {steps}', policy: bc}")
+    with pytest.raises(ConfigError, match="export: 'roboxim train bc .*cannot learn from convention 'roboxim'"):
+        load_experiment("pick_cube_axes", trainer=str(file))
+    with pytest.raises(ConfigError, match="asked in convention 'octo_finetuned', whatever it was trained with"):
+        load_experiment("pick_cube_axes", trainer="octo")
+    assert load_experiment("pick_cube_axes", trainer="smolvla").trainers["smolvla"].steps == 20000
+
+
+@pytest.mark.parametrize("name", config_names("trainers"))
+def test_every_shipped_trainer_is_valid(name):
+    config = load_experiment("skill_object", "laptop", trainer=name)
+    design = checked_design("skill_object", config, name)
+    require_trainers_policy(design.trainer)
+    assert design.trainer.steps == 4000, "those of the experiment, since the file names none"
+    given = dict.fromkeys(("dataset", "checkpoint", "out", "condition", "replicate", "seed", "steps"), "there")
+    for text in (design.trainer.command, design.trainer.serve):
+        words = [word.format(**given) for word in shlex.split(text)]
+        assert words[:2] == ["sh", "-c"]
+        subprocess.run(["sh", "-n", "-c", words[2]], check=True)
+
+
+def test_what_a_scale_reduces_and_what_trains_is_stated():
+    for name in ("area", "area_outside", "camera", "camera_opposite", "colors", "objects", "skills", "pick_cube"):
+        text = " ".join(load_experiment(name).deviations)
+        for words in ("bc", "Octo-Small", "128 x 128", "laptop", "night", "smoke"):
+            assert words in text, (name, words)
+        for scale in ("laptop", "night"):
+            small = load_experiment(name, scale)
+            steps = small.conditions["long"].steps if name == "pick_cube" else small.trainers["bc"].steps
+            assert f"{steps:,}" in text, (name, scale)
 
 
 def test_datasets_are_balanced_over_the_levels_of_both_factors():
@@ -136,6 +179,7 @@ def test_the_command_plans_and_lists():
     data = json.loads(planned.stdout)[0]
     assert (data["demonstrations"]["pick_up target=cube"], data["trainings"], data["rollouts"]) == (18, 6, 1440)
     assert data["hours"] == pytest.approx(3.035, abs=0.01)
+    assert data["detectable_drop"] < data["detectable_drop_if_none_of_the_others_is_found"] < 0.8
     fitted = run.invoke(
         command, ["plan", "skill_object", "--scale", "laptop", "--budget", "8h"], catch_exceptions=False
     )
@@ -235,6 +279,27 @@ def test_a_plan_measures_an_experiment_that_was_never_run_once(monkeypatch):
     assert stored_rates("128x128", "skill_object").failure_s == OWN.failure_s
     listed = run.invoke(command, ["list"], catch_exceptions=False).stdout
     assert "about " in next(line for line in listed.splitlines() if "laptop" in line), "area has no rates of its own"
+    transfer = listed.splitlines()[-3:]
+    assert "transfer" in transfer[0]
+    assert re.search(r"night about \d+\.\d h", transfer[2])
+
+
+def test_the_size_that_a_budget_buys_can_be_run(tmp_path):
+    store_rates(OWN)
+    words = ["plan", "skill_object", "--scale", "laptop", "--budget", "8h", "--file", str(tmp_path / "mine.yaml")]
+    text = CliRunner().invoke(command, words, catch_exceptions=False).stdout
+    written = load_experiment(str(tmp_path / "mine.yaml"))
+    replicates, rollouts = (int(number) for number in re.search(r"\((\d+) trainings, (\d+) rollouts", text).groups())
+    assert (written.replicates.count, written.image_size) == (replicates, "128x128")
+    assert design_of(written).compared_scenes == rollouts
+    assert written.replicates.count > load_experiment("skill_object", "laptop").replicates.count
+    with pytest.raises(ConfigError, match="exists; choose another file"):
+        CliRunner().invoke(command, words, catch_exceptions=False)
+
+
+def test_datasets_that_differ_in_their_faults_share_a_table():
+    text = "\n".join(plan_lines("faults", "night", design_of(load_experiment("faults", "night")), None))
+    assert re.search(r"blue +green +red +yellow\n.* 50 +50 +50 +50", text)
 
 
 def test_a_plan_says_which_share_of_the_rollouts_it_takes_as_successful():

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import cattrs
 import numpy as np
 from cattrs.errors import AttributeValidationNote
-from cattrs.gen import make_dict_structure_fn
+from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
 
 from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
@@ -31,6 +31,9 @@ from roboxim_core.poses import Pose
 from roboxim_core.quaternions import quat_from_euler
 
 T = TypeVar("T")
+LEFT_OUT = "LEFT_OUT_AT_DEFAULT"
+"""Class variable of a dataclass: names of the fields that plain data lack while they have their defaults. A field that
+is added later thus changes neither the hashes nor the files of what was written without it."""
 
 
 def _is_scalar_union(kind: Any) -> bool:
@@ -72,6 +75,9 @@ def _converter() -> cattrs.Converter:
     converter.register_structure_hook(Path, lambda value, _: Path(value))
     converter.register_unstructure_hook(Path, str)
     converter.register_structure_hook_factory(dataclasses.is_dataclass, lambda cls: _dataclass_hook(cls, converter))
+    converter.register_unstructure_hook_factory(
+        lambda cls: dataclasses.is_dataclass(cls) and hasattr(cls, LEFT_OUT), lambda cls: _shorter_hook(cls, converter)
+    )
     return converter
 
 
@@ -119,6 +125,12 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
         return build(value, cls)
 
     return structure
+
+
+def _shorter_hook(cls: Any, converter: cattrs.Converter) -> Any:
+    """Return the unstructure hook of a dataclass with fields that are left out while they have their defaults."""
+    shorter: dict[str, Any] = {name: override(omit_if_default=True) for name in getattr(cls, LEFT_OUT)}
+    return make_dict_unstructure_fn(cls, converter, **shorter)
 
 
 def _at_path(error: Exception, path: Sequence[Any], cls: Any) -> Exception:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -179,6 +179,9 @@ class ActionChunk:
     phases: tuple[str, ...] = ()
     """Name of each action's phase, chosen by the actor. Noise is injected only in phase ``free``; phase ``recovery``
     marks the episode as recovered. Empty: unknown."""
+    received: tuple[str, ...] = ()
+    """Instructions that the policy was given in this episode so far, each once; empty: unknown. The guard of the policy
+    sets it, see `PassesOn`; what a policy itself writes here is replaced."""
 
 
 class Policy(Protocol):
@@ -194,4 +197,13 @@ class Policy(Protocol):
 
     def act(self, window: ObservationWindow) -> npt.ArrayLike | ActionChunk:
         """Return the next actions, shape (horizon, D) or (D,), or an `ActionChunk`."""
+        ...
+
+
+@runtime_checkable
+class PassesOn(Protocol):
+    """A policy that passes its requests on to another one, e.g. with other words or to another process."""
+
+    def received_instructions(self) -> Sequence[str]:
+        """Return the instructions that the other policy was given since the last reset, each once; empty: unknown."""
         ...

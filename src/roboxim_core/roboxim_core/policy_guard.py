@@ -17,7 +17,7 @@ import numpy as np
 
 from roboxim_core.actions import check_chunk
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PolicyError, RoboximError, printable
-from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy, PolicyDescription
+from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, PassesOn, Policy, PolicyDescription
 
 LONGEST_PHASE = 64
 """Largest length of the name of a phase [characters]."""
@@ -33,7 +33,8 @@ def checked_answer(answer: Any, description: PolicyDescription) -> ActionChunk:
         description: The policy's description, which gives the size of an action and the horizon.
 
     Returns:
-        Actions as float32, shape (horizon, D), ``done`` as a bool, phases as a tuple of strings.
+        Actions as float32, shape (horizon, D), ``done`` as a bool, phases and received instructions as tuples of
+        strings.
 
     Raises:
         PolicyError: With code ``INVALID_ACTION``, if the answer is invalid in any way.
@@ -68,14 +69,22 @@ def _checked(answer: Any, description: PolicyDescription) -> ActionChunk:
                 f"a phase must be a printable string of at most {LONGEST_PHASE} characters, "
                 f"got {printable(phase, 100, form=repr)}"
             )
-    return ActionChunk(actions=actions, done=bool(done), phases=tuple(str(phase) for phase in phases))
+    received: Any = chunk.received
+    if not isinstance(received, tuple | list) or not all(isinstance(text, str) for text in received):
+        raise InvalidRequestError(
+            f"received must be a tuple of instructions, or empty; got {printable(received, 100, form=repr)}"
+        )
+    return ActionChunk(
+        actions=actions, done=bool(done), phases=tuple(str(phase) for phase in phases), received=tuple(received)
+    )
 
 
 class GuardedPolicy:
     """Wrapper that calls a policy and checks everything that it does.
 
     A policy that does not declare ``privileged`` never receives the task, the scene or a state record, even if a caller
-    sends them.
+    sends them. Every answer says which instructions the policy was given (`ActionChunk.received`); one that passes its
+    requests on (`PassesOn`) tells it of the other policy.
     """
 
     def __init__(
@@ -106,6 +115,7 @@ class GuardedPolicy:
         """The policy's description."""
         self._label = f"policy '{description.name}'"
         self._episode: str | None = None
+        self._given: dict[str, None] = {}
 
     def describe(self) -> PolicyDescription:
         """Return the description that the policy gave when the guard was made."""
@@ -123,6 +133,7 @@ class GuardedPolicy:
             start = replace(start, task=None, scene=None)
         elif start.task is None or start.scene is None:
             raise InvalidRequestError(f"{self._label} is privileged: a reset needs the task and the scene")
+        self._given = {start.instruction: None}
         with self._converting_errors(f"reset for episode {start.episode_id}"):
             self._policy.reset(start)
         self._episode = start.episode_id
@@ -141,12 +152,20 @@ class GuardedPolicy:
             observations = [replace(o, state=None) for o in window.observations]
             window = replace(window, observations=observations)
         where = f"act at tick {window.seq} of episode {window.episode_id}"
+        self._given[window.instruction] = None
         with self._converting_errors(where):
             answer = self._policy.act(window)
+            received = self._received()
         try:
-            return checked_answer(answer, self.description)
+            return replace(checked_answer(answer, self.description), received=received)
         except PolicyError as error:
             raise PolicyError(f"{self._label} in {where}: {error}", error.code) from None
+
+    def _received(self) -> tuple[str, ...]:
+        """Return the instructions that the policy, or the one behind it, was given since the last reset."""
+        if isinstance(self._policy, PassesOn):
+            return tuple(map(str, self._policy.received_instructions()))
+        return tuple(self._given)
 
     def _check_window(self, window: ObservationWindow) -> None:
         if window.episode_id != self._episode:

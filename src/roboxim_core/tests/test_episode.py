@@ -93,8 +93,9 @@ class World:
     def wait_written(self):
         self.unwritten = False
 
-    def close(self, result, keep):
+    def close(self, result, keep, received=()):
         self.closed.append((result, keep))
+        self.received = received
         return f"{keep}/{result.episode_id}"
 
     def abort(self):

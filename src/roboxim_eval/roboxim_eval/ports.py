@@ -6,7 +6,7 @@ import array
 import json
 import threading
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rclpy.context import Context
@@ -55,7 +55,7 @@ from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.policy_service import PolicyClient
-from roboxim_ros.recording_calls import RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_RECEIVED, RECORD_STEP
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
@@ -304,9 +304,15 @@ class RecorderClient:
             )
         raise_for_code(last.error_code, last.error_msg)
 
-    def close(self, result: EpisodeResult, keep: str) -> str:
-        """Close the bag; return its path relative to the output folder."""
+    def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:
+        """Close the bag; return its path relative to the output folder.
+
+        Only a recorder of this process is told what the policy received.
+        """
         self.wait_written()
+        told = self._clients.send_local(RECORD_RECEIVED, (result.episode_id, tuple(received)))
+        if told is not None:
+            self._clients.value_of(told, RECORD_RECEIVED, MESSAGE_TIMEOUT_S)
         request = CloseEpisode.Request(result=to_msg(result, EpisodeResultMsg), keep=keep)
         answer = self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=SERVICE_TIMEOUT_S)
         self._open = ""

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboxim_core.config import parse_yaml
+from roboxim_core.config import from_plain, parse_yaml, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_eval.benchmark import benchmark_config, benchmark_scores
 from roboxim_eval.experiments import (
+    ExperimentConfig,
     Outcomes,
     Rates,
     SideBySide,
@@ -79,6 +80,10 @@ def config(text=TEXT, **changes):
         ("per_cell: 27", "per_cells: 27", ["per_cells", "did you mean 'per_cell'"]),
         ("{out}", "{output}", ["trainers.bc", "unknown placeholder 'output'"]),
         ("{seed}", "1", ["trainers.bc", "needs {seed}"]),
+        ("{seed}", "{seed}{", ["trainers.bc", "command:", "a brace itself is written twice"]),
+        ("policy: bc,", "policy: bc, options: {a: 1},", ["trainers.bc", "none has {checkpoint}"]),
+        ("policy: bc,", "options: {a: '{checkpoint}'},", ["trainers.bc", "arguments of a policy"]),
+        ("per_cell: 27", "per_cell: 27, export: {format: lerobot}", ["datasets.leave_out", "the trainer chooses"]),
         ("count: 5", "count: 0", ["replicates.count", "from 1"]),
         ("smoke: {replicates", "smoke: {thesis", ["scales.smoke.thesis"]),
         ("  task: {", "  skill: {", ["factors", "needs the factor 'task'"]),
@@ -106,6 +111,22 @@ def test_a_scale_replaces_keys_of_the_file():
     assert small.trainers["bc"].policy == "bc"
     with pytest.raises(ConfigError, match="no scale 'smok'.*did you mean 'smoke'"):
         config(scale="smok")
+
+
+def test_keys_that_came_later_change_no_hash_of_experiments_without_them():
+    plain = to_plain(config())
+    assert not {"dataset", "options", "serve"} & plain["trainers"]["bc"].keys()
+    assert "export" not in plain["datasets"]["leave_out"]
+    hashes = {stage.name: stage.sha for stage in stages_of(design_of(config()))}
+    other = config(TEXT.replace("per_cell: 27", "per_cell: 27, export: {actions: tool}"))
+    assert to_plain(other)["datasets"]["leave_out"]["export"] == {"actions": "tool"}
+    assert from_plain(to_plain(other), ExperimentConfig) == other
+    changed = {stage.name for stage in stages_of(design_of(other)) if stage.sha != hashes[stage.name]}
+    assert {"export/leave_out.0", "train/leave_out.0"} <= changed
+    assert not {"generate/0", "export/baseline.0"} & changed
+    served = config(TEXT.replace("policy: bc,", "policy: mine, options: {url: 'ws://a:1', v: '{checkpoint}'},"))
+    changed = {stage.name for stage in stages_of(design_of(served)) if stage.sha != hashes[stage.name]}
+    assert {name.partition("/")[0] for name in changed} == {"evaluate", "prove"}
 
 
 # ------------------------------------------------------------------ cells, mixes, stages
@@ -182,6 +203,19 @@ def test_curves_and_final_evaluations_never_meet_the_same_scenes():
     for stage in stages:
         seeds[bool(stage.inputs["checkpoint"])].add(stage.inputs["seed"])
     assert not seeds[True] & seeds[False]
+
+
+def test_the_points_of_a_curve_are_proved_by_a_stage_of_their_own():
+    curve = {"every": 1000, "per_checkpoint": 10, "replicates": 1}
+    without = {stage.name: stage.sha for stage in stages_of(design_of(config()))}
+    assert not any(name.startswith("prove/curve") for name in without)
+    stages = {stage.name: stage for stage in stages_of(design_of(config(curve=curve)))}
+    proof = stages["prove/curve.0"]
+    assert set(proof.needs) == {name for name in stages if "@" in name}
+    assert len(proof.needs) == 8
+    assert (proof.part, proof.of_curve, stages["prove/evaluation.0"].of_curve) == ("evaluate", True, False)
+    assert "prove/curve.1" not in stages
+    assert stages["prove/evaluation.1"].sha == without["prove/evaluation.1"]
 
 
 def test_arms_of_a_replicate_meet_the_same_scenes_and_replicates_meet_others():

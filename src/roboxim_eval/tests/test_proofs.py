@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from roboxim_core.poses import Pose
+from roboxim_eval.experiments.changes import changed_parts
 from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, View, belongs_to, faults_of
 from roboxim_eval.experiments.proofs import Tally, Trained, pairing, tally, training_tally
 
@@ -17,17 +18,23 @@ def words(*values):
 
 DEMAND = Demand(
     skill="pick_up", models={"target": words("cube")}, modifiers={"target": {"color": words("red")}},
-    distractors=(1, 2), areas={"target": (Allowed(lower=(0.3, -0.1), upper=(0.5, 0.1)),)},
+    distractors=(1, 2), others={"apple": {}, "cube": {"color": words("blue", "green")}},
+    physics={"target": {"mass_kg": Allowed(lower=(0.05,), upper=(0.2,))}}, table_friction=words(0.7),
+    templates=("Pick up the {target}", "Lift the {target}"),
+    areas={"target": (Allowed(lower=(0.3, -0.1), upper=(0.5, 0.1)),)},
     start=Allowed(lower=(0.4, -0.1, 0.3), upper=(0.5, 0.1, 0.4)), cameras={"workspace": (VIEW,)},
     look={"light.intensity": Allowed(lower=(1.0,), upper=(4.0,)), "table.texture": words("marble", "wood")},
 )  # fmt: skip
 CLEAN = Shown(
     bag="episodes/eval-0", cell="pick_up target=cube", number=0, skill="pick_up", models={"target": "cube"},
-    modifiers={"target": {"color": "red"}}, others=("apple",), positions={"target": (0.4, 0.0, 0.02)},
+    modifiers={"target": {"color": "red"}}, descriptions={"target": "red cube"},
+    physics={"target": {"mass_kg": 0.08, "friction_coefficient": 0.8}}, weights={"target": 0.08}, table_friction=0.7,
+    others={"distractor_1": "apple"}, other_modifiers={"distractor_1": {}}, positions={"target": (0.4, 0.0, 0.02)},
     start=(0.45, 0.0, 0.35), cameras={"workspace": VIEW}, look={"light.intensity": 2.0, "table.texture": "wood"},
-    tool_px={"workspace": 0.0}, pixels={"target": 300.0}, colors={"target": 0.5, "table": 0.2},
+    tool_px={"workspace": 0.0}, pixels={"target": 300.0, "distractor_1": 200.0},
+    colors={"target": 0.5, "table": 0.2, "distractor_1": 0.1},
     brightness={"workspace": 0.1}, state_hash="a" * 32, pictures={"workspace": 7},
-    thumbnails={"workspace": (100, 100)}, instruction="Pick up the red cube", received="Pick up the red cube",
+    thumbnails={"workspace": (100, 100)}, instruction="Pick up the red cube", received=("Pick up the red cube",),
 )  # fmt: skip
 DEMANDS = {CLEAN.cell: DEMAND}
 NAN = float("nan")
@@ -54,7 +61,23 @@ def test_a_clean_episode_passes_every_check():
         ("object", "color of the target is blue", {"modifiers": {"target": {"color": "blue"}}}),
         ("object", "12 visible pixels", {"pixels": {"target": 12.0}}),
         ("object", "15.0 .CIEDE2000", {"colors": {"target": 15.0}}),
-        ("distractors", "0 distractors .* 1 to 2 expected", {"others": ()}),
+        ("distractors", "0 distractors .* 1 to 2 expected", {"others": {}, "pixels": {}, "colors": {}}),
+        ("distractors", "distractor_1 is a lemon, .* apple or cube", {"others": {"distractor_1": "lemon"}}),
+        ("distractors", "color of distractor_1 is none, .* blue or green", {"others": {"distractor_1": "cube"}}),
+        ("distractors", "distractor_1 has 12 visible pixels", {"pixels": {"distractor_1": 12.0}}),
+        ("distractors", "distractor_1's median colour is 15.0", {"colors": {"distractor_1": 15.0}}),
+        (
+            "physics",
+            "mass_kg of the target is 0.4, .* from 0.05 to 0.2",
+            {"physics": {"target": {"mass_kg": 0.4}}, "weights": {"target": 0.4}},
+        ),
+        ("physics", "0.04 kg of the target press on the table, its model has 0.08 kg", {"weights": {"target": 0.04}}),
+        ("physics", "the table's friction is 0.5, .* 0.7", {"table_friction": 0.5}),
+        (
+            "instruction",
+            "the cell demands 'Pick up the {target}' or 'Lift the {target}', where target is the red cube",
+            {"instruction": "Pick up the blue cube", "received": ("Pick up the blue cube",)},
+        ),
         ("area", "0.4 0.2 m, 10.0 cm outside", {"positions": {"target": (0.4, 0.2, 0.0)}}),
         ("area", "the target is missing", {"positions": {}}),
         ("start", "5.0 cm outside", {"start": (0.45, 0.0, 0.25)}),
@@ -67,7 +90,8 @@ def test_a_clean_episode_passes_every_check():
         ("light", r"-9.0 of 255", {"brightness": {"workspace": -9.0}}),
         ("texture", "table.texture is none, .* marble or wood", {"look": {**CLEAN.look, "table.texture": ""}}),
         ("texture", "12.0", {"colors": {"table": 12.0}}),
-        ("words", "received '', expected 'Pick up the red cube'", {"received": ""}),
+        ("words", "received '', expected 'Pick up the red cube'", {"received": ("",)}),
+        ("words", "received 'Pick up the red cube' and '', expected", {"received": ("Pick up the red cube", "")}),
     ],
 )
 def test_each_defect_is_found_with_its_figure(check, figure, defect):
@@ -85,6 +109,10 @@ def test_each_defect_is_found_with_its_figure(check, figure, defect):
         ("object", {"modifiers": {"target": {"color": "red", "mass": NAN}}}),
         ("object", {"pixels": {"target": NAN}}),
         ("object", {"colors": {"target": NAN}}),
+        ("distractors", {"pixels": {"distractor_1": NAN}}),
+        ("physics", {"weights": {"target": NAN}}),
+        ("physics", {"physics": {"target": {"mass_kg": NAN}}, "weights": {}}),
+        ("physics", {"table_friction": NAN}),
         ("area", {"positions": {"target": (NAN, 0.0, 0.02)}}),
         ("area", {"positions": {"target": (0.4, NAN, 0.02)}}),
         ("start", {"start": (0.45, 0.0, NAN)}),
@@ -113,7 +141,40 @@ def test_a_nan_is_a_fault(check, defect):
 def test_a_policy_must_receive_the_words_of_its_condition():
     blind = replace(DEMAND, words="")
     assert "words" in faults_of(blind, CLEAN)
-    assert not faults_of(blind, replace(CLEAN, received=""))
+    assert not faults_of(blind, replace(CLEAN, received=("",)))
+    assert "words" in faults_of(blind, replace(CLEAN, received=("", "Pick up the red cube"))), "one request had words"
+
+
+def test_words_that_a_bag_does_not_tell_are_unproven_and_said_to_be():
+    silent = replace(CLEAN, bag="episodes/old", received=())
+    found = tally(DEMANDS, [CLEAN, silent])
+    assert found.checks["words"] == (1, 1)
+    assert found.checks["instruction"] == (2, 2)
+    assert "the bags of 1 of 2 rollouts do not say which instruction the policy received" in found.statements[0]
+    demonstrations = tally(DEMANDS, [silent], without=("words",))
+    assert "words" not in demonstrations.checks
+    assert demonstrations.statements == ()
+    assert tally(DEMANDS, [silent]).checks.keys().isdisjoint({"words"})
+
+
+@pytest.mark.parametrize("said", ["Lift the red cube", "Lift the top drawer of the red cube"])
+def test_an_instruction_follows_a_template_of_its_cell(said):
+    assert not faults_of(DEMAND, replace(CLEAN, instruction=said, received=(said,)))
+    angle = replace(DEMAND, templates=("Turn the {target} {direction} by {angle} degrees",))
+    turning = "Turn the red cube clockwise by 90 degrees"
+    assert not faults_of(angle, replace(CLEAN, instruction=turning, received=(turning,)))
+    assert "instruction" in faults_of(angle, replace(CLEAN, instruction=said, received=(said,)))
+
+
+def test_distractors_that_every_scene_has_must_be_there():
+    demand = replace(DEMAND, always=("cube",), distractors=(2, 2))
+    two = replace(
+        CLEAN, others={"distractor_1": "cube", "distractor_2": "cube"},
+        other_modifiers={"distractor_1": {}, "distractor_2": {"color": "blue"}},
+    )  # fmt: skip
+    assert not faults_of(demand, two)
+    apple = replace(two, others={"distractor_1": "apple", "distractor_2": "cube"})
+    assert faults_of(demand, apple) == {"distractors": "no distractor is a cube, which every scene has"}
 
 
 def test_a_drawn_camera_must_lie_within_its_range():
@@ -124,7 +185,7 @@ def test_a_drawn_camera_must_lie_within_its_range():
 
 
 def test_one_percent_of_faulty_episodes_is_tolerated_and_no_more():
-    bad = replace(CLEAN, others=())
+    bad = replace(CLEAN, others={})
     few = tally(DEMANDS, [CLEAN] * 199 + [replace(bad, bag=f"b{n}") for n in range(2)])
     assert few.faulty == {"b0", "b1"}
     assert not few.refusal()
@@ -202,9 +263,108 @@ def test_a_changed_light_must_change_the_picture_and_nothing_else():
     assert (same.check, same.bag) == ("changed", "episodes/lit")
     (shoved,) = pairing({"a": [CLEAN], "light": [replace(lit, state_hash="b" * 32)]}, changed).faults
     assert (shoved.check, shoved.bag) == ("pairing", "episodes/lit")
-    assert pairing({"a": [CLEAN], "camera": [lit]}, {"camera": ["reset.cameras"]}) == Tally(), "redrawn scenes"
+    assert pairing({"a": [CLEAN], "other": [lit]}, {"other": ["scene"]}) == Tally(), "another scene shares nothing"
     arms = arms_of(3, a={"state_hash": "b" * 32, "thumbnails": {"workspace": (104, 100)}}) | {"light": [lit]}
     assert pairing(arms, changed).faulty == {"episodes/a"}, "the light is compared with the majority"
+
+
+MASS = {"physics": {"target": {"mass_kg": 0.16}}, "modifiers": {"target": {"color": "red", "mass": 2.0}}}
+OTHER_PICTURE = {"pictures": {"workspace": 8}, "thumbnails": {"workspace": (104, 100)}}
+NUDGED = {"positions": {"target": (0.4, 0.0004, 0.02)}, "state_hash": "b" * 32}
+SHOVED = {"positions": {"target": (0.4, 0.004, 0.02)}, "state_hash": "b" * 32}
+CHANGES = {
+    "words": {"templates": {"values": ["Lift the {target}"]}},
+    "mass": {"objects": {"target": {"modifiers": {"mass": {"values": [2.0]}}}}},
+    "exposure": {"reset": {"cameras": {"exposure_ev": {"workspace": {"values": [1.0]}}}}},
+    "camera": {"reset": {"cameras": {"shift_m": {"workspace": {"lower": [-0.1] * 3, "upper": [0.1] * 3}}}}},
+    "start": {"reset": {"robot": {"position": {"lower": [0.3] * 3, "upper": [0.6] * 3}}}},
+    "color": {"objects": {"target": {"modifiers": {"color": {"values": ["blue"]}}}}},
+    "distractors": {"distractors": {"minimum": 2, "maximum": 2}},
+    "noise": {"reset": {"cameras": {"views": {"workspace": {"values": ["workspace_noisy"]}}}}},
+}
+"""What conditions set; named as in `robustness`."""
+DELIVERED = {
+    "words": {"instruction": "Lift the red cube"},
+    "mass": {**MASS, **NUDGED, "pictures": {"workspace": 8}},
+    "exposure": {**OTHER_PICTURE, "look": {**CLEAN.look, "exposure.workspace": 1.0}},
+    "camera": {**OTHER_PICTURE, **SHOVED, "cameras": {"workspace": moved(0.05)}},
+    "start": {**OTHER_PICTURE, **SHOVED, "start": (0.4, -0.1, 0.3)},
+    "color": {**OTHER_PICTURE, **SHOVED, "modifiers": {"target": {"color": "blue"}}},
+    "noise": {"pictures": {"workspace": 8}, "look": {**CLEAN.look, "noise.workspace": (0.05, 0.004, 0.0)}},
+    "distractors": {**OTHER_PICTURE, **SHOVED, "others": {"distractor_1": "apple", "distractor_2": "cube"}},
+}
+"""What an episode of each may differ in from the unchanged one."""
+
+
+def paired(name, **defect):
+    other = replace(CLEAN, **{"bag": "episodes/changed", **DELIVERED[name], **defect})
+    return pairing({"nominal": [CLEAN], name: [other]}, {name: changed_parts(CHANGES[name])})
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_condition_shares_what_its_change_leaves(name):
+    found = paired(name)
+    assert found.faults == ()
+    assert found.checks["pairing"] == (2, 2)
+    assert ("changed" in found.checks) == (name not in ("words", "mass")), "pictures must differ where they show it"
+    assert bool(found.statements) == (name in ("camera", "start", "color", "distractors")), found.statements
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "defect"),
+    [
+        ("words", "the state of tick 0 is bbbbbbbb, that of 'nominal' is aaaaaaaa", NUDGED),
+        ("words", "its pictures are not those of 'nominal'", {"pictures": {"workspace": 8}}),
+        ("mass", "the target lies 4.0 mm from where it does", SHOVED),
+        ("mass", "its pictures are 2.00 of 255 from those of 'nominal'", OTHER_PICTURE),
+        ("mass", "color of the target is blue", {"modifiers": {"target": {"color": "blue", "mass": 2.0}}}),
+        ("mass", "the tool starts 50.0 mm from where it does", {"start": (0.4, 0.0, 0.35)}),
+        ("exposure", "the state of tick 0 is bbbbbbbb", NUDGED),
+        ("exposure", "light.intensity is 3.0", {"look": {"light.intensity": 3.0, "table.texture": "wood"}}),
+        ("camera", "light.intensity is 3.0", {"look": {"light.intensity": 3.0, "table.texture": "wood"}}),
+        ("camera", "the model of the target is apple", {"models": {"target": "apple"}}),
+        ("camera", "the tool starts 50.0 mm", {"start": (0.4, 0.0, 0.35)}),
+        ("start", "the model of distractor_1 is lemon", {"others": {"distractor_1": "lemon"}}),
+        ("color", "the pose of camera 'workspace' is", {"cameras": {"workspace": moved(0.01)}}),
+        ("distractors", "mass of the target is 2.0, with 'nominal' it is missing", MASS),
+    ],
+)
+def test_what_a_change_has_nothing_to_do_with_must_not_differ(name, text, defect):
+    (fault,) = paired(name, **defect).faults
+    assert (fault.check, fault.bag) == ("pairing", "episodes/changed")
+    assert text in fault.text
+
+
+@pytest.mark.parametrize("name", ["exposure", "camera"])
+def test_a_changed_camera_that_shows_the_same_picture_was_not_delivered(name):
+    (fault,) = paired(name, thumbnails=CLEAN.thumbnails, pictures=CLEAN.pictures).faults
+    assert (fault.check, fault.bag) == ("changed", "episodes/changed")
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("noise", "noise.workspace"),
+        ("color", "color of the target"),
+        ("distractors", "distractor_2"),
+        ("start", "the start of the tool"),
+    ],
+)
+def test_pictures_must_show_every_change_that_can_be_seen(name, what):
+    (fault,) = paired(name, pictures=CLEAN.pictures, thumbnails=CLEAN.thumbnails).faults
+    assert (fault.check, fault.bag) == ("changed", "episodes/changed")
+    assert what in fault.text
+    little = paired(name, thumbnails=CLEAN.thumbnails)
+    assert little.faults == (), "a small object changes few pixels, and noise their mean by little"
+    assert little.checks["changed"] == (1, 1)
+
+
+def test_a_part_of_a_task_that_may_change_everything_claims_nothing():
+    assert changed_parts({"scene": "clutter", "reset": {"cameras": None}}) == ("scene", "reset.cameras")
+    other = replace(CLEAN, bag="episodes/changed", **SHOVED)
+    for parts in (["scene"], ["reset.cameras"], ["templates", "rate_hz"]):
+        assert pairing({"nominal": [CLEAN], "other": [other]}, {"other": parts}) == Tally()
+    assert pairing({"nominal": [CLEAN], "other": [other]}, {"other": ["templates"]}).faulty == {"episodes/changed"}
 
 
 # ------------------------------------------------------------------ training data
@@ -240,7 +400,9 @@ def test_answers_must_be_as_late_as_the_condition_says():
 
 
 def test_held_out_objects_beside_the_target_and_in_words_are_stated():
-    beside = Trained(shown=replace(CLEAN, models={"target": "apple"}, others=("cube",), cell="rotate target=cube"))
+    beside = Trained(
+        shown=replace(CLEAN, models={"target": "apple"}, others={"distractor_1": "cube"}, cell="rotate target=cube")
+    )
     asked = Demand(skill="pick_up", models={"target": words("cube")})
     found = trained_on(beside, replace(TURN, asked=(asked,)))
     assert not found.refusal(0.0)

@@ -6,7 +6,7 @@ import copy
 from dataclasses import replace
 from typing import Any
 
-from roboxim_core.policies import EpisodeStart, ObservationWindow, Policy, PolicyDescription
+from roboxim_core.policies import EpisodeStart, ObservationWindow, PassesOn, Policy, PolicyDescription
 from roboxim_policies.base import POLICIES, load_policy
 
 
@@ -26,17 +26,17 @@ class RewordedPolicy:
             ConfigError: When there is no such policy, or it does not take these arguments.
             PolicyError: When its module or its constructor raises.
         """
-        self._policy: Policy = load_policy(policy, **options)
+        self._policy = Overheard(load_policy(policy, **options))
         self._instruction = instruction
 
     def another(self) -> RewordedPolicy | None:
         """Return a policy with an episode of its own that shares the other policy's model; none: it cannot."""
-        another = getattr(self._policy, "another", None)
+        another = getattr(self._policy.policy, "another", None)
         inner = another() if callable(another) else None
         if inner is None:
             return None
         found = copy.copy(self)
-        found._policy = inner
+        found._policy = Overheard(inner)
         return found
 
     def describe(self) -> PolicyDescription:
@@ -52,3 +52,37 @@ class RewordedPolicy:
     def act(self, window: ObservationWindow) -> Any:
         """Return the other policy's answer to the instruction."""
         return self._policy.act(replace(window, instruction=self._instruction))
+
+    def received_instructions(self) -> tuple[str, ...]:
+        """Return the instructions that the other policy was given since the last reset, as its calls had them."""
+        return self._policy.received_instructions()
+
+
+class Overheard:
+    """A policy that notes the instructions of the calls that reach another one."""
+
+    def __init__(self, policy: Policy) -> None:
+        """Listen to the calls of a policy."""
+        self.policy = policy
+        """The other policy."""
+        self._given: dict[str, None] = {}
+
+    def describe(self) -> PolicyDescription:
+        """Describe the other policy."""
+        return self.policy.describe()
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode of the other policy."""
+        self._given = {start.instruction: None}
+        self.policy.reset(start)
+
+    def act(self, window: ObservationWindow) -> Any:
+        """Return the other policy's answer."""
+        self._given[window.instruction] = None
+        return self.policy.act(window)
+
+    def received_instructions(self) -> tuple[str, ...]:
+        """Return the instructions that were noted since the last reset; if the other policy passes them on, its own."""
+        if isinstance(self.policy, PassesOn):
+            return tuple(self.policy.received_instructions())
+        return tuple(self._given)

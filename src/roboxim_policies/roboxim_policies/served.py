@@ -39,6 +39,7 @@ class ServedPolicy(BasePolicy):
             ConfigError: On a wrong argument.
         """
         self._description = from_plain(description, PolicyDescription, source="the description of a served policy")
+        self._received: tuple[str, ...] = ()
         self._wire = _SharedWire(url, timeout_s=timeout_s, reconnect_s=RECONNECT_S, key_env=key_env)
 
     def describe(self) -> PolicyDescription:
@@ -51,6 +52,7 @@ class ServedPolicy(BasePolicy):
         Raises:
             PolicyError: When the server cannot be reached, or the policy raises.
         """
+        self._received = ()
         self._wire.reset(start)
 
     def act(self, window: ObservationWindow) -> ActionChunk:
@@ -62,9 +64,14 @@ class ServedPolicy(BasePolicy):
         """
         actions = self._wire.ask(request_of(window))["actions"].astype(np.float32)
         reply = self._wire.reply
+        self._received = tuple(map(str, reply.get("received") or ()))
         return ActionChunk(
             actions=actions, done=bool(reply.get("done")), phases=tuple(map(str, reply.get("phases") or ()))
         )
+
+    def received_instructions(self) -> tuple[str, ...]:
+        """Return the instructions that the served policy was given in this episode, as its server says."""
+        return self._received
 
     def close(self) -> None:
         """Close the connection."""

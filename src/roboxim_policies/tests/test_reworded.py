@@ -3,8 +3,10 @@
 import pytest
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.policies import EpisodeStart, ObservationWindow
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies.base import load_policy
+from roboxim_policies.reworded import RewordedPolicy
 
 LISTENER = """
 from roboxim_policies import BasePolicy
@@ -35,6 +37,36 @@ def test_a_policy_hears_other_words_and_all_else_is_the_same(tmp_path):
     assert policy.act(window)[0] == pytest.approx(0.002)
     assert policy.describe().name == "listener"
     assert "with the instruction ''" in policy.describe().version
+
+
+def test_a_bag_is_told_what_the_other_policy_was_given_not_what_was_configured(tmp_path):
+    file = tmp_path / "listener.py"
+    file.write_text(LISTENER.replace("        assert self.heard", "        # assert self.heard"))
+    window = ObservationWindow(
+        instruction="Pick up the cube", observations=[Observation(seq=0, stamp_ns=0)], pad_mask=(True,),
+        episode_id="a", seq=0,
+    )  # fmt: skip
+
+    def received(policy):
+        guard = GuardedPolicy(policy)
+        guard.reset(EpisodeStart(episode_id="a", instruction="Pick up the cube", seed=1))
+        guard.act(window)
+        return guard.act(window).received
+
+    assert received(load_policy(f"{file}:Listener")) == ("Pick up the cube",)
+    blind = load_policy("reworded", policy=f"{file}:Listener", instruction="")
+    assert received(blind) == ("",)
+    assert received(blind) == ("",), "each episode anew"
+    nested = RewordedPolicy(policy="zero", instruction="outer")
+    nested._policy.policy = blind
+    assert received(nested) == ("",), "the innermost one counts"
+
+    class Broken(RewordedPolicy):
+        def act(self, window):
+            return self._policy.act(window)
+
+    broken = Broken(policy=f"{file}:Listener", instruction="")
+    assert received(broken) == ("", "Pick up the cube"), "it claims no words, and its requests have them"
 
 
 def test_its_policy_must_exist_and_take_its_arguments():

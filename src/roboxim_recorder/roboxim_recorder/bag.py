@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import struct
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
-from roboxim_recorder.bag_writer import METADATA, BagWriter, find_episode
+from roboxim_recorder.bag_writer import METADATA, RECEIVED_KEY, BagWriter, find_episode
 from roboxim_recorder.chunks import read_messages
 from roboxim_recorder.decoding import Decoder
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
@@ -172,6 +173,20 @@ class BagReader:
             RecorderError: With code ``BAG_DAMAGED``.
         """
         return self._only(topics.RESULT, EpisodeResult)
+
+    @property
+    def received(self) -> tuple[str, ...]:
+        """Instructions that the policy was given in the episode, each once; empty: the bag does not say.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``.
+        """
+        told = self.metadata.get(RECEIVED_KEY, "[]")
+        with damage(self.path):
+            found = json.loads(told)
+            if not isinstance(found, list) or not all(isinstance(text, str) for text in found):
+                raise ValueError(f"its metadata record has {RECEIVED_KEY} {told!r}, expected a list of instructions")
+            return tuple(found)
 
     def __len__(self) -> int:
         """Count the ticks."""

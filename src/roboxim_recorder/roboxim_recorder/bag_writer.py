@@ -33,6 +33,8 @@ REPAIRED = ".repaired"
 """Ending of the folder of a repaired bag."""
 REPAIRED_KEY = "repaired"
 """Key of the metadata record of a repaired bag, with the value ``true``."""
+RECEIVED_KEY = "received"
+"""Key of the metadata record, with the instructions that the policy was given, as a JSON list; left out: unknown."""
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 

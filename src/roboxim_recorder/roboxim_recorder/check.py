@@ -154,7 +154,8 @@ class _BagCheck:
             return
         yield from check.result_problems(result)
         info, found = check.info, self._reader.metadata
-        wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **outcome_metadata(info, result)}
+        told = outcome_metadata(info, result, self._reader.received)
+        wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **told}
         if found.get(REPAIRED_KEY) == "true":
             wanted[REPAIRED_KEY] = "true"
         for key in sorted(wanted.keys() | found.keys()):

@@ -45,7 +45,7 @@ from roboxim_ros.conversions import from_msg
 from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
-from roboxim_ros.recording_calls import RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_RECEIVED, RECORD_STEP
 from roboxim_ros.serialising import to_cdr
 
 TICK_S = 30.0
@@ -76,6 +76,7 @@ class RecorderNode(RoboximNode):
         self._failed = ""
         self._opened_ns = 0
         self._called = False  # the open episode's steps come by calls
+        self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
@@ -86,6 +87,7 @@ class RecorderNode(RoboximNode):
         self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
         self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
         self.offer(RECORD_STEP, self._on_step_call)
+        self.offer(RECORD_RECEIVED, self._on_received_call)
 
     def destroy_node(self) -> None:
         """Destroy the node; an open bag is removed."""
@@ -126,7 +128,13 @@ class RecorderNode(RoboximNode):
         request.result.bag = bag_path(episode_id, request.keep)
         result = from_msg(request.result, EpisodeResult)
         self._recording = None
-        response.bag = recording.close(result, serialize_message(request.result), request.keep)
+        told, received = self._received
+        response.bag = recording.close(
+            result, serialize_message(request.result), request.keep, received if told == episode_id else ()
+        )
+
+    def _on_received_call(self, received: tuple[str, tuple[str, ...]]) -> None:
+        self._received = received
 
     def _not_open(self, episode_id: str) -> RecorderError:
         return RecorderError(

@@ -8,8 +8,9 @@ Nothing here knows rclpy.
 
 from __future__ import annotations
 
+import json
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -20,7 +21,7 @@ from rosbags.serde import SerdeError
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
-from roboxim_recorder.bag_writer import BagWriter
+from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter
 from roboxim_recorder.cdr import CleanMessage, message_layout
 from roboxim_ros.conversions import stamp_to_ns
 from roboxim_ros.schemas import message_schema, typestore
@@ -52,9 +53,10 @@ class TickContent:
     """The loop's step."""
 
 
-def outcome_metadata(info: EpisodeInfo, result: EpisodeResult) -> dict[str, str]:
-    """Return the bag's metadata record of the episode and its outcome."""
-    return {
+def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequence[str] = ()) -> dict[str, str]:
+    """Return the bag's metadata record of the episode, its outcome, and the instructions that the policy was given."""
+    told = {RECEIVED_KEY: json.dumps(list(received))} if received else {}
+    return told | {
         "outcome": result.outcome,
         "reason": result.reason,
         "instruction": info.task.instruction,
@@ -317,13 +319,14 @@ class EpisodeRecording:
             self._writer.write(topic, message.data, self._last_stamp_ns)
         self._extras.clear()
 
-    def close(self, result: EpisodeResult, result_cdr: bytes, keep: str) -> str:
+    def close(self, result: EpisodeResult, result_cdr: bytes, keep: str, received: Sequence[str] = ()) -> str:
         """Write the result and finish the bag; a bag with a gap is removed.
 
         Args:
             result: How the episode ended.
             result_cdr: The same as a serialised ``EpisodeResult`` message.
             keep: ``keep`` or ``set_apart``.
+            received: Instructions that the policy was given, each once; empty: unknown.
 
         Returns:
             The bag's path relative to the run's folder.
@@ -344,7 +347,7 @@ class EpisodeRecording:
         except RecorderError:
             self.drop()
             raise
-        return self._writer.close(keep, outcome_metadata(self.info, result))
+        return self._writer.close(keep, outcome_metadata(self.info, result, received))
 
     def _name_gap(self, last_seq: int) -> str:
         if last_seq < self._next:

@@ -10,11 +10,14 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
+from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from rosbags.highlevel import AnyReader
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import BagWriter, McapFile
+from roboxim_recorder.check import check_bag
+from roboxim_ros.conversions import to_msg
 
 
 def test_a_bag_gives_back_what_was_recorded(tmp_path, fake):
@@ -35,6 +38,27 @@ def test_a_bag_gives_back_what_was_recorded(tmp_path, fake):
             np.testing.assert_array_equal(tick.images[camera], episode.image(camera, seq))
         np.testing.assert_array_equal(tick.depth["workspace"], episode.depth(seq))
         assert tick.segmentation == {}
+
+
+def test_a_bag_tells_what_the_policy_received_if_the_loop_knows_it(tmp_path, fake):
+    episode = fake()
+    assert BagReader(episode.record(tmp_path / "old")).received == ()
+    recording = episode.open(tmp_path)
+    for topic, message in episode.messages():
+        recording.message(topic, serialize_message(message))
+    cdr = serialize_message(to_msg(episode.result, EpisodeResultMsg))
+    bag = tmp_path / recording.close(episode.result, cdr, "keep", ("", 'Say "a"\nü'))
+    assert BagReader(bag).received == ("", 'Say "a"\nü')
+    assert check_bag(bag).ok, check_bag(bag)
+    assert BagReader(bag).metadata["instruction"] == episode.instruction
+
+
+@pytest.mark.parametrize("told", ["[1]", '"Pick up"', "["])
+def test_a_damaged_list_of_received_instructions_is_found(tmp_path, fake, told):
+    reader = BagReader(fake().record(tmp_path))
+    reader.metadata["received"] = told
+    with pytest.raises(RecorderError, match="is damaged"):
+        _ = reader.received
 
 
 def test_only_wanted_cameras_are_given(tmp_path, fake):

@@ -41,7 +41,10 @@ def _run_command(name: str) -> click.Command:
     @click.command(name)
     @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
     @click.option("--scale", default="full", show_default=True, help="Scale: smoke, laptop, night or full.")
-    @click.option("--trainer", default="", help="Trainer of the files; default: their first one.")
+    @click.option(
+        "--trainer", default="", metavar="NAME",
+        help="Trainer: a name in the files or in config/trainers, or a YAML file; default: the files' first one.",
+    )  # fmt: skip
     @click.option(
         "--policy", "policies", multiple=True, metavar="EXPERIMENT.CONDITION[.R]=SPEC",
         help="Policy of a condition that was trained elsewhere; may be repeated.",

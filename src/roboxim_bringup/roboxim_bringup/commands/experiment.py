@@ -12,6 +12,8 @@ from roboxim_bringup.named import Named
 from roboxim_bringup.options import with_executor
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from roboxim_eval.experiments import ExperimentConfig, Rates
 
 
@@ -38,7 +40,9 @@ def list_experiments() -> None:
     click.secho("benchmarks (roboxim experiment plan --benchmark NAME --scale SCALE)", bold=True)
     for name, entry in known["benchmarks"].items():
         click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
         click.echo(f"  {'':<30} {'':<7} {', '.join(entry['experiments'])}")
+        click.echo(f"  {'':<30} {'':<7} {scales}")
     if not known["measured"]:
         click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
     if known["broken"]:
@@ -49,7 +53,10 @@ def list_experiments() -> None:
 @click.argument("name", type=Named("experiment"), default="")
 @click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
 @click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
-@click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
+@click.option(
+    "--trainer", default="", metavar="NAME",
+    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
+)  # fmt: skip
 @click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
 @click.option(
     "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
@@ -57,10 +64,14 @@ def list_experiments() -> None:
 )  # fmt: skip
 @click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
+@click.option(
+    "--file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Write the experiment of this scale and budget to a file, for 'experiment run FILE'.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
     name: str, benchmark: str, scale: str, trainer: str, budget: str, trainings: int, no_probe: bool,
-    write: Path | None, as_json: bool,
+    write: Path | None, file: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
 
@@ -69,7 +80,7 @@ def plan(
 
     \b
     roboxim experiment plan skill_object --scale laptop
-    roboxim experiment plan skill_object --scale laptop --budget 8h
+    roboxim experiment plan skill_object --scale laptop --budget 8h --file mine.yaml
     roboxim experiment plan skill_object --scale laptop --trainings 2
     roboxim experiment plan --benchmark transfer --scale night
     """
@@ -80,6 +91,7 @@ def plan(
         checked_design,
         load_benchmark,
         load_experiment,
+        write_experiment,
         write_mixes,
     )
     from roboxim_bringup.experiment_plan import hours, known_cost, plan_data, plan_lines
@@ -89,8 +101,12 @@ def plan(
 
     if bool(name) == bool(benchmark):
         raise ConfigError("name one experiment, or --benchmark NAME")
+    if benchmark and file is not None:
+        raise ConfigError("--file writes one experiment; plan each experiment of the benchmark by its name")
     configs = (
-        benchmark_experiments(load_benchmark(benchmark), scale) if benchmark else {name: load_experiment(name, scale)}
+        benchmark_experiments(load_benchmark(benchmark), scale, trainer)
+        if benchmark
+        else {name: load_experiment(name, scale, trainer=trainer)}
     )
     most = {key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()}
     rates_of: dict[str, Rates | None] = {}
@@ -122,6 +138,9 @@ def plan(
         if len(designs) > 1 and len(costs) == len(designs):
             disk = sum(cost.disk_bytes for cost in costs) / 1e9
             click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
+    if file is not None:
+        write_experiment(configs[name], file)
+        click.echo(f"wrote {file}: roboxim experiment run {file} --out OUT", err=as_json)
     if write is not None:
         for key, design in designs.items():
             for path in write_mixes(design, write / key if benchmark else write):
@@ -132,7 +151,10 @@ def plan(
 @click.argument("name", type=Named("experiment"))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
-@click.option("--trainer", default="", help="Trainer of the file; default: its first one.")
+@click.option(
+    "--trainer", default="", metavar="NAME",
+    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
+)  # fmt: skip
 @click.option(
     "--policy", "policies", multiple=True, metavar="CONDITION[.R]=SPEC",
     help="Policy of a condition, or of its replicate R, that was trained elsewhere; may be repeated.",
@@ -169,6 +191,7 @@ def run(
     roboxim experiment run skill_object --scale laptop --trainings 2 --out runs/so
     roboxim experiment run skill_object --only generate,export --out runs/so
     roboxim experiment run skill_object --trainer external --out runs/so --policy leave_out.0=client.py:Octo ...
+    roboxim experiment run skill_object --trainer my_trainer.yaml --out runs/mine
 
     Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
     refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
@@ -239,6 +262,8 @@ def report(
     """
     from roboxim_bringup.runs.experiment_report import (
         ExperimentFolder,
+        card_page,
+        card_warnings,
         folder_card,
         stored_card,
         write_evaluation_pages,
@@ -261,15 +286,13 @@ def report(
         found = stored_card(card)
         page = html
         if html is not None:
-            from roboxim_eval.report.experiment import ExperimentPage, experiment_page
-
-            html.write_text(experiment_page(ExperimentPage(card=found)))
+            html.write_text(card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import experiment_markdown
 
         markdown.write_text(experiment_markdown(found))
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
-    for sentence in found.sentences:
+    for sentence in (*found.sentences, *card_warnings(found)):
         click.echo(f"  {sentence}")
     scores = dict(found.scores or {})
     refused = scores.pop("relative_refused", "")
@@ -321,8 +344,18 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: 
     if html is not None:
         from roboxim_eval.report.models import models_page
 
-        html.write_text(models_page(models, cards))
+        html.write_text(models_page(models, cards, _pages_beside(html, folders)))
         click.echo(f"report: {html}")
+
+
+def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
+    """Return the address of each run's own page, from that of a page beside them, by the folder's name."""
+    import os
+    from urllib.parse import quote
+
+    pages = {folder.resolve().name: folder.resolve() / "report.html" for folder in folders if folder.is_dir()}
+    start = html.resolve().parent
+    return {name: quote(os.path.relpath(page, start)) for name, page in pages.items() if page.exists()}
 
 
 @command.command("pack")

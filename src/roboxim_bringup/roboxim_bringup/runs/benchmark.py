@@ -151,7 +151,7 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
     out = checked_path(config.out)
     stored = [out / name / CARD_FILE for name in benchmark.experiments if _only_card(out / name)]
     paths = (*stored, *config.cards)
-    planned = benchmark_experiments(benchmark, config.scale) if paths else {}
+    planned = benchmark_experiments(benchmark, config.scale, config.trainer) if paths else {}
     found: dict[str, Card] = {}
     for path in paths:
         card = stored_card(path)

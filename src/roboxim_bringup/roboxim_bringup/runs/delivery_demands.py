@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 from roboxim_core.cameras import load_camera
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import CameraSpec
 from roboxim_eval.experiments.delivery import Allowed, Demand, View, plain_value
 from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.components.physics import BodyConfig, PhysicsResetConfig
 from roboxim_tasks.config import TaskMix, task_mix
+from roboxim_tasks.exclusions import taken
 from roboxim_tasks.task_config import TaskConfig
 
 
@@ -51,25 +56,62 @@ def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: in
         boxes = tuple(_allowed(area.areas[name]) for name in names)
         areas = dict.fromkeys(area.roles, boxes)
     robot, cameras = config.reset.get("robot"), config.reset.get("cameras")
-    physics = "physics" in config.reset
+    physics: PhysicsResetConfig | None = config.reset.get("physics")
     return Demand(
         skill=config.skill,
         arguments={name: _allowed(choice) for name, choice in config.arguments.items()},
         models={role: _allowed(thing.models) for role, thing in config.objects.items()},
         modifiers={
-            role: {k: _allowed(c) for k, c in thing.modifiers.items() if not (physics and k in ("mass", "friction"))}
+            role: _modifiers(thing.modifiers, physics.objects if physics else BodyConfig())
             for role, thing in config.objects.items()
         },
+        physics=dict.fromkeys(config.objects, _physics(physics.objects)) if physics else {},
+        table_friction=_allowed(physics.table_friction) if physics else None,
         distractors=(config.distractors.minimum, config.distractors.maximum),
+        others=_others(config, physics.distractors if physics else BodyConfig()),
+        always=config.distractors.always,
         areas=areas,
         start=_allowed(robot.position) if robot is not None and robot.joints is None else None,
         cameras={} if cameras is None else {name: _views(cameras, name) for name in cameras.names},
         shifts={} if cameras is None else {name: _allowed(choice) for name, choice in cameras.shift_m.items()},
         turned=() if cameras is None else tuple(cameras.turn_rad),
         look=_look_demand(config),
+        templates=() if config.templates is None else tuple(map(str, config.templates.drawable)),
         words=words,
         latency_ticks=latency_ticks,
     )
+
+
+def _modifiers(modifiers: Mapping[str, Choice], body: BodyConfig) -> dict[str, Allowed]:
+    """Return the values of modifiers; of mass and friction those that the reset component ``physics`` draws anew."""
+    found = {kind: _allowed(choice) for kind, choice in modifiers.items()}
+    drawn = (("mass", body.mass, body.mass_kg), ("friction", body.friction, body.friction_coefficient))
+    for kind, factor, value in drawn:
+        if factor is not None:
+            found[kind] = _allowed(factor)
+        elif value is not None:
+            found.pop(kind, None)
+    return found
+
+
+def _physics(body: BodyConfig) -> dict[str, Allowed]:
+    values = {"mass_kg": body.mass_kg, "friction_coefficient": body.friction_coefficient}
+    return {kind: _allowed(choice) for kind, choice in values.items() if choice is not None}
+
+
+def _others(config: TaskConfig, body: BodyConfig) -> dict[str, dict[str, Allowed]]:
+    """Return the models that distractors are drawn from, each with the modifiers that it is drawn with."""
+    found = {}
+    for model in map(str, config.distractors.models.drawable if config.distractors.maximum else ()):
+        known = _library().object_modifiers(model)
+        mine = {name: taken(name, choice, known) for name, choice in config.distractors.modifiers.items()}
+        found[model] = _modifiers({name: choice for name, choice in mine.items() if choice is not None}, body)
+    return found
+
+
+@lru_cache(maxsize=1)
+def _library() -> ModelLibrary:
+    return ModelLibrary()
 
 
 def _allowed(choice: Choice | VectorChoice) -> Allowed:
@@ -84,8 +126,18 @@ def _allowed(choice: Choice | VectorChoice) -> Allowed:
 
 
 def _views(cameras: Any, name: str) -> tuple[View, ...]:
-    files = map(str, cameras.views[name].values) if name in cameras.views else (name,)
-    return tuple(View(parent=camera.parent, pose=camera.pose) for camera in map(load_camera, files))
+    loaded = map(load_camera, _files(cameras, name))
+    return tuple(View(parent=camera.parent, pose=camera.pose) for camera in loaded)
+
+
+def _files(cameras: Any, name: str) -> tuple[str, ...]:
+    """Return the files of ``config/cameras`` that a camera of the reset component ``cameras`` is drawn from."""
+    return tuple(map(str, cameras.views[name].values)) if name in cameras.views else (name,)
+
+
+def noise_of(camera: CameraSpec) -> tuple[float, ...]:
+    """Return the strengths of a camera's photon noise, read-out noise and blur; its exposure is checked by itself."""
+    return camera.noise.shot, camera.noise.read, camera.noise.blur_px
 
 
 def _look_demand(config: TaskConfig) -> dict[str, Allowed]:
@@ -105,6 +157,10 @@ def _look_demand(config: TaskConfig) -> dict[str, Allowed]:
     if (background := config.reset.get("background")) is not None:
         demand("background", background.kind)
     if (cameras := config.reset.get("cameras")) is not None:
+        for name in cameras.names:
+            found[f"noise.{name}"] = Allowed(
+                values=tuple(noise_of(load_camera(file)) for file in _files(cameras, name))
+            )
         for name, choice in cameras.exposure_ev.items():
             base = load_camera(str(cameras.views[name].values[0]) if name in cameras.views else name)
             demand(f"exposure.{name}", _raised(choice, base.noise.exposure_ev))

@@ -7,7 +7,6 @@ poses that the *cell* demands. A camera that stood elsewhere thus shows the tool
 from __future__ import annotations
 
 import math
-import re
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -18,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_bringup.runs.delivery_demands import noise_of
 from roboxim_core.cameras import project
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
@@ -25,14 +25,15 @@ from roboxim_core.models.visuals import ScenePoses, camera_parent, drawn_entitie
 from roboxim_core.poses import Pose, distance
 from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import CELL, CELL_NUMBER
-from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec, TaskSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, LookSpec, PhysicalObject, SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_datasets.audit.color import color_difference, median_lab
 from roboxim_eval.experiments.delivery import Demand, Shown, Value, View, plain_value
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_tasks.meaning import read_instruction
-from roboxim_tasks.roles import task_objects
+from roboxim_tasks.roles import description, task_objects
 
 DRAWN_AGAIN = ("raster", "tiny")
 """Renderers whose pictures are drawn again for a comparison; the others take minutes."""
@@ -48,8 +49,8 @@ HAND = "gripper"
 """Parent of a camera on the hand of any robot, in a camera's file."""
 THUMBNAIL = 16
 """Side of a thumbnail [px]."""
-RECEIVED = re.compile(r"with the instruction '(.*)'$", re.DOTALL)
-"""How the policy ``reworded`` names, in its version, the instruction that it passes on."""
+GRAVITY = 9.81
+"""Acceleration of gravity in the simulator [m/s^2]."""
 
 RGB = npt.NDArray[np.uint8]
 
@@ -88,25 +89,31 @@ class DeliveryReader:
         entities = {entity.name: entity for entity in info.scene.entities if entity.name in present}
         roles = {role: thing.entity for role, thing in info.task.objects.items() if thing.entity in entities}
         named = {thing.entity for thing in task_objects(info.task)}
+        others = {
+            state.name: entities[state.name]
+            for state in tick.state.entities
+            if state.name in entities and state.name not in named and _on_table(info.scene, state.pose)
+        }
+        own = {role: entities[name] for role, name in roles.items() if name in named}
         drawn = info.task.drawn
-        received = RECEIVED.search(info.actor_version)
         shown = Shown(
             bag=str(bag),
             cell=drawn.get(CELL, ""),
             number=int(drawn.get(CELL_NUMBER, info.index)),
             skill=info.task.skill,
             arguments={name: plain_value(value) for name, value in info.task.arguments.items()},
-            models={role: entities[name].model for role, name in roles.items() if name in named},
-            modifiers={
-                role: {kind: plain_value(value) for kind, value in entities[name].modifiers.items()}
-                for role, name in roles.items()
-                if name in named
+            models={role: thing.model for role, thing in own.items()},
+            modifiers={role: _modifiers(thing) for role, thing in own.items()},
+            descriptions={role: self._description(thing) for role, thing in own.items()},
+            physics={role: self._physics(thing) for role, thing in own.items()},
+            weights={
+                role: weight
+                for role, thing in own.items()
+                if not thing.fixed and (weight := _weight(tick.state, thing.name)) is not None
             },
-            others=tuple(
-                entities[state.name].model
-                for state in tick.state.entities
-                if state.name in entities and state.name not in named and _on_table(info.scene, state.pose)
-            ),
+            table_friction=info.scene.table.friction,
+            others={name: thing.model for name, thing in others.items()},
+            other_modifiers={name: _modifiers(thing) for name, thing in others.items()},
             positions={role: _vec(base.apply(tick.state.entity(name).pose.position)) for role, name in roles.items()},
             start=_vec(base.apply(tick.state.robot.pose_tcp_measured.position)),
             cameras={
@@ -119,14 +126,14 @@ class DeliveryReader:
             sizes={name: tuple(image.shape) for name, image in tick.images.items()},
             thumbnails={name: _thumbnail(image) for name, image in tick.images.items()},
             instruction=info.task.instruction,
-            received=received[1] if received else info.task.instruction,
+            received=reader.received,
             latency_ticks=reader.result.delay_ticks,
         )
         demand = demand_for(shown.cell)
         name = info.renderer.split(" ")[0]
         if not pictures or demand is None or name not in DRAWN_AGAIN or not info.scene.cameras:
             return shown
-        return self._with_pictures(shown, info.task, info.scene, tick, demand, name)
+        return self._with_pictures(shown, {r: thing.name for r, thing in own.items()}, info.scene, tick, demand, name)
 
     def asked(self, bag: Path, instruction: str) -> list[dict[str, Any]]:
         """Return skill and models, by role, that an instruction may ask for in a bag's scene; empty: it says nothing.
@@ -140,6 +147,15 @@ class DeliveryReader:
             for task in tasks
         ]
 
+    def _description(self, entity: EntitySpec) -> str:
+        noun = self._library.entity_model(entity).name
+        thing = PhysicalObject(entity=entity.name, model=entity.model, name=noun, modifiers=entity.modifiers)
+        return description(thing)
+
+    def _physics(self, entity: EntitySpec) -> dict[str, float]:
+        model = self._library.entity_model(entity)
+        return {"mass_kg": sum(link.mass for link in model.links), "friction_coefficient": model.friction.lateral}
+
     def _arm(self, scene: SceneSpec) -> ArmKinematics:
         model = scene.robot.model
         if model not in self._arms:
@@ -147,7 +163,7 @@ class DeliveryReader:
         return self._arms[model]
 
     def _with_pictures(
-        self, shown: Shown, task: TaskSpec, scene: SceneSpec, tick: BagTick, demand: Demand, renderer: str
+        self, shown: Shown, own: Mapping[str, str], scene: SceneSpec, tick: BagTick, demand: Demand, renderer: str
     ) -> Shown:
         if renderer not in self._renderers:
             self._renderers[renderer] = StateRenderer(make_renderer(renderer), self._library)
@@ -170,7 +186,9 @@ class DeliveryReader:
             if found is not None:
                 offsets[camera.name] = found
         fixed = [camera for camera in cameras if camera.parent == "world"]
-        named = {role: t.entity for role, t in task.objects.items() if t in task_objects(task) and t.entity in ids}
+        named = {
+            role: name for role, name in (dict(own) | {name: name for name in shown.others}).items() if name in ids
+        }
         return replace(
             shown,
             tool_px=offsets,
@@ -181,6 +199,19 @@ class DeliveryReader:
                 for camera in cameras
             },
         )
+
+
+def _modifiers(entity: EntitySpec) -> dict[str, Value]:
+    return {kind: plain_value(value) for kind, value in entity.modifiers.items()}
+
+
+def _weight(state: StateRecord, name: str) -> float | None:
+    """Return the mass with which an object presses on the table [kg]; none: it touches something else, or no force."""
+    touching = [contact for contact in state.contacts if name in (contact.body_a, contact.body_b)]
+    if {contact.body_a if contact.body_b == name else contact.body_b for contact in touching} != {"table"}:
+        return None
+    forces = [contact.force_on_b[2] * (1.0 if contact.body_b == name else -1.0) for contact in touching]
+    return sum(forces) / GRAVITY if any(forces) else None  # bags of earlier versions have no directions of forces
 
 
 def _on_table(scene: SceneSpec, pose: Pose) -> bool:
@@ -216,7 +247,8 @@ def _look(scene: SceneSpec) -> dict[str, Value]:
             "light.intensity": light.intensity, "light.color": plain_value(light.color),
             "light.position": plain_value(light.position), "light.radius": light.radius,
         }  # fmt: skip
-    return found | {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
+    found |= {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
+    return found | {f"noise.{camera.name}": noise_of(camera) for camera in scene.cameras}
 
 
 def _demanded(camera: CameraSpec, demand: Demand, arm: ArmKinematics) -> CameraSpec:

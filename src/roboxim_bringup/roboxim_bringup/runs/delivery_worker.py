@@ -62,9 +62,10 @@ def shown_from(data: Mapping[str, Any]) -> Shown:
     values = dict(data)
     for name in ("arguments", "look"):
         values[name] = {key: plain_value(value) for key, value in data[name].items()}
-    values["modifiers"] = {r: {k: plain_value(v) for k, v in kinds.items()} for r, kinds in data["modifiers"].items()}
+    for name in ("modifiers", "other_modifiers"):
+        values[name] = {one: {k: plain_value(v) for k, v in kinds.items()} for one, kinds in data[name].items()}
     values["cameras"] = {name: from_plain(view, View) for name, view in data["cameras"].items()}
     values["positions"] = {role: tuple(position) for role, position in data["positions"].items()}
     values["sizes"] = {name: tuple(shape) for name, shape in data["sizes"].items()}
     values["thumbnails"] = {name: tuple(numbers) for name, numbers in data["thumbnails"].items()}
-    return Shown(**{**values, "others": tuple(data["others"]), "start": tuple(data["start"])})
+    return Shown(**{**values, "received": tuple(data["received"]), "start": tuple(data["start"])})

@@ -26,7 +26,14 @@ from roboxim_bringup.experiment_provenance import (
     folder_sha256,
 )
 from roboxim_bringup.runs.events import Notice, OnEvent, ignore
-from roboxim_bringup.runs.experiment_policies import named_policies, policy_of, require_found, require_known
+from roboxim_bringup.runs.experiment_policies import (
+    named_policies,
+    policy_of,
+    require_found,
+    require_known,
+    require_trainers_policy,
+    server_of_policy,
+)
 from roboxim_bringup.runs.experiment_report import (
     STATE_FILE,
     ExperimentFolder,
@@ -74,7 +81,7 @@ class ExperimentRunConfig:
     out: Path | str = "runs/experiment"
     """The run's folder."""
     trainer: str = ""
-    """Trainer of the file; empty: its first one."""
+    """Trainer: a name in the file or in ``config/trainers``, or a YAML file; empty: the file's first one."""
     policies: Mapping[str, PolicySpec] = field(default_factory=dict)
     """Policies that exist: ``CONDITION.REPLICATE``, or ``CONDITION`` for all replicates, to the policy."""
     only: tuple[str, ...] = KINDS
@@ -148,7 +155,7 @@ def run_experiment(
         ConfigError: When the experiment is invalid, a policy is unknown, or inputs of a finished stage have changed.
         RoboximError: When a stage fails, or a proof does.
     """
-    experiment = load_experiment(config.experiment, config.scale, changes=config.changes)
+    experiment = load_experiment(config.experiment, config.scale, changes=config.changes, trainer=config.trainer)
     design = checked_design(config.experiment, experiment, config.trainer)
     if experiment.curve is not None and not design.trainer.until:
         on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
@@ -201,15 +208,15 @@ class _Run:
         self._ran = False
         self._by_name = {stage.name: stage for stage in self.stages}
         require_known(design, config.policies)
-        self.policies = {
-            stage.name: policy_of(design, stage, config.policies, self.trained)
-            for stage in self.stages
-            if stage.kind == "evaluate" and "evaluate" in config.only
-        }
-        require_found(self.policies.values())
+        evaluations = [s for s in self.stages if s.kind == "evaluate" and "evaluate" in config.only]
+        self.policies = {s.name: policy_of(design, s, config.policies, self.trained) for s in evaluations}
+        servers = {s.name: server_of_policy(design, s, config.policies, self.trained) for s in evaluations}
+        require_found(config.policies.values() if evaluations else ())
+        require_trainers_policy(design.trainer)
         self._runner = Stages(
-            design=design, out=self.out, policies=self.policies, workers=config.workers, renderer=config.renderer,
-            on_event=on_event, cancellation=cancellation, executor=executor, kept=kept, shard=config.shard,
+            design=design, out=self.out, policies=self.policies, servers=servers, workers=config.workers,
+            renderer=config.renderer, on_event=on_event, cancellation=cancellation, executor=executor, kept=kept,
+            shard=config.shard,
         )  # fmt: skip
 
     # -------------------------------------------------------------- state
@@ -274,12 +281,14 @@ class _Run:
                 continue
             proof = read_json_object(self.out / stage.name / PROOF_FILE)
             statements += [text for text in proof["statements"] if text not in statements]
-            prefix = "training " if stage.part == "export" else ""
+            prefix = "training " if stage.part == "export" else "curve " if stage.of_curve else ""
             for name, (passed, number) in proof["checks"].items():
                 before = checks.get(prefix + name, [0, 0])
                 checks[prefix + name] = [before[0] + passed, before[1] + number]
             replicate = stage.name.rpartition(".")[2]
-            excluded |= {f"evaluate/{name}.{replicate}": indices for name, indices in proof["excluded"].items()}
+            for name, indices in proof["excluded"].items():
+                condition, at, checkpoint = name.partition("@")
+                excluded[f"evaluate/{condition}.{replicate}{at}{checkpoint}"] = indices
             if proof["judged_again"] is not None:
                 again = [*(again or []), *proof["judged_again"]]
         write_atomically(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +19,19 @@ from roboxim_bringup.experiment_card import (
     stage_name,
 )
 from roboxim_bringup.experiment_files import checked_design
-from roboxim_bringup.runs.episode_facts import episode_facts
+from roboxim_bringup.runs.episode_facts import EpisodeFacts, episode_facts
+from roboxim_bringup.runs.experiment_policies import policy_of
+from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import write_atomically
+from roboxim_bringup.runs.told_by_scene import told_by_scene
+from roboxim_bringup.yaml_text import parse
 from roboxim_core.config import from_plain
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import Design, ExperimentConfig
+from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import SCHEMA, Card
-from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.experiments.card_checks import check_card, design_of_card
 from roboxim_eval.experiments.cost import FILMS
 
 if TYPE_CHECKING:
@@ -55,6 +59,10 @@ class ExperimentFolder:
     """The experiment, expanded."""
     benchmark: str = ""
     """Benchmark that it is a part of; empty: none."""
+    file: str = ""
+    """Name or file of the experiment, as the run was given it."""
+    policies: Mapping[str, PolicySpec] = field(default_factory=dict)
+    """Evaluation stage to the policy that it ran with, as far as the folder states it."""
 
     @staticmethod
     def of(path: Path) -> ExperimentFolder:
@@ -70,11 +78,17 @@ class ExperimentFolder:
         try:
             config: ExperimentConfig = from_plain(stored["config"], ExperimentConfig, source=str(state))
             trainer, name, scale = stored.get("trainer", ""), Path(stored["experiment"]).stem, stored["scale"]
+            policies = {
+                stage: from_plain(inputs["policy"], PolicySpec, source=str(state))
+                for stage, inputs in stored.get("stages", {}).items()
+                if "policy" in inputs
+            }
         except (KeyError, TypeError, AttributeError) as error:
             raise ConfigError(f"{state} is damaged: {error!r}") from None
         return ExperimentFolder(
             path=path, name=name, scale=scale, trainer=trainer, renderer=stored.get("renderer", ""),
             design=checked_design(name, config, trainer), benchmark=stored.get("benchmark", ""),
+            file=stored["experiment"], policies=policies,
         )  # fmt: skip
 
 
@@ -143,12 +157,28 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
         for number in chosen_films(there, films):
             if frames := film(folder.path / episodes[int(number)].bag):
                 shown[int(number)] = frames
-    page = experiment_page(
-        ExperimentPage(card=card, episodes=episodes, films=shown, command=reproduction(folder))
-    )  # fmt: skip
+    page = experiment_page(ExperimentPage(
+        card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
+        command=reproduction(folder), warnings=told_by_scene(folder.design),
+    ))  # fmt: skip
     path = folder.path / REPORT_FILE
     write_atomically(path, page)
     return path
+
+
+def card_warnings(card: Card) -> tuple[str, ...]:
+    """Return what weakens a card's results besides its own warnings, by the task files here; none without them."""
+    try:
+        return told_by_scene(design_of_card(card))
+    except ConfigError:
+        return ()
+
+
+def card_page(card: Card) -> str:
+    """Return the page of a card without its run's folder: it has no episodes, films, maps and factors."""
+    from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+
+    return experiment_page(ExperimentPage(card=card, warnings=card_warnings(card)))
 
 
 def write_evaluation_pages(folder: ExperimentFolder) -> list[Path]:
@@ -183,20 +213,36 @@ def experiment_episodes(folder: ExperimentFolder) -> list[Episode]:
     return found
 
 
+def checkpoint_episodes(folder: ExperimentFolder) -> list[Episode]:
+    """Return the episodes of an experiment's learning curve, without what their bags say."""
+    from roboxim_eval.report.episodes import checkpoint_arm
+
+    results = results_of(folder.design, folder.path)
+    found = []
+    for one in folder.design.evaluations:
+        if one.checkpoint:
+            name = stage_name(one.condition, one.replicate, one.checkpoint)
+            arm = checkpoint_arm(one.condition, one.checkpoint)
+            found += _episodes(folder, name, arm, one.replicate, results[name], facts={})
+    return found
+
+
 def _episodes(
-    folder: ExperimentFolder, stage: str, condition: str, replicate: int, rows: Mapping[Scene, EpisodeResult]
-) -> list[Episode]:
+    folder: ExperimentFolder, stage: str, arm: str, replicate: int, rows: Mapping[Scene, EpisodeResult],
+    facts: Mapping[str, EpisodeFacts] | None = None,
+) -> list[Episode]:  # fmt: skip
+    """Return the episodes of an evaluation; what their bags say is read unless it is given."""
     from roboxim_eval.report.episodes import Episode, recorded_factors
 
     run = evaluation_folder(folder.path, stage)
-    facts = episode_facts(run, rows.values())
+    facts = episode_facts(run, rows.values()) if facts is None else facts
     order = {cell.key: number for number, cell in enumerate(folder.design.cells)}
     found = []
     for (cell, number), result in sorted(rows.items(), key=lambda item: (order[item[0][0]], item[0][1])):
         mine = facts.get(result.episode_id)
         bag = run / result.bag if result.bag else None
         found.append(Episode(
-            arm=condition, replicate=replicate, cell=cell, scene=str(number), outcome=result.outcome,
+            arm=arm, replicate=replicate, cell=cell, scene=str(number), outcome=result.outcome,
             reason=result.reason, message=result.message, instruction=result.instruction, steps=result.steps,
             bag=bag.relative_to(folder.path).as_posix() if bag is not None and bag.exists() else "",
             start=mine.start if mine else None, drawn=recorded_factors(mine.drawn, mine.start) if mine else {},
@@ -204,10 +250,76 @@ def _episodes(
     return found
 
 
+# ------------------------------------------------------------------ how to run it again
+
+
 def reproduction(folder: ExperimentFolder) -> str:
-    """Return the command that runs an experiment again."""
-    run, out = ["experiment", "run", folder.name], folder.path
+    """Return the command that runs an experiment again, as far as its folder states it."""
+    run, out, prefix = ["experiment", "run", folder.file or folder.name], folder.path, ""
     if folder.benchmark:  # whose scale differs from the experiment's own
-        run, out = ["benchmark", folder.benchmark, "--experiment", folder.name], folder.path.parent
+        run, out = ["benchmark", folder.benchmark, "--experiment", folder.file or folder.name], folder.path.parent
+        prefix = f"{folder.file or folder.name}."
     words = ["roboxim", *run, "--scale", folder.scale, "--out", out.name]
-    return shlex.join([*words, *(["--trainer", folder.trainer] if folder.trainer else [])])
+    words += ["--trainer", folder.trainer] if folder.trainer else []
+    words += ["--renderer", folder.renderer] if folder.renderer else []
+    return shlex.join([*words, *policy_words(folder, prefix)])
+
+
+def policy_words(folder: ExperimentFolder, prefix: str = "") -> list[str]:
+    """Return ``--policy`` and ``--option`` of the policies that an experiment's run was given.
+
+    Args:
+        folder: The experiment's folder.
+        prefix: What precedes their conditions, e.g. the name of the experiment in a benchmark and a dot.
+    """
+    words = []
+    for name, policy in _given(folder).items():
+        words += ["--policy", f"{prefix}{name}={policy.spec}"]
+        for key, value in policy.options.items():
+            words += ["--option", f"{prefix}{name}.{key}={_option_text(value)}"]
+    return words
+
+
+def _option_text(value: Any) -> str:
+    """Return a value as ``--option`` reads it: YAML, and a text as it stands unless YAML reads something else."""
+    try:
+        as_it_stands = isinstance(value, str) and parse(value, source="option") == value
+    except ConfigError:
+        as_it_stands = False
+    return value if as_it_stands else json.dumps(value)
+
+
+def _given(folder: ExperimentFolder) -> dict[str, PolicySpec]:
+    """Return the policies of evaluations that do not follow from the trainings and the other policies."""
+    config = folder.design.config
+    given: dict[str, PolicySpec] = {}
+    final = [stage for stage in stages_of(folder.design) if stage.kind == "evaluate" and "@" not in stage.name]
+    for stage in sorted(final, key=lambda stage: bool(config.conditions[_condition(stage.name)].checkpoint_of)):
+        stored = folder.policies.get(stage.name)
+        if stored is None:
+            continue
+        try:
+            follows = policy_of(folder.design, stage, given, folder.path)
+        except ConfigError:  # the expert, which takes no other words: this condition had a policy of its own
+            follows = None
+        if follows is None or _portable(follows) != _portable(stored):
+            given[stage.name.removeprefix("evaluate/")] = PolicySpec(spec=stored.spec, options=stored.options)
+    for name in config.conditions:
+        mine = {key: policy for key, policy in given.items() if _condition(key) == name}
+        one = next(iter(mine.values()), None)
+        if one is not None and len(mine) == config.replicates.count and all(other == one for other in mine.values()):
+            given = {key: policy for key, policy in given.items() if key not in mine} | {name: one}
+    return given
+
+
+def _condition(stage: str) -> str:
+    return stage.removeprefix("evaluate/").rpartition(".")[0]
+
+
+def _portable(policy: PolicySpec) -> tuple[str, dict[str, Any]]:
+    """Return what a policy is, wherever the folder of the experiment lies: of absolute paths the last two names."""
+    here = {
+        key: Path(value).parts[-2:] if isinstance(value, str) and Path(value).is_absolute() else value
+        for key, value in policy.options.items()
+    }
+    return policy.spec, here

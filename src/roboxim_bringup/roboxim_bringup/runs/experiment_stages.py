@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,9 @@ from roboxim_bringup.runs.corruption import corrupt
 from roboxim_bringup.runs.delivery_demands import task_mix_of
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.events import Notice, OnEvent
-from roboxim_bringup.runs.export import ExportConfig, export_rlds
+from roboxim_bringup.runs.experiment_exports import export_config
+from roboxim_bringup.runs.experiment_servers import Server, serving
+from roboxim_bringup.runs.export import export_dataset
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_bringup.runs.policies import PolicySpec
@@ -28,7 +30,6 @@ from roboxim_bringup.runs.proving import (
     ArmClaim,
     DatasetClaim,
     Reading,
-    changed_parts,
     judge_again,
     prove_evaluation,
     prove_trained_on,
@@ -41,7 +42,9 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.seeds import CELL
 from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage
+from roboxim_eval.experiments.changes import changed_parts
 from roboxim_eval.experiments.proofs import Tally
+from roboxim_eval.experiments.trainers import RLDS
 
 PROOF_FILE = "proof.json"
 """File of a proof's folder with its checks, faults and statements."""
@@ -71,6 +74,8 @@ class Stages:
     """Processes of this machine that run the episodes of one stage after the other."""
     shard: str = ""
     """``I/N``: the part of the episodes to run; empty: all."""
+    servers: Mapping[str, Server | None] = field(default_factory=dict)
+    """Name of an evaluation to the server of its policy; none: it needs none."""
 
     def run(self, stage: Stage, stages: Mapping[str, Stage]) -> dict[str, Any]:
         """Run a stage.
@@ -154,10 +159,13 @@ class Stages:
 
     def _export(self, stage: Stage) -> dict[str, Any]:
         counts: dict[str, int] = stage.inputs["counts"]
-        selection = ExportConfig(
-            val_fraction=0.0, where=(f"cell={','.join(counts)}",), per_cell=max(counts.values()),
+        form = stage.inputs.get("format", RLDS)
+        selection = export_config(
+            form, stage.inputs.get("options", {}), where=(f"cell={','.join(counts)}",), per_cell=max(counts.values()),
         )  # fmt: skip
-        report = export_rlds(self._folder(stage.needs[0]), self._folder(stage.name), selection, **self._options)
+        report = export_dataset(
+            form, self._folder(stage.needs[0]), self._folder(stage.name), selection, **self._options
+        )
         exported = sum(report.splits.values())
         if exported != sum(counts.values()):
             raise RoboximError(
@@ -170,15 +178,16 @@ class Stages:
     def _evaluate(self, stage: Stage) -> None:
         policy = self.policies[stage.name]
         assert policy is not None
-        result = evaluate(
-            EvaluationConfig(
-                policies=policy, task=self._mix(stage), out=self._folder(stage.name),
-                episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
-                size=self._size, workers=self.workers, renderer=self.renderer, page=False, shard=self.shard,
-                latency=stage.inputs["latency_ticks"],
-            ),
-            executor=self._episodes(evaluation_folder(self.out, stage.name)), **self._options,
-        )  # fmt: skip
+        with serving(self.servers.get(stage.name), self._folder(stage.name), **self._options):
+            result = evaluate(
+                EvaluationConfig(
+                    policies=policy, task=self._mix(stage), out=self._folder(stage.name),
+                    episodes=stage.inputs["episodes"], seed=stage.inputs["seed"], max_steps=stage.inputs["max_steps"],
+                    size=self._size, workers=self.workers, renderer=self.renderer, page=False, shard=self.shard,
+                    latency=stage.inputs["latency_ticks"],
+                ),
+                executor=self._episodes(evaluation_folder(self.out, stage.name)), **self._options,
+            )  # fmt: skip
         result.require_measured()
 
     # -------------------------------------------------------------- proofs
@@ -205,6 +214,9 @@ class Stages:
     def _prove_evaluation(self, stage: Stage, stages: Mapping[str, Stage]) -> None:
         arms = [self._arm(stages[need]) for need in stage.needs]
         found, excluded = prove_evaluation(arms, self._reading(stage))
+        if stage.of_curve:  # the final rollouts' proof says what the trainings read
+            self._store(stage, found, excluded, None)
+            return
         trainings = dict.fromkeys(t for need in stage.needs for t in stages[need].needs if t.startswith("train/"))
         for name in trainings:
             if name in stages:
@@ -216,9 +228,10 @@ class Stages:
 
     def _arm(self, stage: Stage) -> ArmClaim:
         name = stage.name.removeprefix("evaluate/").rsplit(".", 1)[0]
-        condition = self.design.config.conditions[name]
+        condition, checkpoint = self.design.config.conditions[name], stage.inputs["checkpoint"]
         return ArmClaim(
-            condition=name, folder=self._folder(stage.name) / name, mix=plain(stage.inputs["mix"]),
+            condition=f"{name}@{checkpoint}" if checkpoint else name,
+            folder=self._folder(stage.name) / name, mix=plain(stage.inputs["mix"]),
             words=condition.instruction, latency_ticks=condition.latency_ticks, changed=changed_parts(condition.set),
         )  # fmt: skip
 

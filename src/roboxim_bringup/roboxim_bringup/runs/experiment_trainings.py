@@ -137,7 +137,7 @@ def _fail(failed: _Training, others: Sequence[_Training]) -> None:
     beside = f"\ninterrupted beside it: {', '.join(map(str, others))}" if others else ""
     raise RoboximError(
         f"{failed.stage.name}: {shlex.join(failed.words)} ended with {describe_exit(failed.process.returncode)}; the "
-        f"same command continues; the end of {failed.log}:\n{_last_lines(failed.log)}{beside}"
+        f"same command continues; the end of {failed.log}:\n{last_lines(failed.log)}{beside}"
     )
 
 
@@ -199,7 +199,7 @@ class _Training:
         if report := self._reports.last():
             self._done, self._total, self._note = report.done, report.total or self._total, report.note
         elif not self._reports.told:
-            self._note = _last_lines(self.log, 1)[:NOTE_LENGTH]
+            self._note = last_lines(self.log, 1)[:NOTE_LENGTH]
         if (self._done, self._total, self._note) != before:
             self._on_event(StageProgress(done=self._done, total=self._total, note=self._note, name=self.stage.name))
 
@@ -318,7 +318,7 @@ def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
             process.wait()
 
 
-def _last_lines(log: Path, number: int = LOG_LINES) -> str:
+def last_lines(log: Path, number: int = LOG_LINES) -> str:
     """Return the last lines of a log; a line that a progress bar has written again counts as several."""
     with open(log, "rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - LOG_BYTES))

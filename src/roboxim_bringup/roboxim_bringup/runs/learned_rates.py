@@ -63,7 +63,7 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
     alone = trained.pop(1, None)
     steps = f"{alone.source.removeprefix(f'{run}: ')}, " if alone else ""
     source = f"{run}: {len(demos)} demonstrations, {steps}{len(rollouts)} rollouts"
-    proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith("prove/evaluation"))
+    proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith(("prove/evaluation", "prove/curve")))
     proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
     return replace(
         before,

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Done, Executor, InlineExecutor, Job, LocalExecutor, Work
@@ -24,7 +25,8 @@ from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, UnavailableError
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
 from roboxim_datasets.formats import open_dataset
-from roboxim_eval.experiments.delivery import Allowed, Demand, Shown
+from roboxim_eval.experiments.changes import WORDS_SAY_OTHER_ROLES
+from roboxim_eval.experiments.delivery import WORDS, Allowed, Demand, Shown
 from roboxim_eval.experiments.proofs import Fault, Tally, Trained, pairing, tally, training_tally
 
 THREADS_VARIABLE = "LP_NUM_THREADS"
@@ -147,7 +149,7 @@ def prove_training(claims: Sequence[DatasetClaim], mix: Any, unseen: Sequence[st
             for bag, _ in _distinct(episodes[claim.name], claim.name)
         ]
         own = training_tally(demands, unseen, claim.counts, trained)
-        shown = tally(demands, [episode.shown for episode in trained if not episode.planted])
+        shown = tally(demands, [episode.shown for episode in trained if not episode.planted], without=(WORDS,))
         found += _titled(own + shown, claim.name)
     return found
 
@@ -258,14 +260,34 @@ def prove_evaluation(arms: Sequence[ArmClaim], reading: Reading) -> tuple[Tally,
     shown_by_arm: dict[str, list[Shown]] = {arm.condition: [] for arm in arms}
     for shown, _ in reading.read("proving rollouts", jobs, mixes):
         shown_by_arm[index_of[shown.bag][0]].append(shown)
+    demands = {arm.condition: demands_of(mixes[arm.condition], arm.words, arm.latency_ticks) for arm in arms}
     for arm in arms:
-        found += tally(demands_of(mixes[arm.condition], arm.words, arm.latency_ticks), shown_by_arm[arm.condition])
-    found += pairing(shown_by_arm, {arm.condition: arm.changed for arm in arms})
+        found += tally(demands[arm.condition], shown_by_arm[arm.condition])
+    found += pairing(shown_by_arm, _changed(arms, demands))
     excluded: dict[str, list[int]] = {}
     for bag in sorted(found.faulty):
         condition, index = index_of[bag]
         excluded.setdefault(condition, []).append(index)
     return found, excluded
+
+
+def _changed(arms: Sequence[ArmClaim], demands: Mapping[str, Mapping[str, Demand]]) -> dict[str, tuple[str, ...]]:
+    """Return the parts of the task that each condition changes; roles that only its instructions name are one too."""
+    named = {arm.condition: {cell: _roles_said(one) for cell, one in demands[arm.condition].items()} for arm in arms}
+    plain = next((named[arm.condition] for arm in arms if not arm.changed), {})
+
+    def other(arm: ArmClaim) -> bool:
+        mine = named[arm.condition]
+        return not {"templates", "paraphrases"}.isdisjoint(arm.changed) and any(
+            len(mine[cell]) != 1 or mine[cell] != plain[cell] for cell in mine.keys() & plain.keys()
+        )
+
+    return {arm.condition: arm.changed + ((WORDS_SAY_OTHER_ROLES,) if other(arm) else ()) for arm in arms}
+
+
+def _roles_said(demand: Demand) -> set[frozenset[str]]:
+    """Return the names that the templates of a cell have in braces; one set if all have the same ones."""
+    return {frozenset(n for _, n, _, _ in Formatter().parse(template) if n) for template in demand.templates}
 
 
 def judge_again(failed: Mapping[str, str], dataset: DatasetClaim, mix: Any, reading: Reading) -> list[dict[str, Any]]:
@@ -289,11 +311,3 @@ def judge_again(failed: Mapping[str, str], dataset: DatasetClaim, mix: Any, read
         {bag: bag for bag in failed},
     )  # fmt: skip
     return [{"cell": cell, "satisfied": found[bag]} for bag, cell in failed.items()]
-
-
-def changed_parts(change: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the parts of a task that a condition's ``set`` changes, e.g. ``reset.lights`` or ``distractors``."""
-    parts = []
-    for key, value in change.items():
-        parts += [f"reset.{name}" for name in value] if key == "reset" and isinstance(value, Mapping) else [key]
-    return tuple(parts)

@@ -186,7 +186,8 @@ class Rerenderer:
         try:
             self._copy(reader, scene, recording, on_tick)
             result = reader.result
-            return replace(result, bag=recording.close(result, _cdr(to_msg(result, EpisodeResultMsg)), "keep"))
+            cdr = _cdr(to_msg(result, EpisodeResultMsg))
+            return replace(result, bag=recording.close(result, cdr, "keep", reader.received))
         except BaseException:
             recording.drop()
             raise

@@ -1,6 +1,8 @@
 """An experiment as a graph of runs: planted policies, resuming, refusals, the card."""
 
 import json
+import socket
+import sys
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +49,8 @@ class Fakes:
     evaluation: Tally = Tally()
     excluded: dict = field(default_factory=dict)
     judged: list = field(default_factory=list)
+    exports: dict = field(default_factory=dict)
+    policies: dict = field(default_factory=dict)
 
     def generate(self, config, **_):
         self.calls.append(f"generate {config.episodes}")
@@ -54,7 +58,8 @@ class Fakes:
         results = [EpisodeResult(episode_id=str(i), index=i, outcome="success") for i in range(config.episodes)]
         return type("Result", (), {"results": results, "kept": results, "out": config.out})()
 
-    def export_rlds(self, source, target, config, **_):
+    def export_dataset(self, form, source, target, config, **_):
+        self.exports[Path(target).name] = form, config
         (cells,) = config.where
         number = config.per_cell * (cells.count(",") + 1)
         self.calls.append(f"export {Path(target).name} {number}")
@@ -79,6 +84,7 @@ class Fakes:
         if self.fail_at == f"{name}.{replicate}":
             raise RoboximError("the machine was switched off")
         self.calls.append(f"evaluate {name}.{replicate} {config.policies.spec}")
+        self.policies[f"{name}.{replicate}"] = config.policies
         mix = mix_of_text(Path(config.task).read_text())
         with RunFolder(Path(config.out) / name).opened({"command": "evaluate"}) as folder:
             for index in range(config.episodes):
@@ -97,7 +103,7 @@ def fakes(monkeypatch):
     planted = {(name, unseen): 0.8 for name in ("leave_out", "baseline") for unseen in (True, False)}
     planted |= {("blind", True): 0.1, ("leave_out", True): 0.3}
     found = Fakes(planted=planted, calls=[])
-    for name in ("generate", "export_rlds", "evaluate", "prove_training", "prove_evaluation", "judge_again"):
+    for name in ("generate", "export_dataset", "evaluate", "prove_training", "prove_evaluation", "judge_again"):
         monkeypatch.setattr(experiment_stages, name, getattr(found, name))
     return found
 
@@ -201,6 +207,111 @@ def test_a_command_that_fails_ends_the_run(fakes, config, tmp_path):
     absent = TEXT.replace("sh -c 'mkdir", "no-such-program 'mkdir")
     with pytest.raises(ConfigError, match="cannot be started: no-such-program"):
         run_experiment(config(absent, out=tmp_path / "other"))
+
+
+# ------------------------------------------------------------------ trainers
+
+SCRIPT = """
+import os, socket, sys
+mode, folder, port = sys.argv[1], sys.argv[2], int(sys.argv[3])
+if mode == "train":
+    os.makedirs(folder, exist_ok=True)
+    open(folder + "/weights", "w").write(sys.argv[4])
+elif mode == "serve":
+    print("loading", open(folder + "/weights").read(), flush=True)
+    open(folder + "/served", "a").write("x")
+    with socket.create_server(("127.0.0.1", port)) as listening:
+        while True:
+            listening.accept()[0].close()
+"""
+LEROBOT = """
+dataset: {{format: lerobot, version: "2.1", columns: openpi, image_width: 64, image_height: 64, convention: ''}}
+command: "{python} {script} train {{out}} 0 '{{dataset}} {{seed}}'"
+policy: openpi
+options: {{url: "ws://127.0.0.1:{port}", convention: "{{convention}}", version: "{{condition}}.{{replicate}}"}}
+serve: "{python} {script} serve {{checkpoint}} {port}"
+"""
+
+
+@pytest.fixture
+def lerobot_trainer(tmp_path):
+    """Return the file of a trainer whose script reads LeRobot datasets, and whose checkpoints a server holds."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    file = tmp_path / "mine_too.yaml"
+    file.write_text(LEROBOT.format(python=sys.executable, script=script, port=port))
+    return file, port
+
+
+def test_a_trainer_of_a_file_gets_its_format_and_its_policy_its_checkpoint(fakes, config, lerobot_trainer, tmp_path):
+    file, port = lerobot_trainer
+    one = TEXT.replace("count: 3", "count: 1")
+    result = run_experiment(config(one, trainer=str(file)))
+    form, written = fakes.exports["leave_out.0"]
+    assert form == "lerobot"
+    assert (written.version, written.columns, written.image_width, written.val_fraction) == ("2.1", "openpi", 64, 0.0)
+    out = tmp_path / "out"
+    assert (out / "train/baseline.0/weights").read_text() == f"{out}/export/baseline.0 0"
+    options = fakes.policies["leave_out.0"].options
+    assert options["convention"] == f"{out}/export/leave_out.0/convention.yaml", "what the policy was trained with"
+    assert (options["url"], options["version"]) == (f"ws://127.0.0.1:{port}", "leave_out.0")
+    assert fakes.policies["blind.0"].options["version"] == "leave_out.0", "the same checkpoint"
+    assert fakes.policies["blind.0"].options["policy"] == "openpi"
+    assert (out / "train/leave_out.0/served").read_text() == "xx", "for leave_out and for blind"
+    assert "loading" in (out / "evaluate/leave_out.0.server.log").read_text()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
+    assert result.card.experiment.trainer == str(file)
+    assert result.card.experiment.config.trainers[str(file)].steps == 7, "those of the experiment's first trainer"
+    file.unlink()
+    assert check_card(result.card.plain) == result.card, "the card holds the trainer"
+
+
+def test_a_server_of_something_else_is_not_measured(fakes, config, lerobot_trainer, tmp_path):
+    file, port = lerobot_trainer
+    with socket.create_server(("127.0.0.1", port)), pytest.raises(RoboximError, match="answers at .* already"):
+        run_experiment(config(trainer=str(file)))
+    file.write_text(file.read_text().replace(" serve {checkpoint}", " serve {checkpoint}/no"))
+    with pytest.raises(RoboximError, match=r"(?s)ended with exit code 1 at ws://.*server.log:.*FileNotFoundError"):
+        run_experiment(config(trainer=str(file), out=tmp_path / "other"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("format: lerobot", "format: lerobt", "mine_too.yaml.dataset: no format 'lerobt'.*did you mean 'lerobot'"),
+        ("columns:", "colums:", "mine_too.yaml.dataset.*colums.*did you mean 'columns'"),
+        ("columns: openpi", "per_cell: 3", "the experiment decides about 'per_cell'"),
+        ("convention: ''", "actions: tool, convention: libero", "leave out .*actions"),
+        ("command:", "comand:", "comand.*did you mean 'command'"),
+        ("{checkpoint} ", "here ", "serve: needs {checkpoint}"),
+        ('"{convention}"', '"{conventoin}"', "options: unknown placeholder 'conventoin'.*{convention}"),
+        ("policy: openpi", "policy: opnpi", "opnpi.*did you mean 'openpi'"),
+        ('version: "{condition}', 'verson: "{condition}', "'verson' is unknown.*version"),
+        ("url:", "address:", "needs options.url"),
+    ],
+)
+def test_a_wrong_trainer_is_refused_before_anything_runs(fakes, config, lerobot_trainer, old, new, said):
+    file, _ = lerobot_trainer
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    with pytest.raises(ConfigError, match=f"(?s){said}"):
+        run_experiment(config(trainer=str(file)))
+    assert fakes.calls == []
+    with pytest.raises(ConfigError, match="no trainer 'min' in the experiment or in config/trainers.*'mine'"):
+        run_experiment(config(trainer="min"))
+
+
+def test_datasets_may_differ_in_what_their_actions_mean(fakes, config):
+    text = TEXT.replace("baseline: {cells: all,", "baseline: {export: {actions: tool}, cells: all,")
+    assert text != TEXT
+    result = run_experiment(config(text))
+    assert [fakes.exports[f"{name}.0"][1].actions for name in ("leave_out", "baseline")] == ["", "tool"]
+    assert fakes.policies["baseline.0"].options == {"checkpoint": fakes.policies["baseline.0"].options["checkpoint"]}
+    assert result.missing == ()
 
 
 def test_a_card_is_checked_against_its_counts(fakes, config, tmp_path):

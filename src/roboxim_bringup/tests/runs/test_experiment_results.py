@@ -1,7 +1,10 @@
 """An experiment's folder after its run: report, comparison, pack, benchmark. Results are planted, not simulated."""
 
+import itertools
 import json
+import shlex
 import tarfile
+from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -15,15 +18,22 @@ from roboxim_bringup.commands.benchmark import command as benchmark_command
 from roboxim_bringup.experiment_card import collect_card, evaluation_folder
 from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs import benchmark, evaluation, experiment_pack, sequential
-from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark, stored_benchmark_card
+from roboxim_bringup.runs.benchmark import (
+    BenchmarkRunConfig,
+    run_benchmark,
+    stored_benchmark_card,
+    write_benchmark_report,
+)
 from roboxim_bringup.runs.evaluation import EvaluationConfig
 from roboxim_bringup.runs.evaluation_report import EvaluationRecord
 from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
 from roboxim_bringup.runs.experiment import ExperimentResult
 from roboxim_bringup.runs.experiment_models import compared
 from roboxim_bringup.runs.experiment_pack import pack, packed_files, unpack
+from roboxim_bringup.runs.experiment_policies import named_policies
 from roboxim_bringup.runs.experiment_report import (
     ExperimentFolder,
+    checkpoint_episodes,
     experiment_episodes,
     folder_card,
     reproduction,
@@ -32,6 +42,7 @@ from roboxim_bringup.runs.experiment_report import (
     write_experiment_report,
 )
 from roboxim_bringup.runs.folder import RunFolder
+from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.config import to_json, to_plain
 from roboxim_core.episode import EpisodeResult
@@ -93,10 +104,64 @@ def test_a_folder_receives_a_card_and_a_page(tmp_path):
     assert folder_card(folder) == card, "a stored card is checked, not written again"
     page = write_experiment_report(folder, card).read_text()
     assert card.verdicts[0].sentence in page
-    assert "roboxim experiment run mine --scale full --out run" in page
+    assert "roboxim experiment run mine.yaml --scale full --out run" in page
+    assert "No scene has distractors, so that the scene alone tells which object is meant." in page
+    assert "Scenes of place_on alone have the support plate, so that the scene alone tells this task." in page
     episodes = experiment_episodes(folder)
     assert len(episodes) == 3 * (80 + 80 + 40)
     assert {e.cell for e in episodes if e.arm == "blind"} == {"pick_up target=cube", "place_on target=soda_can"}
+
+
+def test_the_printed_command_names_the_file_the_renderer_and_the_policies(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    path = folder.path / "experiment.json"
+    trained = {name: {"spec": "bc", "options": {"checkpoint": f"/old/train/{name}"}}
+               for name in (f"{c}.{r}" for c in ("leave_out", "baseline") for r in range(3))}  # fmt: skip
+
+    def printed(policies):
+        def blind(replicate):
+            words = {"policy": policies[f"leave_out.{replicate}"]["spec"], "instruction": ""}
+            return {"spec": "reworded", "options": policies[f"leave_out.{replicate}"]["options"] | words}
+
+        ran = {**{f"blind.{r}": blind(r) for r in range(3)}, **policies}
+        stages = {f"evaluate/{name}": {"policy": {"name": "", **policy}} for name, policy in ran.items()}
+        state = {**json.loads(path.read_text()), "experiment": "my files/mine.yaml", "renderer": "tiny"}
+        path.write_text(json.dumps({**state, "stages": stages}))
+        words = shlex.split(reproduction(ExperimentFolder.of(folder.path)))
+        assert words[:4] == ["roboxim", "experiment", "run", "my files/mine.yaml"]
+        assert words[words.index("--renderer") + 1] == "tiny"
+        given = [
+            [after for word, after in itertools.pairwise(words) if word == key] for key in ("--policy", "--option")
+        ]
+        return named_policies(*given)
+
+    assert printed(trained) == {}, "policies that the experiment trains, and those that follow from them, are not named"
+    mine = {"spec": "client.py:Mine", "options": {"port": 6000, "label": "6000", "note": "a: [b", "at": "runs/x"}}
+    zero = {f"baseline.{r}": {"spec": "zero", "options": {}} for r in range(3)}
+    named = {"leave_out.1": PolicySpec(**mine), "baseline": PolicySpec(spec="zero")}
+    assert printed({**trained, **zero, "leave_out.1": mine}) == named
+    blind = {"spec": "client.py:Other", "options": {}}
+    assert printed({**trained, "blind.2": blind}) == {"blind.2": PolicySpec(**blind)}
+
+
+def test_points_of_a_learning_curve_lead_to_episodes_of_their_own(tmp_path):
+    text = TEXT.replace("steps: 7}", 'steps: 8, until: "--until {until}"}').replace("count: 3", "count: 1")
+    folder = planted_folder(tmp_path / "run", RATES, text + "curve: {every: 4, per_checkpoint: 4}\n")
+    page = write_experiment_report(folder, folder_card(folder)).read_text()
+    assert '<a href="#episodes?arm=leave_out%404"><circle' in page
+    arms = Counter(episode.arm for episode in checkpoint_episodes(folder))
+    assert arms["leave_out@4"] == arms["baseline@4"] == 4
+    assert {e.arm for e in experiment_episodes(folder)} == {"leave_out", "baseline", "blind"}
+
+
+def test_the_page_of_a_card_alone_warns_of_what_its_scenes_tell(tmp_path):
+    folder = planted_folder(tmp_path / "run", RATES)
+    folder_card(folder)
+    html = tmp_path / "page.html"
+    words = ("experiment", "report", "--from", str(folder.path / "card.json"), "--html", str(html))
+    said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
+    for text in (said, html.read_text()):
+        assert "No scene has distractors, so that the scene alone tells which object is meant." in text
 
 
 def test_results_that_changed_after_the_card_are_refused(tmp_path):
@@ -197,8 +262,13 @@ def test_compare_says_what_the_cards_warn_of(tmp_path):
         planted_folder(tmp_path / name, RATES, one)
     (tmp_path / "one/proofs.json").write_text(json.dumps({"camera pose": [599, 600]}))
     words = ("experiment", "compare", str(tmp_path / "one"), str(tmp_path / "two"))
+    (tmp_path / "one/report.html").write_text("")
+    words += ("--html", str(tmp_path / "models.html"))
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     assert "The card of one warns: Delivery is not proved for 1 of 600 episodes: camera pose." in said
+    page = (tmp_path / "models.html").read_text()
+    assert 'href="one/report.html#episodes?' in page
+    assert "two/report.html" not in page, "it is not there"
 
 
 def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
@@ -253,7 +323,11 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
     one = replace(ExperimentFolder.of(tmp_path / "out/one"), benchmark=calls[0].benchmark)
     assert reproduction(one).startswith(f"roboxim benchmark {file} --experiment "), "the scale is the benchmark's"
     assert stored_benchmark_card(tmp_path / "out/card.json") == result.card
+    (tmp_path / "out/one/report.html").write_text("")
+    write_benchmark_report(tmp_path / "out")
     page = (tmp_path / "out/report.html").read_text()
+    assert f"roboxim benchmark {file} --scale night --out out" in page
+    assert 'href="one/report.html#episodes?' in page
     assert result.card.sentences[0] in page
     assert "Another model" in page
     assert "76 %" in page
@@ -294,6 +368,7 @@ def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted
     assert [call.experiment for call in calls] == ["two", "two"]
     assert result.card.dimensions == whole.card.dimensions
     assert run_benchmark(here).card.sha256 == result.card.sha256, "the folder keeps the card"
+    assert "--card out/one/card.json" in (tmp_path / "out/report.html").read_text()
 
 
 def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -95,8 +95,14 @@ class RecorderPort(Protocol):
         """Wait until every tick is in the bag. The loop calls it before the simulator goes on."""
         ...
 
-    def close(self, result: EpisodeResult, keep: str) -> str:
-        """Close the bag (``keep``, ``set_apart`` or ``drop``) and return its path relative to the output folder."""
+    def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:
+        """Close the bag (``keep``, ``set_apart`` or ``drop``) and return its path relative to the output folder.
+
+        Args:
+            result: How the episode ended.
+            keep: What becomes of the bag.
+            received: Instructions that the policy was given in the episode, each once; empty: unknown.
+        """
         ...
 
     def abort(self) -> None:

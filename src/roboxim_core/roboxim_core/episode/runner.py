@@ -277,6 +277,7 @@ class _Episode:
         self.counts: Counter[str] = Counter()
         self.inference_s = 0.0
         self.last_inference_s = 0.0
+        self.received: tuple[str, ...] = ()
 
     def run(self, started: float) -> Play:
         ports, info = self.ports, self.info
@@ -307,7 +308,7 @@ class _Episode:
         )  # fmt: skip
         if self.config.records:
             keep = "keep" if self.config.keep == "all" or outcome == "success" else "set_apart"
-            result = replace(result, bag=ports.recorder.close(result, keep))
+            result = replace(result, bag=ports.recorder.close(result, keep, self.received))
         return result
 
     def _after_settling(self, outcome: str, reason: str) -> tuple[str, str]:
@@ -382,7 +383,9 @@ class _Episode:
         chunk = yield self.window.request(self.info)
         self.last_inference_s = self.ports.clock() - before
         self.inference_s += self.last_inference_s
-        self.acting.add(checked_answer(chunk, self.description), self.state, self.last_inference_s)
+        answer = checked_answer(chunk, self.description)
+        self.received = answer.received or self.received
+        self.acting.add(answer, self.state, self.last_inference_s)
 
     def _tick(self, chosen: TickAction) -> None:
         label, phase = chosen.action, chosen.phase

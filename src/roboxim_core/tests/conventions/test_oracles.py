@@ -57,12 +57,21 @@ SOFT = {  # the steady motion of robosuite's arm, see the test below
     (0, 0, 0, 0, -1, 0): (0, 0, 0, 0, -0.13275, 0),
     (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.13275),
 }
-OCTO = ["octo_bridge", "octo_fractal", "octo_two_cameras"]
+UNITY = {  # x right, y up, z forward, left-handed: positive turns are the other way round
+    (0.02, 0, 0, 0, 0, 0): (0, -0.02, 0, 0, 0, 0),
+    (0, 0.03, 0, 0, 0, 0): (0, 0, 0.03, 0, 0, 0),
+    (0, 0, -0.04, 0, 0, 0): (-0.04, 0, 0, 0, 0, 0),
+    (0, 0, 0, 0.1, 0, 0): (0, 0, 0, 0, 0.1, 0),
+    (0, 0, 0, 0, 0.2, 0): (0, 0, 0, 0, 0, -0.2),
+    (0, 0, 0, 0, 0, -0.3): (0, 0, 0, 0.3, 0, 0),
+}
+OCTO = ["octo_bridge", "octo_fractal", "octo_two_cameras", "octo_finetuned"]
 MOTIONS = {
     **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], OSC),
     **dict.fromkeys(["bridge", "fractal", *OCTO, "roboxim", "rt1_fractal"], METRES),
     "rt1_widowx": RT1,
     "libero_soft": SOFT,
+    "unity": UNITY,
 }
 JOINT_MOTIONS = {  # DROID: a velocity of 1 is 0.2 rad per step, clipped to [-1, 1]; positions are radians
     "droid_velocity": {1.0: 0.2, -0.5: -0.1, 1.5: 0.2},
@@ -75,25 +84,30 @@ GRIPPERS = {  # number to opening, 1 = open
     "libero_soft": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     "vla_eval_libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     **dict.fromkeys(["oft_libero", "openvla_libero", "groot_libero"], {1.0: 1, 0.0: 0, 0.6: 1, 0.4: 0}),
-    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras"], {1.0: 1, 0.0: 0, 0.51: 1, 0.49: 0, 1.3: 1, -0.2: 0}),
+    **dict.fromkeys(
+        ["bridge", "octo_bridge", "octo_two_cameras", "octo_finetuned"],
+        {1.0: 1, 0.0: 0, 0.51: 1, 0.49: 0, 1.3: 1, -0.2: 0},
+    ),
     **dict.fromkeys(
         ["droid_velocity", "droid_position", "roboarena_joint_velocity", "roboarena_joint_position"],
         {0.0: 1, 1.0: 0, 0.49: 1, 0.51: 0},
     ),
     "rt1_widowx": {-1.0: 1, 1.0: 0, -0.2: 1, 0.2: 0},
     "rt1_fractal": {-1.0: 1, 1.0: 0, -0.02: 1, 0.02: 0},
-    "roboxim": {1.0: 1, 0.0: 0, 0.25: 0.25},
+    **dict.fromkeys(["roboxim", "unity"], {1.0: 1, 0.0: 0, 0.25: 0.25}),
 }
 RATES = {
     **dict.fromkeys(["libero", "libero_soft", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
     **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras"], 5),
     **dict.fromkeys(["fractal", "octo_fractal", "rt1_widowx", "rt1_fractal"], 3),
     **dict.fromkeys(JOINT_MOTIONS, 15),
-    "roboxim": 0,
+    "octo_finetuned": 10,
+    **dict.fromkeys(["roboxim", "unity"], 0),
 }
 BASES = {  # what a delta is added to
     **dict.fromkeys(MOTIONS, "measured"),
-    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras", "rt1_widowx", "roboxim", "libero_soft"], "commanded"),
+    **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras", "octo_finetuned", "rt1_widowx"], "commanded"),
+    **dict.fromkeys(["roboxim", "unity", "libero_soft"], "commanded"),
 }
 
 
@@ -211,6 +225,9 @@ def test_large_rotations_are_those_of_the_source(name):
         (a, b, c), numbers = (0.2, -0.24, 0.25), 1.4 / 0.25
     vectors = MOTIONS[name] is OSC or name == "rt1_fractal"
     expected = rodrigues((a, b, c)) if vectors else about_z(c) @ about_y(b) @ about_x(a)
+    if name == "unity":
+        axes = np.array([[0, 0, 1], [-1, 0, 0], [0, 1, 0]])  # right, up and forward, as columns
+        expected = axes @ expected @ axes.T
     raw = [0, 0, 0, numbers * a, numbers * b, numbers * c, convention.action.gripper.open]
     roll, pitch, yaw = to_actions(convention, raw, AT_REST)[0, 3:6]
     np.testing.assert_allclose(about_z(yaw) @ about_y(pitch) @ about_x(roll), expected, atol=1e-9)
@@ -296,16 +313,17 @@ KEYS = {
         ["octo_bridge", "octo_fractal"], {"image_primary", "timestep_pad_mask", "prompt", "unnorm_key"}
     ),
     "octo_two_cameras": {"image_primary", "image_wrist", "timestep_pad_mask", "prompt", "unnorm_key"},
+    "octo_finetuned": {"image_primary", "image_wrist", "timestep_pad_mask", "prompt"},
     "rt1_widowx": {"image", "prompt"},
 }  # fmt: skip
 KEYS["droid_position"], KEYS["roboarena_joint_position"] = KEYS["droid_velocity"], KEYS["roboarena_joint_velocity"]
 KEYS["rt1_fractal"] = KEYS["rt1_widowx"]
-KEYS["roboxim"] = KEYS["libero_soft"] = KEYS["libero"]
+KEYS["roboxim"] = KEYS["unity"] = KEYS["libero_soft"] = KEYS["libero"]
 SIZES = {
     **dict.fromkeys(
         ["libero", "libero_soft", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)
     ),
-    **dict.fromkeys(["groot_libero", "vla_eval_libero", *OCTO, "roboxim"], (256, 256)),
+    **dict.fromkeys(["groot_libero", "vla_eval_libero", *OCTO, "roboxim", "unity"], (256, 256)),
     **dict.fromkeys(["rt1_widowx", "rt1_fractal"], (256, 320)),
 }
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from roboxim_core import limits
 from roboxim_core.config import from_plain, place
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
+from roboxim_eval.experiments.trainers import FORMAT, TrainerConfig
 
 TASK = "task"
 """The factor whose levels are tasks of ``config/tasks``."""
@@ -31,6 +32,9 @@ Match = Mapping[str, str]
 class DatasetConfig:
     """Demonstrations of a training condition."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("export",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
+
     cells: str = "all"
     """``all``, ``seen`` (not held out) or ``unseen``."""
     per_cell: int
@@ -41,6 +45,9 @@ class DatasetConfig:
     """A data fault of section 6.1.2 to plant, e.g. ``wrong_instruction``; empty: none."""
     share: float = 0.0
     """Share of the episodes with the fault, 0..1."""
+    export: dict[str, Any] = field(default_factory=dict)
+    """Options of its export that replace those of the trainer's ``dataset``, e.g. ``{actions: tool}``: actions along
+    the tool's axes. The trainer must be able to learn from it."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -53,6 +60,8 @@ class DatasetConfig:
             raise ConfigError(f"per_cell must be from 1 to {limits.MIX_EPISODES}, got {self.per_cell}")
         if not 0.0 <= self.share <= 1.0 or bool(self.fault) != bool(self.share):
             raise ConfigError(f"share must be from 0 to 1, and above 0 with a fault alone; got {self.share:g}")
+        if FORMAT in self.export:
+            raise ConfigError("export: the trainer chooses the format of its datasets; leave out format")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,40 +119,6 @@ class ConditionConfig:
             raise ConfigError(f"steps must be >= 0, got {self.steps}")
         if self.latency_ticks < 0:
             raise ConfigError(f"latency_ticks must be >= 0, got {self.latency_ticks}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainerConfig:
-    """How to train a policy."""
-
-    command: str = ""
-    """Command with ``{dataset}``, ``{out}``, ``{seed}`` and ``{steps}``; empty: the policies are trained elsewhere."""
-    policy: str = ""
-    """Policy that runs a checkpoint, as for ``roboxim evaluate --policy``; empty: named by ``--policy``."""
-    steps: int = 0
-    """Training steps."""
-    until: str = ""
-    """Arguments that end the same training after ``{until}`` steps, e.g. ``--until {until}``, for the checkpoints of a
-    learning curve; the command without them continues it. Empty: the trainer has none, so that there is no curve."""
-
-    def __post_init__(self) -> None:
-        """Check the command.
-
-        Raises:
-            ConfigError: When a placeholder is missing or unknown.
-        """
-        if self.until and "{until}" not in self.until:
-            raise ConfigError(f"until: needs {{until}}, got '{self.until}'")
-        if self.command:
-            try:
-                self.command.format(dataset="", out="", seed=0, steps=0)
-            except (KeyError, IndexError, ValueError) as error:
-                raise ConfigError(
-                    f"command: unknown placeholder {error}; expected {{dataset}}, {{out}}, {{seed}}, {{steps}}"
-                ) from None
-            for name in ("dataset", "out", "seed"):
-                if f"{{{name}}}" not in self.command:
-                    raise ConfigError(f"command: needs {{{name}}}, got '{self.command}'")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,10 @@ are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values he
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from string import Formatter
 from typing import Any
 
 from roboxim_core.poses import Pose, Vec3, distance
@@ -30,6 +32,9 @@ COLOR_DIFFERENCE = 8.0
 """Largest difference between the median colours of a surface in a picture and in its rendering (CIEDE2000)."""
 BRIGHTNESS = 4.0
 """Largest difference between the mean luminance of a picture and of its rendering, of 255."""
+WEIGHT_SHARE = 0.05
+"""Largest deviation of the mass that presses on the table from the mass of the object's model, as a share of it. Of
+the shipped models it is at most 0.005."""
 CHANGED = 0.25
 """Least mean difference of two pictures of a scene, of 255, at which a change of the look counts as delivered."""
 
@@ -115,8 +120,16 @@ class Demand:
     """Role to object models."""
     modifiers: dict[str, dict[str, Allowed]] = field(default_factory=dict)
     """Role to modifier to its values."""
+    physics: dict[str, dict[str, Allowed]] = field(default_factory=dict)
+    """Role to ``mass_kg`` and ``friction_coefficient`` to their values; a factor on them is among the modifiers."""
+    table_friction: Allowed | None = None
+    """Lateral friction coefficient of the table; none: any."""
     distractors: tuple[int, int] = (0, 0)
     """Fewest and most objects that the task is not about."""
+    others: dict[str, dict[str, Allowed]] = field(default_factory=dict)
+    """Model of a distractor to the modifiers that it must have, with their values."""
+    always: tuple[str, ...] = ()
+    """Models of distractors that every scene has, without modifiers."""
     areas: dict[str, tuple[Allowed, ...]] = field(default_factory=dict)
     """Role to areas, one of which the object lies in, x and y in the robot's base [m]."""
     start: Allowed | None = None
@@ -128,7 +141,10 @@ class Demand:
     turned: tuple[str, ...] = ()
     """Cameras whose orientation is drawn."""
     look: dict[str, Allowed] = field(default_factory=dict)
-    """Property of light or surfaces to its values, e.g. ``light.intensity``, ``table.texture``, ``background``."""
+    """Property of light, surfaces or pictures to its values, e.g. ``light.intensity``, ``table.texture``,
+    ``background``, ``exposure.workspace``, ``noise.workspace``."""
+    templates: tuple[str, ...] = ()
+    """Templates of the task's instruction, with roles in braces; empty: any instruction."""
     words: str | None = None
     """What the policy must receive as instruction; none: the task's instruction."""
     latency_ticks: int = 0
@@ -153,8 +169,18 @@ class Shown:
     """Role to the model of its object in the scene."""
     modifiers: dict[str, dict[str, Value]] = field(default_factory=dict)
     """Role to the modifiers of its object in the scene."""
-    others: tuple[str, ...] = ()
-    """Models of the objects on the table that the task is not about."""
+    descriptions: dict[str, str] = field(default_factory=dict)
+    """Role to how an instruction names its object in the scene, e.g. ``red cube``."""
+    physics: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Role to ``mass_kg`` and ``friction_coefficient`` of its model with its modifiers."""
+    weights: dict[str, float] = field(default_factory=dict)
+    """Role to the mass that presses on the table at tick 0 [kg], for objects that touch nothing else."""
+    table_friction: float = 0.0
+    """Lateral friction coefficient of the table."""
+    others: dict[str, str] = field(default_factory=dict)
+    """Names of the objects on the table that the task is not about, to their models."""
+    other_modifiers: dict[str, dict[str, Value]] = field(default_factory=dict)
+    """The same names to their modifiers."""
     positions: dict[str, Vec3] = field(default_factory=dict)
     """Role to the position of its object at tick 0, in the robot's base [m]."""
     start: Vec3 = (0.0, 0.0, 0.0)
@@ -167,9 +193,10 @@ class Shown:
     """Camera to the distance of the tool in the recorded picture from its projection by the demanded camera [px];
     infinity: it is not found there. A camera that does not show the tool, or was not measured, is left out."""
     pixels: dict[str, float] = field(default_factory=dict)
-    """Role to the visible pixels of its object in the best fixed camera, scaled to 256 x 256 px."""
+    """Role, or name of a distractor, to its visible pixels in the best fixed camera, scaled to 256 x 256 px."""
     colors: dict[str, float] = field(default_factory=dict)
-    """Role, or ``table``, to the difference of its median colours in the picture and in its rendering (CIEDE2000)."""
+    """Role, name of a distractor, or ``table``, to the difference of its median colours in the picture and in its
+    rendering (CIEDE2000)."""
     brightness: dict[str, float] = field(default_factory=dict)
     """Camera to the mean luminance of the picture minus that of its rendering, of 255."""
     state_hash: str = ""
@@ -182,8 +209,8 @@ class Shown:
     """Camera to its picture at tick 0, reduced to 8 x 8 grey values, for comparisons of looks."""
     instruction: str = ""
     """The task's instruction."""
-    received: str = ""
-    """The instruction as the policy received it."""
+    received: tuple[str, ...] = ()
+    """Instructions that the policy was given during the episode, each once; empty: the bag does not say."""
     latency_ticks: float = 0.0
     """Ticks by which its answers were late, mean of the episode."""
 
@@ -208,15 +235,34 @@ def _object(demand: Demand, shown: Shown) -> Iterator[str]:
             value = shown.modifiers.get(role, {}).get(kind, "")
             if not allowed.excess(value) <= 1e-6:
                 yield f"{kind} of the {role} is {_text(value)}, the cell demands {allowed}"
-    for role, pixels in shown.pixels.items():
+    yield from _looks(shown, [role for role in shown.pixels.keys() | shown.colors.keys() if role not in shown.others])
+
+
+def _looks(shown: Shown, names: Sequence[str]) -> Iterator[str]:
+    """Yield which objects are hidden, or have another colour than their models."""
+    for name in sorted(names):
+        pixels, difference = shown.pixels.get(name, math.inf), shown.colors.get(name, 0.0)
         if not pixels >= VISIBLE_PX:
-            yield f"the {role} has {pixels:.0f} visible pixels in the best fixed camera, at least {VISIBLE_PX} expected"
-    for role, difference in shown.colors.items():
-        if role != "table" and not difference <= COLOR_DIFFERENCE:
+            yield f"the {name} has {pixels:.0f} visible pixels in the best fixed camera, at least {VISIBLE_PX} expected"
+        if name != "table" and not difference <= COLOR_DIFFERENCE:
             yield (
-                f"the {role}'s median colour is {difference:.1f} (CIEDE2000) from that of its model, at most "
+                f"the {name}'s median colour is {difference:.1f} (CIEDE2000) from that of its model, at most "
                 f"{COLOR_DIFFERENCE:g} expected"
             )
+
+
+def _physics(demand: Demand, shown: Shown) -> Iterator[str]:
+    for role, kinds in demand.physics.items():
+        for kind, allowed in kinds.items():
+            value = shown.physics.get(role, {}).get(kind, math.nan)
+            if not allowed.excess(value) <= 1e-4:
+                yield f"{kind} of the {role} is {_text(value)}, the cell demands {allowed}"
+    if demand.table_friction is not None and not demand.table_friction.excess(shown.table_friction) <= 1e-4:
+        yield f"the table's friction is {shown.table_friction:.4g}, the cell demands {demand.table_friction}"
+    for role, pressing in shown.weights.items():
+        wanted = shown.physics.get(role, {}).get("mass_kg", math.nan)
+        if not abs(pressing - wanted) <= WEIGHT_SHARE * wanted:
+            yield f"{pressing:.4g} kg of the {role} press on the table, its model has {wanted:.4g} kg"
 
 
 def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
@@ -224,6 +270,21 @@ def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
     if not least <= len(shown.others) <= most:
         expected = f"{least}" if least == most else f"{least} to {most}"
         yield f"{len(shown.others)} distractors lie on the table, {expected} expected"
+    missing = list(demand.always)
+    for name, model in shown.others.items():
+        modifiers = shown.other_modifiers.get(name, {})
+        if model in missing and not modifiers.keys() & demand.others.get(model, {}).keys():
+            missing.remove(model)
+        elif demand.others and model not in demand.others:
+            allowed_models = " or ".join(dict.fromkeys((*demand.always, *demand.others)))
+            yield f"{name} is a {model}, the cell demands {allowed_models}"
+        else:
+            for kind, allowed in demand.others.get(model, {}).items():
+                if not allowed.excess(modifiers.get(kind, "")) <= 1e-6:
+                    yield f"{kind} of {name} is {_text(modifiers.get(kind, ''))}, the cell demands {allowed}"
+    for model in missing:
+        yield f"no distractor is a {model}, which every scene has"
+    yield from _looks(shown, list(shown.others))
 
 
 def _area(demand: Demand, shown: Shown) -> Iterator[str]:
@@ -276,7 +337,7 @@ def _within(demand: Demand, shown: Shown, kinds: tuple[str, ...]) -> Iterator[st
 
 
 def _light(demand: Demand, shown: Shown) -> Iterator[str]:
-    yield from _within(demand, shown, ("light", "exposure"))
+    yield from _within(demand, shown, ("light", "exposure", "noise"))
     for name, difference in shown.brightness.items():
         if not abs(difference) <= BRIGHTNESS:
             yield (
@@ -294,10 +355,32 @@ def _texture(demand: Demand, shown: Shown) -> Iterator[str]:
         )
 
 
+def _instruction(demand: Demand, shown: Shown) -> Iterator[str]:
+    said = [_filled(template, shown.descriptions) for template in demand.templates]
+    if said and not any(re.fullmatch(pattern, shown.instruction) for pattern in said):
+        templates = "' or '".join(demand.templates)
+        named = ", ".join(f"{role} is the {text}" for role, text in shown.descriptions.items())
+        yield f"the instruction is '{shown.instruction}', the cell demands '{templates}', where {named}"
+
+
+def _filled(template: str, descriptions: Mapping[str, str]) -> str:
+    """Return a pattern of a template with the objects' descriptions; other names, e.g. an angle, may be any words.
+
+    A description may say a drawer, as in "Put the cube into the top drawer of the white cabinet".
+    """
+
+    def said(name: str) -> str:
+        return rf"(?:[\w-]+ drawer of the )?{re.escape(descriptions[name])}" if name in descriptions else ".+"
+
+    parts = Formatter().parse(template)
+    return "".join(re.escape(literal) + (said(name) if name else "") for literal, name, _, _ in parts)
+
+
 def _words(demand: Demand, shown: Shown) -> Iterator[str]:
     wanted = shown.instruction if demand.words is None else demand.words
-    if shown.received != wanted:
-        yield f"the policy received '{shown.received}', expected '{wanted}'"
+    if shown.received and set(shown.received) != {wanted}:
+        received = " and ".join(f"'{text}'" for text in shown.received)
+        yield f"the policy received {received}, expected '{wanted}'"
 
 
 def _latency(demand: Demand, shown: Shown) -> Iterator[str]:
@@ -306,17 +389,19 @@ def _latency(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 CHECKS: Mapping[str, Check] = {
-    "skill": _skill, "object": _object, "distractors": _distractors, "area": _area, "start": _start,
-    "camera": _camera, "light": _light, "texture": _texture, "words": _words,
-    "latency": _latency,
+    "skill": _skill, "object": _object, "physics": _physics, "distractors": _distractors, "area": _area,
+    "start": _start, "camera": _camera, "light": _light, "texture": _texture, "instruction": _instruction,
+    "words": _words, "latency": _latency,
 }  # fmt: skip
 """Checks by name. Each yields what is wrong, with figures; nothing: the episode passes."""
+WORDS = "words"
+"""The check of what the policy received; only bags that say it are checked."""
 OF_CELLS = ("skill", "object", "area", "camera")
 """Checks that tell one cell from another."""
 
 
 def faults_of(demand: Demand, shown: Shown) -> dict[str, str]:
-    """Return what is wrong with an episode: check to the fault, with figures; empty: it belongs to its cell."""
+    """Return what is wrong with an episode: check to the fault, with figures; empty: nothing is known to be wrong."""
     found = {name: "; ".join(check(demand, shown)) for name, check in CHECKS.items()}
     return {name: text for name, text in found.items() if text}
 

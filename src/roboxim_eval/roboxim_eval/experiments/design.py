@@ -9,7 +9,8 @@ from typing import Any
 from roboxim_core.config import digest
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.cells import Cell, cells_of, chosen, mix_of
-from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig, TrainerConfig
+from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig
+from roboxim_eval.experiments.trainers import RLDS, TrainerConfig
 
 DEMONSTRATION_SEED = 1000
 EVALUATION_SEED = 2000
@@ -232,6 +233,11 @@ class Stage:
     """Hash of the inputs and of the needed stages' hashes."""
 
     @property
+    def of_curve(self) -> bool:
+        """Whether it is the proof of the rollouts of a learning curve."""
+        return self.name.startswith("prove/curve")
+
+    @property
     def part(self) -> str:
         """What it is part of: ``generate``, ``export``, ``train`` or ``evaluate``."""
         if self.kind == "prove":
@@ -267,7 +273,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             exports.append(
                 add(
                     "export", f"{name}.{replicate}", (source,), counts=counts, fault=dataset.fault,
-                    share=dataset.share,
+                    share=dataset.share, **_exported(design.trainer, dataset),
                 )
             )  # fmt: skip
         once = mix_of(config, {cell.key: 1 for cell in design.cells})
@@ -294,10 +300,26 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
             episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
             instruction=condition.instruction, latency_ticks=condition.latency_ticks,
-            max_steps=config.evaluate.max_steps,
+            max_steps=config.evaluate.max_steps, **_asked(design.trainer, bool(needs)),
         )  # fmt: skip
     for replicate in range(config.replicates.count):
         finals = (e.condition for e in design.evaluations if e.replicate == replicate and not e.checkpoint)
         once = mix_of(config, {cell.key: 1 for cell in design.cells})
         add("prove", f"evaluation.{replicate}", tuple(f"evaluate/{name}.{replicate}" for name in finals), mix=once)
+        curve = [e for e in design.evaluations if e.replicate == replicate and e.checkpoint]
+        if curve:
+            points = tuple(f"evaluate/{e.condition}.{replicate}@{e.checkpoint}" for e in curve)
+            add("prove", f"curve.{replicate}", points, mix=once)
     return tuple(found.values())
+
+
+def _exported(trainer: TrainerConfig, dataset: DatasetConfig) -> dict[str, Any]:
+    """Return the inputs of an export that are not the usual ones: the format, and options."""
+    options = {**trainer.export, **dataset.export}
+    return ({} if trainer.format == RLDS else {"format": trainer.format}) | ({"options": options} if options else {})
+
+
+def _asked(trainer: TrainerConfig, trained: bool) -> dict[str, Any]:
+    """Return the inputs of a trained policy's evaluation that are not the usual ones: arguments, and the server."""
+    given = {"policy_options": trainer.options, "serve": trainer.serve} if trained else {}
+    return {name: value for name, value in given.items() if value}

@@ -12,14 +12,21 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from roboxim_eval.experiments.delivery import CHANGED, CHECKS, Demand, Shown, belongs_to, faults_of
+from roboxim_eval.experiments.changes import (
+    SAME_M,
+    Change,
+    change_of,
+    differences,
+    moved,
+    seen_change,
+    shown_difference,
+)
+from roboxim_eval.experiments.delivery import CHANGED, CHECKS, WORDS, Demand, Shown, belongs_to, faults_of
 
 MOST_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
 NAMED = 5
 """Number of faults that a message names."""
-LOOKS = ("lights", "surfaces", "background")
-"""Reset components that change pictures and nothing else."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,25 +92,42 @@ class Tally:
         )
 
 
-def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown]) -> Tally:
+def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: Collection[str] = ()) -> Tally:
     """Check episodes against what their cells demand.
+
+    What the policy received is checked where the bag says it; a statement says how many bags do not.
 
     Args:
         demands: Cell to what it demands.
         episodes: What the bags show.
+        without: Checks that do not apply, e.g. ``words`` to demonstrations of an expert, which reads the task.
     """
+    names = [name for name in CHECKS if name not in without]
     counts: Counter[str] = Counter()
+    checked: Counter[str] = Counter()
     faults: list[Fault] = []
-    checked = 0
+    number = 0
     for shown in episodes:
-        checked += 1
+        number += 1
+        asked = [name for name in names if name != WORDS or shown.received]
+        checked.update(asked)
         if shown.cell not in demands:
             faults.append(Fault(check="cell", bag=shown.bag, text=f"the evaluation has no cell '{shown.cell}'"))
             continue
         found = faults_of(demands[shown.cell], shown)
-        faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items()]
-        counts.update(name for name in CHECKS if name not in found)
-    return Tally(checks={name: (counts[name], checked) for name in CHECKS} if checked else {}, faults=tuple(faults))
+        faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items() if name in asked]
+        counts.update(name for name in asked if name not in found)
+    silent = number - checked[WORDS] if WORDS in names else 0
+    return Tally(
+        checks={name: (counts[name], checked[name]) for name in names if checked[name]},
+        faults=tuple(faults),
+        statements=(
+            f"the bags of {silent} of {number} rollouts do not say which instruction the policy received (older bags, "
+            "policies in nodes of other processes, or policies that gave no answer), so their words are unproven",
+        )
+        if silent
+        else (),
+    )
 
 
 # ------------------------------------------------------------------ pairing
@@ -114,9 +138,12 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
 
     Conditions without changes must share states and pictures of tick 0; where their policies get pictures of different
     sizes, they must share the pose of the camera. What most of them show on a scene is right, and another condition's
-    episode is a fault. Where no majority agrees, e.g. of two conditions, the scene is a fault of each. A condition that
-    changes light or surfaces alone must share the states of the majority and have other pictures. Other changes move
-    objects or cameras, which `tally` checks. A scene that one condition alone met is not checked.
+    episode is a fault. Where no majority agrees, e.g. of two conditions, the scene is a fault of each.
+
+    A changed condition must share with the majority whatever its change leaves (`roboxim_eval.experiments.changes`):
+    light, surfaces and exposure leave the state, words leave state and pictures, mass and friction leave the places of
+    the objects, and every one leaves what it has nothing to do with, e.g. a moved camera the light and the start. Where
+    it changes what pictures show, they must differ. A scene that one condition alone met is not checked.
 
     Args:
         arms: Condition to its episodes of one replicate.
@@ -124,39 +151,57 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     """
     scenes = {name: {(s.cell, s.number): s for s in shown} for name, shown in arms.items()}
     plain = [name for name in arms if not changed.get(name)]
-    looks = [name for name in arms if changed.get(name) and all(_is_look(part) for part in changed[name])]
+    changes = {name: change for name in arms if changed.get(name) and (change := change_of(changed[name])) is not None}
     if not plain:
         return Tally()
     faults: list[Fault] = []
-    paired = delivered = asked = 0
+    met: Counter[str] = Counter()
+    elsewhere: Counter[str] = Counter()
+    paired = asked = delivered = 0
     for scene in dict.fromkeys(scene for name in plain for scene in scenes[name]):
         alike = {name: scenes[name][scene] for name in plain if scene in scenes[name]}
-        lit = {name: scenes[name][scene] for name in looks if scene in scenes[name]}
-        if len(alike) + len(lit) < 2:
+        others = {name: scenes[name][scene] for name in changes if scene in scenes[name]}
+        if len(alike) + len(others) < 2:
             continue
-        paired += len(alike) + len(lit)
-        asked += len(lit)
+        paired += len(alike) + len(others)
         odd = _deviating(alike)
         faults += [Fault(check="pairing", bag=alike[name].bag, text=text) for name, text in odd.items()]
         right = next((name for name in alike if name not in odd), None)
-        for shown in lit.values():
+        for name, shown in others.items():
             if right is None:
+                asked += changes[name].seen
                 faults.append(Fault(check="pairing", bag=shown.bag, text=f"no majority of {_named(alike)} agrees"))
                 continue
-            if shown.state_hash != alike[right].state_hash:
-                text = _difference("the state of tick 0", _STATE, shown.state_hash, right, alike[right].state_hash)
-                faults.append(Fault(check="pairing", bag=shown.bag, text=text))
-            delivered += (seen := _seen_change(shown, alike[right])) >= CHANGED
-            if seen < CHANGED:
-                text = f"its pictures are {seen:.2f} of 255 from those of '{right}', at least {CHANGED:g} expected"
-                faults.append(Fault(check="changed", bag=shown.bag, text=text))
+            found = list(_changed_faults(changes[name], shown, alike[right], right))
+            faults += found
+            if changes[name].seen or shown_difference(changes[name], shown, alike[right]):
+                asked += 1
+                delivered += not any(fault.check == "changed" for fault in found)
+            met[name] += 1
+            elsewhere[name] += any(not far <= SAME_M for far in moved(shown, alike[right]).values())
     failed = sum(fault.check == "pairing" for fault in faults)
     checks = {"pairing": (paired - failed, paired)} if paired else {}
-    return Tally(checks=checks | ({"changed": (delivered, asked)} if asked else {}), faults=tuple(faults))
+    return Tally(
+        checks=checks | ({"changed": (delivered, asked)} if asked else {}),
+        faults=tuple(faults),
+        statements=tuple(
+            f"{name}: in {number} of {met[name]} scenes of a replicate objects lie elsewhere than without its change"
+            for name, number in elsewhere.items()
+            if number and "places" in changes[name].may
+        ),
+    )
 
 
-def _is_look(part: str) -> bool:
-    return part.removeprefix("reset.").split(".")[0] in LOOKS
+def _changed_faults(change: Change, shown: Shown, right: Shown, condition: str) -> Iterator[Fault]:
+    """Yield the faults of a changed episode, at most one of each check."""
+    if text := "; ".join(differences(change, shown, right, condition)):
+        yield Fault(check="pairing", bag=shown.bag, text=text)
+    if change.seen and (seen := seen_change(shown, right)) < CHANGED:
+        text = f"its pictures are {seen:.2f} of 255 from those of '{condition}', at least {CHANGED:g} expected"
+        yield Fault(check="changed", bag=shown.bag, text=text)
+    elif shown.pictures and shown.pictures == right.pictures and (what := shown_difference(change, shown, right)):
+        text = f"its pictures are those of '{condition}', bit for bit, although the change is to show: {what}"
+        yield Fault(check="changed", bag=shown.bag, text=text)
 
 
 def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
@@ -213,15 +258,6 @@ def _difference(what: str, form: str, value: Any, condition: str, right: Any) ->
 
 def _named(conditions: Iterable[str]) -> str:
     return ", ".join(f"'{name}'" for name in conditions)
-
-
-def _seen_change(shown: Shown, other: Shown) -> float:
-    """Return the largest mean difference of two episodes' pictures over the cameras, of 255."""
-    found = [0.0]
-    for camera in shown.thumbnails.keys() & other.thumbnails.keys():
-        first, second = shown.thumbnails[camera], other.thumbnails[camera]
-        found.append(sum(abs(a - b) for a, b in zip(first, second, strict=True)) / max(len(first), 1))
-    return max(found)
 
 
 # ------------------------------------------------------------------ training data
@@ -291,7 +327,7 @@ def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: S
         demand = demands[cell]
         wanted = [value for allowed in demand.models.values() for value in allowed.values]
         same = [episode.shown for episode in episodes if episode.shown.skill == demand.skill]
-        beside = sum(any(model in wanted for model in shown.others) for shown in same)
+        beside = sum(any(model in wanted for model in shown.others.values()) for shown in same)
         if beside:
             yield (
                 f"{beside} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,8 @@ from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.report.charts.forest import RATES, ForestRow, ratio_scale
-from roboxim_eval.report.charts.heat_map import rate_map
-from roboxim_eval.report.experiment import primary_forest, provenance_of, score_rows
+from roboxim_eval.report.episodes import links_into
+from roboxim_eval.report.experiment import primary_forest, provenance_of, rate_maps, score_rows
 from roboxim_eval.report.page import render
 from roboxim_eval.statistics.tables import Arm
 
@@ -71,14 +71,19 @@ def benchmark_rows(card: BenchmarkCard) -> Iterator[BenchmarkRow]:
         )  # fmt: skip
 
 
-def benchmark_page(card: BenchmarkCard, *, command: str = "") -> str:
+def benchmark_page(
+    card: BenchmarkCard, *, command: str = "", pages: Mapping[str, str] | None = None,
+    warnings: Mapping[str, Sequence[str]] | None = None,
+) -> str:  # fmt: skip
     """Return the page as HTML.
 
     Args:
         card: The card.
         command: Command that runs the benchmark again; empty: unknown.
+        pages: Experiment to the address of its own page, to whose episodes its numbers lead; none: they lead nowhere.
+        warnings: Experiment to what weakens its results besides its card's warnings.
     """
-    rows = list(benchmark_rows(card))
+    rows, own, told = list(benchmark_rows(card)), pages or {}, warnings or {}
     return render(
         "benchmark.html",
         title=f"Benchmark {card.name}, scale {card.scale}",
@@ -86,7 +91,9 @@ def benchmark_page(card: BenchmarkCard, *, command: str = "") -> str:
         sentences=[dimension_sentence(name, score) for name, score in card.dimensions.items()],
         rows=rows,
         charts=list(_charts(rows)),
-        experiments=[_experiment(name, one) for name, one in card.experiments.items()],
+        experiments=[
+            _experiment(name, one, own.get(name, ""), told.get(name, ())) for name, one in card.experiments.items()
+        ],
         command=command,
     )
 
@@ -126,15 +133,18 @@ def _varies(card: Card) -> str:
     return ", ".join(card.experiment.config.dimensions.values())
 
 
-def _experiment(name: str, card: Card) -> dict[str, Any]:
+def _experiment(name: str, card: Card, page: str, warnings: Sequence[str]) -> dict[str, Any]:
     design = design_of_card(card)
     arms = {key: Arm(replicates=tuple(rows)) for key, rows in outcomes_of_card(card).counts.items()}
+    link = links_into(page)
     return {
         "name": name,
+        "page": page,
+        "warnings": (*card.warnings, *warnings),
         "about": card.experiment.config.about,
         "card": card,
-        "scores": list(score_rows(card)),
-        "heat": [rate_map(key, design.cells, arm.by_cell, lambda _: f"#{name}") for key, arm in arms.items()],
-        "forest": primary_forest(card, design, arms),
+        "scores": list(score_rows(card, link)),
+        "heat": rate_maps(design, arms, link),
+        "forest": primary_forest(card, design, arms, link),
         "provenance": provenance_of(card),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlencode
@@ -12,6 +12,7 @@ from urllib.parse import urlencode
 from markupsafe import Markup
 
 from roboxim_core.seeds import CELL, CELL_NUMBER
+from roboxim_eval.grouping import grouped
 from roboxim_eval.report.reasons import explained
 from roboxim_eval.statistics.factors import Trial
 
@@ -82,6 +83,56 @@ def episodes_link(**query: object) -> str:
     """Return the link that lists the episodes with these properties, e.g. ``arm="bc", outcome="failure"``."""
     given = {key: value for key, value in query.items() if value is not None and value != ""}
     return "#episodes?" + urlencode(given)
+
+
+Link = Callable[..., str]
+"""Properties of episodes, as of `episodes_link`, to where they are listed; empty: nowhere."""
+
+
+def no_link(**_: object) -> str:
+    """Return no link: the page's episodes are not there."""
+    return ""
+
+
+def links_into(page: str) -> Link:
+    """Return links to the episodes that another page lists.
+
+    Args:
+        page: Its address, relative to the page with the links; empty: it does not exist.
+    """
+    return (lambda **query: page + episodes_link(**query)) if page else no_link
+
+
+def any_of(values: Iterable[object]) -> str:
+    """Return the value of a link's property that episodes with any of some values have."""
+    return "|".join(map(str, values))
+
+
+def level_links(factor: str, values: Mapping[str, str], link: Link, **query: object) -> dict[str, str]:
+    """Return the links of a factor's levels, of its thirds if it has many numbers (see `roboxim_eval.grouping`).
+
+    Args:
+        factor: The factor.
+        values: Episode to its value.
+        link: Makes the links.
+        query: Further properties of the episodes.
+    """
+    members: dict[str, set[str]] = {}
+    for episode, level in grouped(values).items():
+        members.setdefault(level, set()).add(values[episode])
+    return {level: link(**query, **{factor: _chosen(level, mine)}) for level, mine in members.items()}
+
+
+def _chosen(level: str, values: Collection[str]) -> str:
+    """Return a level, or the range from its least to its greatest number, both included."""
+    if set(values) == {level}:
+        return level
+    return f"from {min(values, key=float)} to {max(values, key=float)}"
+
+
+def checkpoint_arm(condition: str, steps: int) -> str:
+    """Return the arm of a learning curve's episodes, which belong to no other number of a page."""
+    return f"{condition}@{steps}"
 
 
 class _Table:

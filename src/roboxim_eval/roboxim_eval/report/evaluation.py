@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,18 @@ import numpy as np
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_eval.grouping import grouped
-from roboxim_eval.report.episodes import Episode, episodes_json, episodes_link, recorded_factors
+from roboxim_eval.report.episodes import (
+    Episode,
+    any_of,
+    episodes_json,
+    episodes_link,
+    level_links,
+    recorded_factors,
+)
 from roboxim_eval.report.films import Frames, film_strip
 from roboxim_eval.report.page import render
 from roboxim_eval.report.parts import (
-    effects_of,
+    effects_view,
     factor_name,
     failure_rows,
     film_views,
@@ -235,20 +241,21 @@ def evaluation_page(report: Report) -> str:
         if len(owner.films.get(name, ()))
     }
     arms = [run.policy for run in report.runs]
+    measured = [run for run in report.runs if is_measured(run.results)]
+    only = {} if len(measured) == len(arms) else {"arm": any_of(run.policy for run in measured)}
     return render(
         "evaluation.html",
         title=report.title,
         report=report,
         verdicts=comparisons(report.runs, undecided=report.undecided),
-        broken=[run.policy for run in report.runs if not is_measured(run.results)],
+        broken=[run.policy for run in report.runs if run not in measured],
         runs=[_run_view(run) for run in report.runs],
         map=map_view(episodes, arms),
         scenes=scenes_view(episodes, arms) if len(arms) > 1 else None,
-        effects=effects_of([e for run in report.runs if is_measured(run.results) for e in run.episodes]),
+        effects=effects_view([e for run in measured for e in run.episodes], **only),
         films=film_views(episodes, films),
         films_shown=films_shown(episodes, films),
         data=episodes_json(episodes, films),
-        factor_name=factor_name,
     )
 
 
@@ -262,16 +269,18 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
         "rate": rate_of(run.results) if measured else None,
         "errors": error_line(run.results),
         "link": episodes_link(arm=run.policy),
-        "dimensions": [
-            (factor_name(name), rates, partial(_level_link, run.policy, name)) for name, rates in dimensions.items()
-        ],
+        "errors_link": episodes_link(arm=run.policy, outcome="error"),
+        "dimensions": [(factor_name(name), rates, _level_links(run, name)) for name, rates in dimensions.items()],
         "failures": failure_rows(run.episodes, arm=run.policy),
         "median_steps": int(np.median(steps)) if steps else None,
         "inference_ms": float(np.median(inference)) if inference else None,
     }
 
 
-def _level_link(policy: str, dimension: str, level: str) -> str:
-    """Return the link to a level's episodes; to all of the policy for a group of numbers."""
-    query = {} if " to " in level and dimension != "instruction" else {dimension: level}
-    return episodes_link(**{"arm": policy, **query})
+def _level_links(run: PolicyRun, dimension: str) -> dict[str, str]:
+    """Return the links to the episodes of a dimension's levels."""
+    if dimension == "instruction":
+        said = {result.instruction for result in run.results}
+        return {text: episodes_link(arm=run.policy, instruction=text) for text in said}
+    values = {episode: drawn[dimension] for episode, drawn in run.drawn.items() if dimension in drawn}
+    return level_links(dimension, values, episodes_link, arm=run.policy)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import PurePath
 from typing import Any
 
 from roboxim_eval.experiments.card import Card, CardVerdict
@@ -20,12 +21,19 @@ from roboxim_eval.experiments.design import Design
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
-from roboxim_eval.report.episodes import Episode, episodes_json, episodes_link
+from roboxim_eval.report.episodes import (
+    Episode,
+    Link,
+    any_of,
+    checkpoint_arm,
+    episodes_json,
+    episodes_link,
+    no_link,
+)
 from roboxim_eval.report.films import Frames, film_strip
 from roboxim_eval.report.page import render
 from roboxim_eval.report.parts import (
-    effects_of,
-    factor_name,
+    effects_view,
     failure_rows,
     film_views,
     films_shown,
@@ -61,11 +69,15 @@ class ExperimentPage:
     card: Card
     """The card."""
     episodes: Sequence[Episode] = ()
-    """Episodes of the final evaluations; empty: only the card is there."""
+    """Episodes of the final evaluations; empty: only the card is there, and no number has a link."""
+    checkpoints: Sequence[Episode] = ()
+    """Episodes of the learning curve; their arms are those of `checkpoint_arm`."""
     films: Mapping[int, Frames] = field(default_factory=dict)
     """Place in `episodes` to RGB frames, uint8, each of shape (height, width, 3)."""
     command: str = ""
     """Command that runs the experiment again."""
+    warnings: Sequence[str] = ()
+    """What weakens the results besides the card's warnings, e.g. that the scene alone tells the object."""
 
 
 def experiment_page(page: ExperimentPage) -> str:
@@ -77,32 +89,34 @@ def experiment_page(page: ExperimentPage) -> str:
     card, design = page.card, design_of_card(page.card)
     arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
     films = {number: film_strip(frames) for number, frames in page.films.items() if len(frames)}
+    link: Link = episodes_link if page.episodes else no_link
     return render(
         "experiment.html",
         title=f"{card.experiment.name}, scale {card.experiment.scale}",
         card=card,
         config=card.experiment.config,
         conditions=list(arms),
+        warnings=(*card.warnings, *page.warnings),
         facts=_facts(card, design),
-        scores=list(score_rows(card)),
-        substitutions=_substitutions(card),
-        rates=_rates(arms),
-        heat=_heat_maps(card, design, arms),
-        forests=_forests(card, design, arms),
+        scores=list(score_rows(card, link)),
+        substitutions=_substitutions(card, link),
+        rates=_rates(arms, link),
+        heat=_heat_maps(card, design, arms, link),
+        by_level=_by_level(design, arms, link),
+        forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
-        curve=_curve(card),
+        curve=_curve(card, link if page.checkpoints else no_link),
         map=map_view(page.episodes, list(arms)),
-        effects=effects_of(page.episodes),
+        effects=effects_view(page.episodes),
         failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in arms],
         scenes=scenes_view(page.episodes, list(arms)) if len(arms) > 1 else None,
         films=film_views(page.episodes, films),
         films_shown=films_shown(page.episodes, films),
-        data=episodes_json(page.episodes, films),
+        data=episodes_json([*page.episodes, *page.checkpoints], films),
         has_episodes=bool(page.episodes),
         vocabulary=vocabulary(card.experiment.config, design.cells),
         provenance=provenance_of(card),
         command=page.command,
-        factor_name=factor_name,
     )
 
 
@@ -140,9 +154,15 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
     return facts
 
 
-def score_rows(card: Card) -> Iterator[dict[str, str]]:
-    """Yield name, value, interval and meaning of each score; a refused or unmeasured one says why."""
+def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
+    """Yield name, value, interval, meaning and link of each score; a refused or unmeasured one says why.
+
+    Args:
+        card: The card.
+        link: Makes the links.
+    """
     found = card.scores or {}
+    behind = _behind_scores(card) if found else {}
     for key, (name, meaning) in SCORES.items():
         if key not in found:
             continue
@@ -157,7 +177,26 @@ def score_rows(card: Card) -> Iterator[dict[str, str]]:
                 interval = "no held-out episode failed"
         elif value is not None:
             shown, interval = _score(value, points=key in POINTS)
-        yield {"name": name, "value": shown, "interval": interval, "meaning": meaning}
+        to = "" if shown == "-" else link(**behind[key])
+        yield {"name": name, "value": shown, "interval": interval, "meaning": meaning, "link": to}
+
+
+def _behind_scores(card: Card) -> dict[str, dict[str, str]]:
+    """Return the properties of the episodes that each score is from."""
+    config, cells = card.experiment.config, design_of_card(card).cells
+    primary = config.primary
+    assert primary is not None, "a card has no scores otherwise"
+    both, blind = any_of((primary.first, primary.second)), any_of((primary.first, config.blind))
+    unseen, seen = (any_of(cell.key for cell in chosen(cells, where)) for where in ("unseen", "seen"))
+    return {
+        "absolute": {"arm": primary.first, "cell": unseen},
+        "baseline": {"arm": primary.second, "cell": unseen},
+        "gap": {"arm": both, "cell": unseen},
+        "relative": {"arm": both, "cell": unseen},
+        "words": {"arm": blind, "cell": unseen},
+        "competence": {"arm": both, "cell": seen},
+        "substitution": {"arm": primary.first, "cell": unseen, "outcome": "failure"},
+    }
 
 
 def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
@@ -171,42 +210,85 @@ def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
     return "unbounded" if middle is None else f"{middle:.2f}", f"{shown[0]} to {shown[1]}"
 
 
-def _substitutions(card: Card) -> list[tuple[str, str, int, int]]:
-    """Return held-out cell, what was done instead, and of how many failures, most frequent first."""
-    judged = card.judged_again or ()
+def _substitutions(card: Card, link: Link) -> list[tuple[str, str, int, int, str]]:
+    """Return held-out cell, what was done instead, of how many failures, and their link, most frequent first."""
+    judged, primary = card.judged_again or (), card.experiment.config.primary
     failed = Counter(row.cell for row in judged)
     found = Counter((row.cell, sorted(row.satisfied)[0]) for row in judged if row.satisfied)
-    return [(cell, instead, count, failed[cell]) for (cell, instead), count in found.most_common(12)]
+    arm = primary.first if primary else ""
+    return [
+        (cell, instead, count, failed[cell], link(arm=arm, cell=cell, outcome="failure"))
+        for (cell, instead), count in found.most_common(12)
+    ]
 
 
-def _rates(arms: Mapping[str, Arm]) -> list[tuple[str, Count, Interval, str]]:
-    return [(name, arm.pooled, condition_rate(arm), episodes_link(arm=name)) for name, arm in arms.items()]
+def _rates(arms: Mapping[str, Arm], link: Link) -> list[tuple[str, Count, Interval, str, str]]:
+    return [
+        (name, arm.pooled, condition_rate(arm), link(arm=name), link(arm=name, outcome="error"))
+        for name, arm in arms.items()
+    ]
+
+
+def _by_level(design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[str, Any]]:
+    """Return the rates of each condition by the levels of each factor that has at least two of them."""
+    tables = []
+    for factor in design.cells[0].levels:
+        cells: dict[str, list[str]] = {}
+        for cell in design.cells:
+            cells.setdefault(cell.levels[factor], []).append(cell.key)
+        if len(cells) > 1:
+            rows = [
+                replace(_rate_total(f"{PurePath(level).stem}: {name}", name, mine, link), kind="cell")
+                for level, keys in cells.items()
+                for name, arm in arms.items()
+                if (mine := _met(arm, keys)) is not None
+            ]
+            heading = f"By {factor.replace('_', ' ')}, success in %"
+            tables.append({"heading": heading, "rows": rows, "scale": RATES})
+    return tables
+
+
+def _met(arm: Arm, cells: Collection[str]) -> Arm | None:
+    """Return a condition's outcomes in those of some cells that it was evaluated in; None: a training has none."""
+    keys = [key for key in cells if key in arm.cells]
+    return arm.within(keys) if all(any(counts[key].episodes for key in keys) for counts in arm.replicates) else None
 
 
 # ------------------------------------------------------------------ pictures
 
 
-def _heat_maps(card: Card, design: Design, arms: Mapping[str, Arm]) -> list[HeatMap]:
+def _heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
     if len(design.cells) < 2:
         return []
-
-    def to_episodes(arm: str) -> Callable[[str], str]:
-        return lambda cell: episodes_link(arm=arm, cell=cell)
-
-    maps = [rate_map(name, design.cells, arm.by_cell, to_episodes(name)) for name, arm in arms.items()]
+    maps = rate_maps(design, arms, link)
     primary = card.experiment.config.primary
     if primary is not None and primary.first != primary.second:
-        both = f"{primary.first}|{primary.second}"
+        both = any_of((primary.first, primary.second))
         maps.append(difference_map(
             f"{primary.first} - {primary.second}, points", design.cells, arms[primary.first].by_cell,
-            arms[primary.second].by_cell, to_episodes(both),
+            arms[primary.second].by_cell, lambda cell: link(arm=both, cell=cell),
         ))  # fmt: skip
     return maps
 
 
-def _forests(card: Card, design: Design, arms: Mapping[str, Arm]) -> list[dict[str, Any]]:
+def rate_maps(design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
+    """Return the heat map of each condition.
+
+    Args:
+        design: The experiment.
+        arms: Condition to its outcomes.
+        link: Makes the links of the fields.
+    """
+
+    def of(name: str, arm: Arm) -> HeatMap:
+        return rate_map(name, design.cells, arm.by_cell, lambda cell: link(arm=name, cell=cell))
+
+    return [of(name, arm) for name, arm in arms.items()]
+
+
+def _forests(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[str, Any]]:
     """Return the rows of each comparison; if none of several is the primary one, first a row for each of them."""
-    forests = [_forest(verdict, design, arms) for verdict in card.verdicts]
+    forests = [_forest(verdict, design, arms, link) for verdict in card.verdicts]
     signed = [one for one in forests if one["signed"]]
     if _has_primary(card) or not signed:
         return forests
@@ -220,7 +302,7 @@ def _has_primary(card: Card) -> bool:
     return len(card.verdicts) == 1 or any(one.primary for one in card.experiment.config.compare)
 
 
-def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> dict[str, Any]:
+def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm], link: Link) -> dict[str, Any]:
     """Return the rows of a comparison: its cells, and the total with the replicates as dots."""
     keys = [cell.key for cell in chosen(design.cells, verdict.where)]
     unseen = {cell.key for cell in design.cells if cell.unseen}
@@ -229,59 +311,62 @@ def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm]) -> di
     if verdict.against:
         others = [cell.key for cell in chosen(design.cells, verdict.against)]
         second = arms[verdict.second].within(others)
-        rows = [*_rate_rows(verdict.first, first, unseen), *_rate_rows(verdict.second, second, unseen)]
-        rows += [_rate_total(f"{verdict.first}, {verdict.where}", first)]
-        rows += [_rate_total(f"{verdict.second}, {verdict.against}", second)]
+        rows = [*_rate_rows(verdict.first, first, unseen, link), *_rate_rows(verdict.second, second, unseen, link)]
+        rows += [_rate_total(f"{verdict.first}, {verdict.where}", verdict.first, first, link)]
+        rows += [_rate_total(f"{verdict.second}, {verdict.against}", verdict.second, second, link)]
         heading = (
             f"{verdict.first} in {verdict.where} cells and {verdict.second} in {verdict.against} cells, success in %"
         )
         return {"heading": heading, "rows": rows, "scale": RATES, "signed": False}
     second = arms[verdict.second].within(keys)
-    rows = [_difference_row(verdict, key, first.by_cell[key], second.by_cell[key], key in unseen) for key in keys]
+    both = any_of((verdict.first, verdict.second))
+    rows = [
+        _difference_row(key, first.by_cell[key], second.by_cell[key], key in unseen, link(arm=both, cell=key))
+        for key in keys
+    ]
     value, low, high = (math.nan if x is None else x for x in verdict.difference)
     one, two = first.pooled, second.pooled
     rows.append(ForestRow(
         label="total, mean of cells", value=value, low=-1.0 if math.isnan(low) else low,
         high=1.0 if math.isnan(high) else high, dots=tuple(float(x) for x in first.rates - second.rates),
         number=f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}", kind="total",
-        link=episodes_link(arm=f"{verdict.first}|{verdict.second}"),
+        link=link(arm=both, cell=any_of(keys)),
     ))  # fmt: skip
     scale: Scale = difference_scale(rows)
     heading = f"{verdict.first} - {verdict.second}{where}, points"
     return {"heading": heading, "rows": rows, "scale": scale, "signed": True}
 
 
-def _difference_row(verdict: CardVerdict, cell: str, one: Count, two: Count, unseen: bool) -> ForestRow:
+def _difference_row(cell: str, one: Count, two: Count, unseen: bool, link: str) -> ForestRow:
     rates = success_rate(one.successes, one.episodes), success_rate(two.successes, two.episodes)
     low, high = newcombe(*rates)
     return ForestRow(
         label=cell, value=rates[0].rate - rates[1].rate, low=low, high=high, kind="unseen" if unseen else "cell",
-        number=f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}",
-        link=episodes_link(arm=f"{verdict.first}|{verdict.second}", cell=cell),
+        number=f"{one.successes} of {one.episodes} - {two.successes} of {two.episodes}", link=link,
     )  # fmt: skip
 
 
-def _rate_rows(name: str, arm: Arm, unseen: set[str]) -> list[ForestRow]:
+def _rate_rows(name: str, arm: Arm, unseen: set[str], link: Link) -> list[ForestRow]:
     rows = []
     for cell, count in arm.by_cell.items():
         rate = success_rate(count.successes, count.episodes)
         rows.append(ForestRow(
             label=f"{name}: {cell}", value=rate.rate, low=rate.low, high=rate.high,
             kind="unseen" if cell in unseen else "cell", number=f"{count.successes} of {count.episodes}",
-            link=episodes_link(arm=name, cell=cell),
+            link=link(arm=name, cell=cell),
         ))  # fmt: skip
     return rows
 
 
-def _rate_total(name: str, arm: Arm) -> ForestRow:
+def _rate_total(label: str, name: str, arm: Arm, link: Link) -> ForestRow:
     rate, count = condition_rate(arm), arm.pooled
     return ForestRow(
-        label=name, value=rate.value, low=rate.low, high=rate.high, dots=tuple(float(x) for x in arm.rates),
-        number=f"{count.successes} of {count.episodes}", kind="total",
+        label=label, value=rate.value, low=rate.low, high=rate.high, dots=tuple(float(x) for x in arm.rates),
+        number=f"{count.successes} of {count.episodes}", kind="total", link=link(arm=name, cell=any_of(arm.cells)),
     )  # fmt: skip
 
 
-def _curve(card: Card) -> Any:
+def _curve(card: Card, link: Link) -> Any:
     """Return the learning curve; None: no checkpoint of one was evaluated."""
     points: dict[str, dict[int, list[float]]] = {}
     for row in card.evaluations:
@@ -294,12 +379,19 @@ def _curve(card: Card) -> Any:
         name: [CurvePoint(steps=steps, rates=tuple(rates)) for steps, rates in sorted(found.items())]
         for name, found in points.items()
     }
-    return learning_curve(curves) if curves else None
+    return learning_curve(curves, lambda *point: link(arm=checkpoint_arm(*point))) if curves else None
 
 
-def primary_forest(card: Card, design: Design, arms: Mapping[str, Arm]) -> dict[str, Any] | None:
-    """Return the rows of the primary comparison; None: the experiment compares nothing."""
-    return _forest(card.verdicts[0], design, arms) if card.verdicts else None
+def primary_forest(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> dict[str, Any] | None:
+    """Return the rows of the primary comparison; None: the experiment compares nothing.
+
+    Args:
+        card: The card.
+        design: Its experiment.
+        arms: Condition to its outcomes.
+        link: Makes the links of the rows.
+    """
+    return _forest(card.verdicts[0], design, arms, link) if card.verdicts else None
 
 
 def provenance_of(card: Card) -> dict[str, str]:

@@ -7,21 +7,25 @@ from collections.abc import Mapping
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.models import Models
 from roboxim_eval.report.charts.forest import RATES, ForestRow, difference_scale
+from roboxim_eval.report.episodes import any_of, links_into
 from roboxim_eval.report.experiment import score_rows
 from roboxim_eval.report.page import render
 
 
-def models_page(models: Models, cards: Mapping[str, Card]) -> str:
+def models_page(models: Models, cards: Mapping[str, Card], pages: Mapping[str, str] | None = None) -> str:
     """Return the page as HTML.
 
     Args:
         models: The comparison.
         cards: Model to its card, for its own scores.
+        pages: Model to the address of its own page, which has its episodes; none: a model's numbers lead nowhere.
     """
+    links = {name: links_into((pages or {}).get(name, "")) for name in cards}
+    met = {"arm": models.condition, "cell": any_of(models.cells)}
     rates = [
         ForestRow(
             label=name, value=model.rate.value, low=model.rate.low, high=model.rate.high, kind="cell",
-            number=f"{model.successes} of {model.episodes}",
+            number=f"{model.successes} of {model.episodes}", link=links[name](**met),
         )
         for name, model in models.models.items()
     ]  # fmt: skip
@@ -41,5 +45,7 @@ def models_page(models: Models, cards: Mapping[str, Card]) -> str:
         rate_scale=RATES,
         apart=apart,
         apart_scale=difference_scale(apart),
-        scores={name: list(score_rows(card)) for name, card in cards.items()},
+        scores={name: list(score_rows(card, links[name])) for name, card in cards.items()},
+        links={name: (link(**met), link(**met, outcome="error")) for name, link in links.items()},
+        pages=pages or {},
     )

@@ -6,12 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from roboxim_eval.report.charts.scenes import scene_chart, scene_counts, scene_rows
+from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
 from roboxim_eval.report.charts.table_map import MOST_DOTS, Grid, Start, table_map
-from roboxim_eval.report.episodes import Episode, episodes_link
+from roboxim_eval.report.episodes import Episode, any_of, episodes_link, level_links
 from roboxim_eval.report.films import Film
 from roboxim_eval.report.reasons import UNNAMED, explained
-from roboxim_eval.statistics.factors import FactorEffect, factor_effects
+from roboxim_eval.statistics.factors import NOT_DRAWN, factor_effects
 
 
 def failure_rows(episodes: Sequence[Episode], **query: object) -> list[dict[str, Any]]:
@@ -29,7 +29,11 @@ def failure_rows(episodes: Sequence[Episode], **query: object) -> list[dict[str,
 def map_view(episodes: Sequence[Episode], arms: Sequence[str]) -> dict[str, Any] | None:
     """Return a map of the table for each arm; None: no start is known."""
     starts = {
-        arm: [Start(x=e.start[0], y=e.start[1], success=e.success) for e in episodes if e.arm == arm and e.start]
+        arm: [
+            Start(x=e.start[0], y=e.start[1], success=e.success, number=number)
+            for number, e in enumerate(episodes)
+            if e.arm == arm and e.start
+        ]
         for arm in arms
     }
     known = {arm: mine for arm, mine in starts.items() if mine}
@@ -48,7 +52,11 @@ def scenes_view(episodes: Sequence[Episode], arms: Sequence[str]) -> dict[str, A
     rows = scene_rows(list(enumerate(episodes)), arms)
     if not rows:
         return None
-    return {"arms": tuple(arms), "picture": scene_chart(rows, arms), "counts": scene_counts(rows)}
+    patterns = [
+        (outcomes, len(scenes), episodes_link(n=any_of(n for scene in scenes for n in scene if n is not None)))
+        for outcomes, scenes in rows
+    ]
+    return {"arms": tuple(arms), "picture": scene_chart(rows, arms), "patterns": patterns}
 
 
 def film_views(episodes: Sequence[Episode], films: Mapping[int, Film]) -> list[dict[str, Any]]:
@@ -83,9 +91,25 @@ def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
     )
 
 
-def effects_of(episodes: Sequence[Episode]) -> tuple[FactorEffect, ...]:
-    """Return the effects of the recorded factors, with those of the start position."""
-    return factor_effects([trial for e in episodes if (trial := e.trial).drawn])
+def effects_view(episodes: Sequence[Episode], **query: object) -> list[dict[str, Any]]:
+    """Return the effects of the recorded factors and of the start position, with a link for each level.
+
+    Args:
+        episodes: The episodes of a page, or some of them.
+        query: Properties that these have and the others have not, see `episodes_link`.
+    """
+    trials = [trial for e in episodes if (trial := e.trial).drawn]
+    found = []
+    for effect in factor_effects(trials):
+        name = effect.factor
+        values = {trial.episode: trial.drawn[name] for trial in trials if name in trial.drawn}
+        links = level_links(name, values, episodes_link, **query)
+        links[NOT_DRAWN] = episodes_link(**query, **{name: NOT_DRAWN})
+        found.append({
+            "name": factor_name(name), "p": effect.adjusted,
+            "levels": [(level, rate, links[level]) for level, rate in effect.levels.items()],
+        })  # fmt: skip
+    return found
 
 
 def factor_name(name: str) -> str:

@@ -35,12 +35,16 @@ class Varied:
     """A factor or a condition of the experiment."""
     key: str
     """Keys of the task that it changes, or the role whose object it changes."""
-    names: Names
-    """What other suites call it."""
+    names: Names | None
+    """What other suites call it; none: not known here."""
 
 
+NOISY = "_noisy"
+"""End of the names of views whose images are noisy, which a key alone does not tell."""
+IMAGES = Names(star_gen="visual: image augmentations", libero_plus="sensor noise")
 BY_KEY: tuple[tuple[str, Names], ...] = (
-    ("reset.cameras.exposure", Names(star_gen="visual: image augmentations", libero_plus="sensor noise")),
+    ("reset.cameras.exposure", IMAGES),
+    (NOISY, IMAGES),
     ("reset.cameras", Names(colosseum="camera pose", star_gen="visual: viewpoint", libero_plus="camera viewpoints")),
     ("reset.lights", Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")),
     (
@@ -87,6 +91,8 @@ BY_KEY: tuple[tuple[str, Names], ...] = (
 )
 """Part of a key's path to its names; the first one that is in the path counts."""
 WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
+NO_NAMES = Names()
+"""What no other suite varies: a policy without any instruction, and one whose answers arrive late."""
 NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
 RANGE = {"values", "lower", "upper", "minimum", "maximum", "names"}
 """Keys of a range of values, below which no further names follow."""
@@ -112,8 +118,10 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
                 Varied(what=factor, key=key, names=NEW_PAIR if len(config.factors[TASK]) > 1 else NEW_COMBINATION)
             )
     for name, condition in config.conditions.items():
-        if condition.instruction:
-            found.append(Varied(what=name, key="instruction", names=WORDS))
+        if condition.instruction is not None:
+            found.append(Varied(what=name, key="instruction", names=WORDS if condition.instruction else NO_NAMES))
+        if condition.latency_ticks:
+            found.append(Varied(what=name, key="latency_ticks", names=NO_NAMES))
         if keys := sorted(_paths(condition.set)):
             found.append(Varied(what=name, key=", ".join(keys), names=_names(keys)))
     return tuple(found)
@@ -127,12 +135,16 @@ def _paths(changes: Any, start: str = "") -> Iterable[str]:
     """Yield the paths of the keys that changes replace, four names deep at most."""
     if not isinstance(changes, Mapping) or start.count(".") >= 3 or RANGE & changes.keys():
         if start:
-            yield start
+            yield start + (f"={NOISY}" if ".cameras.views." in start and _noisy(changes) else "")
         return
     for key, value in changes.items():
         yield from _paths(value, f"{start}.{key}" if start else str(key))
 
 
-def _names(paths: Iterable[str]) -> Names:
+def _noisy(view: Any) -> bool:
+    return _is_mapping(view) and all(str(name).endswith(NOISY) for name in view.get("values", ("",)))
+
+
+def _names(paths: Iterable[str]) -> Names | None:
     paths = tuple(paths)
-    return next((names for part, names in BY_KEY if any(part in path for path in paths)), Names())
+    return next((names for part, names in BY_KEY if any(part in path for path in paths)), None)

@@ -66,15 +66,27 @@
     }
   };
 
+  // A filter: values "a|b" are alternatives, "from 1 to 2" is a range with its ends, "not drawn" a factor that is not there.
+  const own = (episode, key) => key === "n" ? episode.number : key in episode && key !== "drawn" ? episode[key]
+    : key in episode.drawn ? episode.drawn[key] : Object.keys(episode.drawn).length ? "not drawn" : "";
+  const wanted = ([key, value]) => {
+    const values = value.split("|"), names = new Set(values);
+    const ranges = values.map((one) => /^from (\S+) to (\S+)$/.exec(one)).filter(Boolean).map((r) => [Number(r[1]), Number(r[2])]);
+    const shown = values.length < 4 ? values.join(" or ") : `${values.slice(0, 2).join(" or ")} or ${values.length - 2} others`;
+    const has = (episode) => {
+      const mine = String(own(episode, key)), number = mine === "" ? NaN : Number(mine);
+      return names.has(mine) || ranges.some(([low, high]) => number >= low && number <= high);
+    };
+    return { has, text: `${key === "n" ? "episode" : key} = ${shown}` };
+  };
+
   const show = () => {
     const asked = location.hash.startsWith("#episodes?");
-    const query = asked ? [...new URLSearchParams(location.hash.slice(10))] : [];
-    const has = (episode, key, value) => key === "n" ? String(episode.number) === value : key === "unseen" ? true
-      : String(key in episode && key !== "drawn" ? episode[key] : episode.drawn[key]) === value;
-    const found = episodes.filter((episode) => query.every(([key, value]) => value.split("|").some((one) => has(episode, key, one))));
+    const query = asked ? [...new URLSearchParams(location.hash.slice(10))].map(wanted) : [];
+    const found = episodes.filter((episode) => query.every((one) => one.has(episode)));
     const solved = found.filter((episode) => episode.outcome === "success").length;
     filter.replaceChildren(made("b", `${found.length} episodes, ${solved} succeeded`));
-    for (const [key, value] of query) filter.append(made("span", `${key} = ${value}`, "chip"));
+    for (const one of query) filter.append(made("span", one.text, "chip"));
     if (query.length) {
       const all = made("button", "show all", "plain");
       all.addEventListener("click", () => { history.pushState(null, "", "#episodes"); show(); });

@@ -176,4 +176,7 @@ def window_of(request: Mapping[str, Any]) -> ObservationWindow:
 
 
 def _plain(chunk: ActionChunk) -> dict[str, Any]:
-    return {"actions": np.asarray(chunk.actions), "done": chunk.done, "phases": list(chunk.phases)}
+    return {
+        "actions": np.asarray(chunk.actions), "done": chunk.done, "phases": list(chunk.phases),
+        "received": list(chunk.received),
+    }  # fmt: skip

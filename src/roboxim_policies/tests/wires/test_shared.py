@@ -12,6 +12,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, PolicyError
 from roboxim_core.policies import ActionChunk, CameraRequirement, EpisodeStart
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies import BasePolicy
+from roboxim_policies.reworded import RewordedPolicy
 from roboxim_policies.served import ServedPolicy
 from roboxim_policies.serving.shared import SharedServer, SharedSessions
 
@@ -55,6 +56,13 @@ def test_what_an_answer_says_beside_its_actions_arrives():
         client.reset(start())
         answer = client.act(next(windows()))
         assert (answer.done, answer.phases) == (True, ("free",))
+
+
+def test_what_the_served_policy_received_is_what_its_process_says():
+    with served(lambda: RewordedPolicy(policy="zero", instruction="Other words")) as (_, [client]):
+        guard = GuardedPolicy(client)
+        guard.reset(start())
+        assert guard.act(next(windows())).received == ("Other words",)
 
 
 class Batching(BasePolicy):

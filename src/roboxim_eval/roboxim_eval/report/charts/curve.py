@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
 from roboxim_eval.report.charts.svg import drawing, element
+from roboxim_eval.report.charts.svg import link as linked
 
 WIDTH, HEIGHT = 680.0, 300.0
 LEFT, RIGHT, TOP, BOTTOM = 44.0, 130.0, 12.0, 40.0
@@ -26,11 +27,14 @@ class CurvePoint:
     """Success rate of each replicate, 0..1."""
 
 
-def learning_curve(curves: Mapping[str, Sequence[CurvePoint]]) -> Markup:
+def learning_curve(
+    curves: Mapping[str, Sequence[CurvePoint]], link: Callable[[str, int], str] = lambda *_: ""
+) -> Markup:  # fmt: skip
     """Return the picture. The band reaches from the worst to the best replicate, the line is their mean.
 
     Args:
         curves: Condition to its points, by increasing steps.
+        link: (condition, steps) to where the point leads; empty: nowhere.
     """
     most = max(point.steps for points in curves.values() for point in points)
 
@@ -60,7 +64,10 @@ def learning_curve(curves: Mapping[str, Sequence[CurvePoint]]) -> Markup:
         mean = [(x(p.steps), y(float(np.mean(p.rates)))) for p in points]
         parts.append(element("polygon", points=_points([*upper, *lower]), class_=f"band {colour}"))
         parts.append(element("polyline", points=_points(mean), class_=f"line {colour}"))
-        parts += [element("circle", cx=px, cy=py, r=3.0, class_=f"spot {colour}") for px, py in mean]
+        for point, (px, py) in zip(points, mean, strict=True):
+            spot = element("circle", cx=px, cy=py, r=3.0, class_=f"spot {colour}")
+            target = link(name, point.steps)
+            parts.append(linked([spot], target) if target else spot)
         label = _free(mean[-1][1] + 4, taken)
         parts.append(element("text", name, x=mean[-1][0] + 8, y=label, class_=f"name {colour}"))
     return drawing(

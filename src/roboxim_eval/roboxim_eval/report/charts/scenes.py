@@ -5,7 +5,7 @@ Scenes with the same outcomes are side by side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from markupsafe import Markup
 
@@ -67,8 +67,3 @@ def scene_chart(
     return drawing(
         parts, width=width, height=len(lines) * block, label="Outcomes scene by scene", class_="chart scenes"
     )
-
-
-def scene_counts(rows: Sequence[tuple[tuple[str, ...], Sequence[object]]]) -> Mapping[tuple[str, ...], int]:
-    """Return the number of scenes of each pattern of outcomes."""
-    return {outcomes: len(scenes) for outcomes, scenes in rows}

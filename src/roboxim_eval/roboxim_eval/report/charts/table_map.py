@@ -9,7 +9,8 @@ import numpy as np
 from markupsafe import Markup
 
 from roboxim_eval.report.charts.heat_map import SHADES
-from roboxim_eval.report.charts.svg import drawing, element
+from roboxim_eval.report.charts.svg import drawing, element, link
+from roboxim_eval.report.episodes import any_of, episodes_link
 
 WIDTH = 560.0
 MOST_DOTS = 400
@@ -28,6 +29,8 @@ class Start:
     """Place to the robot's left [m]."""
     success: bool
     """Whether it succeeded."""
+    number: int | None = None
+    """Number of the episode on the page, to which it leads; none: nowhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,8 @@ class Grid:
 def table_map(starts: Sequence[Start], grid: Grid | None = None) -> Markup:
     """Return the picture: the robot is below, its left is on the left. Squares have the rate of their episodes.
 
+    Squares and dots lead to their episodes.
+
     Args:
         starts: The episodes; at least one.
         grid: The squares; none: chosen for these episodes.
@@ -82,7 +87,7 @@ def table_map(starts: Sequence[Start], grid: Grid | None = None) -> Markup:
     for row in range(rows):
         for column in range(columns):
             inside = [
-                s.success for s in starts
+                s for s in starts
                 if int((s.x - low_x) // side) == row and int((s.y - low_y) // side) == column
             ]  # fmt: skip
             if inside:
@@ -90,7 +95,14 @@ def table_map(starts: Sequence[Start], grid: Grid | None = None) -> Markup:
                 parts += _square(left, top, side * scale, inside)
     if len(starts) <= MOST_DOTS:
         parts += [
-            element("circle", cx=across(s.y), cy=down(s.x), r=3.2, class_="solved" if s.success else "failed")
+            element(
+                "circle",
+                cx=across(s.y),
+                cy=down(s.x),
+                r=3.2,
+                class_="solved" if s.success else "failed",
+                data_e=s.number,
+            )
             for s in starts
         ]
     label = f"Success by start position of {len(starts)} episodes, squares of {100 * side:.0f} cm"
@@ -103,11 +115,13 @@ def _side(wide: float, high: float, episodes: int) -> float:
     return float(min(0.2, max(0.02, np.ceil(100 * wanted) / 100)))
 
 
-def _square(left: float, top: float, size: float, inside: Sequence[bool]) -> list[Markup]:
-    rate, number = sum(inside) / len(inside), f"{sum(inside)} of {len(inside)}"
+def _square(left: float, top: float, size: float, inside: Sequence[Start]) -> list[Markup]:
+    solved = sum(start.success for start in inside)
+    rate, number = solved / len(inside), f"{solved} of {len(inside)}"
     shade = f"h{round(SHADES * rate)}" if len(inside) >= LEAST else "few"
     title = element("title", f"{number} succeeded")
     parts = [element("rect", [title], x=left, y=top, width=size, height=size, class_=f"square {shade}")]
     if size >= 44:
-        parts.append(element("text", f"{sum(inside)}/{len(inside)}", x=left + 4, y=top + 14, class_=f"axis on {shade}"))
-    return parts
+        parts.append(element("text", f"{solved}/{len(inside)}", x=left + 4, y=top + 14, class_=f"axis on {shade}"))
+    numbers = [start.number for start in inside if start.number is not None]
+    return [link(parts, episodes_link(n=any_of(numbers)))] if numbers else parts
