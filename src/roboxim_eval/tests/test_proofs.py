@@ -64,7 +64,6 @@ def test_a_clean_episode_passes_every_check():
         ("distractors", "0 distractors .* 1 to 2 expected", {"others": {}, "pixels": {}, "colors": {}}),
         ("distractors", "distractor_1 is a lemon, .* apple or cube", {"others": {"distractor_1": "lemon"}}),
         ("distractors", "color of distractor_1 is none, .* blue or green", {"others": {"distractor_1": "cube"}}),
-        ("distractors", "distractor_1 has 12 visible pixels", {"pixels": {"distractor_1": 12.0}}),
         ("distractors", "distractor_1's median colour is 15.0", {"colors": {"distractor_1": 15.0}}),
         (
             "physics",
@@ -100,6 +99,16 @@ def test_each_defect_is_found_with_its_figure(check, figure, defect):
     assert (fault.check, fault.bag) == (check, "episodes/eval-1")
     with pytest.raises(RuntimeError, match=rf"1 of 2 episodes .*\n  episodes/eval-1: {check}: .*{figure}"):
         raise RuntimeError(found.refusal())
+
+
+def test_hidden_distractors_are_stated_but_no_fault():
+    """A scene guarantees the sight of the objects of its task alone."""
+    found = tally(
+        DEMANDS, [CLEAN, replace(CLEAN, bag="episodes/eval-1", pixels={**CLEAN.pixels, "distractor_1": 12.0})]
+    )
+    assert not found.faults
+    (said,) = found.statements
+    assert said.startswith("1 of 2 distractors are hidden or out of the picture: fewer than 40 visible pixels")
 
 
 @pytest.mark.parametrize(

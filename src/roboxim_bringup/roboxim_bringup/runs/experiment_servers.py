@@ -126,13 +126,17 @@ def _wait(server: Server, process: subprocess.Popen[bytes], log: Path, cancellat
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a server and the processes that it started."""
-    for number, wait_s in ((signal.SIGTERM, END_S), (signal.SIGKILL, END_S)):
-        with contextlib.suppress(ProcessLookupError):
+    """End a server and the processes that it started, and wait until all are gone."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        deadline = time.monotonic() + END_S
+        with contextlib.suppress(ProcessLookupError):  # nobody of the group is left
             os.killpg(process.pid, number)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(wait_s)
-            return
+            while time.monotonic() < deadline:
+                process.poll()  # a leader that has ended would stay in its group
+                os.killpg(process.pid, 0)
+                time.sleep(POLL_S)
+            continue
+        return
 
 
 def server_of(command: str, url: str, **values: str) -> Server:

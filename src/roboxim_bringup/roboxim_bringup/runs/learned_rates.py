@@ -64,7 +64,8 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
     steps = f"{alone.source.removeprefix(f'{run}: ')}, " if alone else ""
     source = f"{run}: {len(demos)} demonstrations, {steps}{len(rollouts)} rollouts"
     proofs = sum(seconds for stage, seconds in wall.items() if stage.startswith(("prove/evaluation", "prove/curve")))
-    proof_s = (proofs - design.config.replicates.count * before.proof_start_s) / len(rollouts)
+    starts = sum(stage.startswith(("prove/evaluation", "prove/curve")) for stage in wall)
+    proof_s = (proofs - starts * before.proof_start_s) / len(rollouts)
     return replace(
         before,
         experiment=name,

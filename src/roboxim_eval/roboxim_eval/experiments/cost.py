@@ -213,7 +213,7 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
         + len(design.evaluations) * rates.evaluate_start_s
         + rates.first_evaluate_s
         + films * rates.film_s
-        + design.config.replicates.count * rates.proof_start_s
+        + (2 if design.config.curve else 1) * design.config.replicates.count * rates.proof_start_s
     )
     return Cost(
         generate_s=design.episodes * (rates.demonstration_s + rates.proof_s)

@@ -238,12 +238,17 @@ def _object(demand: Demand, shown: Shown) -> Iterator[str]:
     yield from _looks(shown, [role for role in shown.pixels.keys() | shown.colors.keys() if role not in shown.others])
 
 
-def _looks(shown: Shown, names: Sequence[str]) -> Iterator[str]:
-    """Yield which objects are hidden, or have another colour than their models."""
+def hidden_distractors(shown: Shown) -> int:
+    """Return how many distractors no fixed camera sees well: scenes guarantee the sight of the task's objects alone."""
+    return sum(shown.pixels.get(name, math.inf) < VISIBLE_PX for name in shown.others)
+
+
+def _looks(shown: Shown, names: Sequence[str], *, least: float = VISIBLE_PX) -> Iterator[str]:
+    """Yield which objects have fewer visible pixels than asked for, or another colour than their models."""
     for name in sorted(names):
         pixels, difference = shown.pixels.get(name, math.inf), shown.colors.get(name, 0.0)
-        if not pixels >= VISIBLE_PX:
-            yield f"the {name} has {pixels:.0f} visible pixels in the best fixed camera, at least {VISIBLE_PX} expected"
+        if not pixels >= least:
+            yield f"the {name} has {pixels:.0f} visible pixels in the best fixed camera, at least {least:g} expected"
         if name != "table" and not difference <= COLOR_DIFFERENCE:
             yield (
                 f"the {name}'s median colour is {difference:.1f} (CIEDE2000) from that of its model, at most "
@@ -284,7 +289,7 @@ def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
                     yield f"{kind} of {name} is {_text(modifiers.get(kind, ''))}, the cell demands {allowed}"
     for model in missing:
         yield f"no distractor is a {model}, which every scene has"
-    yield from _looks(shown, list(shown.others))
+    yield from _looks(shown, list(shown.others), least=0)  # see `hidden_distractors`
 
 
 def _area(demand: Demand, shown: Shown) -> Iterator[str]:

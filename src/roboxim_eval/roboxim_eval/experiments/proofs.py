@@ -21,7 +21,17 @@ from roboxim_eval.experiments.changes import (
     seen_change,
     shown_difference,
 )
-from roboxim_eval.experiments.delivery import CHANGED, CHECKS, WORDS, Demand, Shown, belongs_to, faults_of
+from roboxim_eval.experiments.delivery import (
+    CHANGED,
+    CHECKS,
+    VISIBLE_PX,
+    WORDS,
+    Demand,
+    Shown,
+    belongs_to,
+    faults_of,
+    hidden_distractors,
+)
 
 MOST_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
@@ -95,7 +105,8 @@ class Tally:
 def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: Collection[str] = ()) -> Tally:
     """Check episodes against what their cells demand.
 
-    What the policy received is checked where the bag says it; a statement says how many bags do not.
+    What the policy received is checked where the bag says it; a statement says how many bags do not. Another statement
+    says how many distractors are hidden, which is no fault.
 
     Args:
         demands: Cell to what it demands.
@@ -106,9 +117,11 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
     counts: Counter[str] = Counter()
     checked: Counter[str] = Counter()
     faults: list[Fault] = []
-    number = 0
+    number = hidden = distractors = 0
     for shown in episodes:
         number += 1
+        hidden += hidden_distractors(shown)
+        distractors += len(shown.others)
         asked = [name for name in names if name != WORDS or shown.received]
         checked.update(asked)
         if shown.cell not in demands:
@@ -118,15 +131,21 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
         faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items() if name in asked]
         counts.update(name for name in asked if name not in found)
     silent = number - checked[WORDS] if WORDS in names else 0
+    statements = []
+    if silent:
+        statements.append(
+            f"the bags of {silent} of {number} rollouts do not say which instruction the policy received (older bags, "
+            "policies in nodes of other processes, or policies that gave no answer), so their words are unproven"
+        )
+    if hidden:
+        statements.append(
+            f"{hidden} of {distractors} distractors are hidden or out of the picture: fewer than {VISIBLE_PX} visible "
+            "pixels in the best fixed camera"
+        )
     return Tally(
         checks={name: (counts[name], checked[name]) for name in names if checked[name]},
         faults=tuple(faults),
-        statements=(
-            f"the bags of {silent} of {number} rollouts do not say which instruction the policy received (older bags, "
-            "policies in nodes of other processes, or policies that gave no answer), so their words are unproven",
-        )
-        if silent
-        else (),
+        statements=tuple(statements),
     )
 
 

@@ -238,7 +238,12 @@ def _by_level(design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[
             cells.setdefault(cell.levels[factor], []).append(cell.key)
         if len(cells) > 1:
             rows = [
-                replace(_rate_total(f"{PurePath(level).stem}: {name}", name, mine, link), kind="cell")
+                replace(
+                    _rate_total(
+                        f"{PurePath(level).stem if level.endswith('.yaml') else level}: {name}", name, mine, link
+                    ),
+                    kind="cell",
+                )
                 for level, keys in cells.items()
                 for name, arm in arms.items()
                 if (mine := _met(arm, keys)) is not None
