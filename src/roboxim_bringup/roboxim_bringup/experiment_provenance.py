@@ -21,8 +21,6 @@ from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
 from roboxim_eval.experiments.trainers import TrainerConfig
 
 ATTEST_FILE = "attest.yaml"
-OWN_TRAINER = "roboxim train "
-"""Start of the commands of RoboXim's own trainers, which start from random weights."""
 BLOCK = 1 << 20
 
 
@@ -130,7 +128,7 @@ class Attestations:
         if path.exists():
             found: Attestations = from_plain(load_yaml(path), Attestations, source=str(path))
             return found
-        own = trainer.command.startswith(OWN_TRAINER)
+        own = trainer.is_own
         recipe = {"command": trainer.command} if trainer.command else {}
         return Attestations(
             recipe=recipe, pretraining="none" if own else "", exposure="no" if own else "unknown"

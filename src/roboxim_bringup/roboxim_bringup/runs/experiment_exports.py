@@ -23,9 +23,6 @@ OURS = (
     "skip_missing",
 )  # fmt: skip
 """Options of an export that the experiment decides."""
-OWN_TRAINER = "roboxim train "
-"""Start of the commands of RoboXim's own trainers. They read what datasets say about the meaning of their actions,
-which those of a named convention may leave to the convention."""
 
 
 def export_config(form: str, options: Mapping[str, Any], *, source: str = "dataset", **ours: Any) -> Selection:
@@ -90,7 +87,7 @@ def require_readable(config: ExperimentConfig, trainer: TrainerConfig) -> None:
                 f"{source}: the trainer's policy is asked in convention '{asked}', whatever it was trained with; write "
                 "options: {convention: '{convention}'} in the trainer, or choose another one (--trainer)"
             )
-        if trained and trainer.command.startswith(OWN_TRAINER) and options.get("convention"):
+        if trained and trainer.is_own and options.get("convention"):
             raise ConfigError(
                 f"{source}: '{trainer.command.split(' --')[0]}' cannot learn from convention "
                 f"'{options['convention']}', since it learns motions in RoboXim's own units and axes; choose another "

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.runs.calibration import episode_s
+from roboxim_bringup.runs.calibration import episode_s, rollout_times
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.episode import EpisodeResult
@@ -55,6 +55,7 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
     rollout_s = _mean_s(rollouts, workers)
     successes = [result for result in rollouts if result.outcome == "success"]
     failures = [result for result in rollouts if result.outcome != "success"]
+    expected = rollout_times(demos, rollouts, workers)  # for the outcome that no rollout had
     evaluating_s = sum(wall[stage] for stage in of["evaluate"]) - before.first_evaluate_s
     if not demonstration_s > 0 or not rollout_s > 0:
         return None
@@ -76,8 +77,8 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
         start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
                     - demonstration_s * len(demos) / len(of["generate"])),
         steps_per_s=alone.steps_per_s if alone else before.steps_per_s,
-        success_s=_mean_s(successes, workers) or before.success_s,
-        failure_s=_mean_s(failures, workers) or before.failure_s,
+        success_s=_mean_s(successes, workers) or expected[0],
+        failure_s=_mean_s(failures, workers) or expected[1],
         succeeded=len(successes) / len(rollouts),
         evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
         proof_s=proof_s if proof_s > 0 else before.proof_s,

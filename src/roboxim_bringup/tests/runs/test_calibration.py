@@ -1,5 +1,6 @@
 """Rates of a machine, from planted times: those that a finished run teaches, those of trainings side by side."""
 
+import shutil
 import signal
 import sys
 from dataclasses import replace
@@ -44,7 +45,7 @@ def episodes(folder, first_s, wall_s, failure_s=None):
             fails = failure_s is not None and index < 5
             seconds = failure_s if fails else first_s if index < 2 else wall_s
             outcome = "failure" if fails else "success"
-            run.append(EpisodeResult(episode_id=str(index), index=index, outcome=outcome, wall_s=seconds))
+            run.append(EpisodeResult(episode_id=str(index), index=index, outcome=outcome, steps=30, wall_s=seconds))
 
 
 def finished(out, text=TEXT, training=None, **more):
@@ -69,6 +70,17 @@ def test_a_run_teaches_the_rates_of_its_stages(tmp_path):
     assert found.evaluate_start_s == pytest.approx(80 - 7 - 20 * 3.0)
     assert found.proof_s == pytest.approx((9 - 5) / 20)
     assert (found.film_s, found.train_start_s) == (BEFORE.film_s, BEFORE.train_start_s), "which a run does not show"
+
+
+def test_a_run_without_a_success_expects_them_as_long_as_demonstrations(tmp_path):
+    design = finished(tmp_path)
+    shutil.rmtree(evaluation_folder(tmp_path, "evaluate/all.0"))
+    with RunFolder(evaluation_folder(tmp_path, "evaluate/all.0")).opened({}) as run:
+        for index in range(20):
+            run.append(EpisodeResult(episode_id=str(index), index=index, outcome="failure", steps=100, wall_s=8.0))
+    found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)
+    assert (found.succeeded, found.failure_s) == (0.0, pytest.approx(4.0))
+    assert found.success_s == pytest.approx(4.0 * 30 / 100), "demonstrations have 30 actions, the limit is 100"
 
 
 def test_trainings_side_by_side_teach_a_rate_of_their_own(tmp_path):

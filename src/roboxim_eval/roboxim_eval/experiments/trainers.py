@@ -85,6 +85,11 @@ class TrainerConfig:
             raise ConfigError(f"dataset: format must be a name, e.g. {RLDS} or lerobot, got {self.format!r}")
 
     @property
+    def is_own(self) -> bool:
+        """Whether it is one of RoboXim's own trainers, which start from random weights and learn in its own axes."""
+        return self.command.startswith("roboxim train ")
+
+    @property
     def format(self) -> str:
         """Format of its datasets."""
         name: str = self.dataset.get(FORMAT, RLDS)
