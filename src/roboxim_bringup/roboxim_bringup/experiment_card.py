@@ -207,7 +207,7 @@ def _datasets(design: Design, products: Mapping[str, Mapping[str, Any]]) -> dict
 def _trainings(
     design: Design, products: Mapping[str, Mapping[str, Any]], datasets: Mapping[str, CardDataset], out: Path
 ) -> Iterator[CardTraining]:
-    attestations = Attestations.of(out, design.trainer)
+    attestations = Attestations.of(out, design)
     stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(design)}
     for training in design.trainings:
         name = f"train/{training.condition}.{training.replicate}"

@@ -17,8 +17,8 @@ import yaml
 
 from roboxim_core.config import from_plain, load_yaml
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_eval.experiments import Design
 from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
-from roboxim_eval.experiments.trainers import TrainerConfig
 
 ATTEST_FILE = "attest.yaml"
 BLOCK = 1 << 20
@@ -118,8 +118,8 @@ class Attestations:
     """``CONDITION`` or ``CONDITION.R`` to the keys that differ, ``dataset_sha256`` among them."""
 
     @staticmethod
-    def of(out: Path, trainer: TrainerConfig) -> Attestations:
-        """Return those of a run's folder, or those that follow from the trainer's command.
+    def of(out: Path, design: Design) -> Attestations:
+        """Return those of a run's folder, or those that follow from the commands of its trainings.
 
         Raises:
             ConfigError: When the file is invalid.
@@ -128,10 +128,12 @@ class Attestations:
         if path.exists():
             found: Attestations = from_plain(load_yaml(path), Attestations, source=str(path))
             return found
-        own = trainer.is_own
-        recipe = {"command": trainer.command} if trainer.command else {}
+        trainer, own = design.trainer, design.trainer.is_own
+        differing = {t.condition: t.arguments for t in design.trainings} if trainer.command else {}
+        recipes = {n: {"recipe": {"arguments": text or "none"}} for n, text in differing.items()}
         return Attestations(
-            recipe=recipe, pretraining="none" if own else "", exposure="no" if own else "unknown"
+            recipe={"command": trainer.command} if trainer.command else {}, pretraining="none" if own else "",
+            exposure="no" if own else "unknown", trainings=recipes if any(differing.values()) else {},
         )  # fmt: skip
 
     def training(self, name: str, *, steps: int, dataset_sha256: str) -> Attestation:

@@ -21,10 +21,12 @@ from roboxim_bringup.experiment_files import (
     write_mixes,
 )
 from roboxim_bringup.experiment_plan import plan_data, plan_lines
-from roboxim_bringup.experiment_provenance import device, packages_sha256
+from roboxim_bringup.experiment_provenance import Attestations, device, packages_sha256
+from roboxim_bringup.parameters import parse_options
 from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.experiment_policies import require_trainers_policy
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
+from roboxim_bringup.runs.training import BCConfig, read_bc_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
@@ -310,6 +312,28 @@ def test_a_plan_says_which_share_of_the_rollouts_it_takes_as_successful():
     assert plan_data("skill_object", "laptop", design, ran)["rollouts_taken_as_successful"] == 0.5
     smoke = design_of(load_experiment("skill_object", "smoke"))
     assert "as if no rollout succeeded" in "\n".join(plan_lines("skill_object", "smoke", smoke, ran))
+
+
+def test_what_a_condition_adds_to_the_training_is_attested(tmp_path):
+    said = Attestations.of(tmp_path, design_of(load_experiment("bc_ablation", "laptop")))
+    recipes = [said.training(f"{name}.0", steps=3000, dataset_sha256="").recipe for name in ("base", "deeper")]
+    assert [recipe["arguments"] for recipe in recipes] == ["none", "--set depth=2"]
+    plain = Attestations.of(tmp_path, design_of(load_experiment("skill_object", "laptop")))
+    assert "arguments" not in plain.training("baseline.0", steps=3000, dataset_sha256="").recipe
+
+
+def test_every_ablation_changes_the_configuration_as_it_says():
+    config = load_experiment("bc_ablation")
+    found = {}
+    for name, condition in config.conditions.items():
+        words = shlex.split(condition.arguments.get("bc", "").format())
+        found[name] = read_bc_config(None, parse_options(words[1::2]))
+    assert found.pop("base") == BCConfig()
+    assert found["larger_images"].image_sizes == {"workspace": 128, "wrist": 96}
+    assert found["no_film"].film == 0
+    assert all(changed != BCConfig() for changed in found.values())
+    with pytest.raises(ConfigError, match="dept: unknown key.*did you mean 'depth'"):
+        read_bc_config(None, {"dept": 2})
 
 
 def test_durations():

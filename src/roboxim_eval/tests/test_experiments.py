@@ -179,6 +179,24 @@ def test_every_condition_and_replicate_is_trained_and_evaluated():
     assert design.rollouts == 5 * (120 + 120 + 40)
 
 
+def test_a_condition_adds_arguments_to_the_command_of_its_trainer_alone():
+    text = TEXT.replace("baseline: {train: baseline}", "baseline: {train: baseline, arguments: {bc: --set depth=2}}")
+    changed = config(text)
+    before = {s.name: s for s in stages_of(design_of(config()))}
+    after = {s.name: s for s in stages_of(design_of(changed))}
+    plain = before["train/baseline.1"].inputs["command"]
+    assert after["train/baseline.1"].inputs["command"] == f"{plain} --set depth=2"
+    assert after["train/leave_out.1"].sha == before["train/leave_out.1"].sha
+    assert "arguments" not in to_plain(changed)["conditions"]["leave_out"]
+    other = replace(changed, trainers={**changed.trainers, "mine": changed.trainers["bc"]})
+    with pytest.raises(ConfigError, match="conditions.baseline: arguments are for bc alone.*mine"):
+        design_of(other, "mine")
+    with pytest.raises(ConfigError, match="arguments.bd .line 17.: unknown name 'bd'; expected one of: bc"):
+        config(text.replace("arguments: {bc:", "arguments: {bd:"))
+    with pytest.raises(ConfigError, match="arguments: are those of a training"):
+        config(TEXT.replace("{checkpoint_of: leave_out,", "{checkpoint_of: leave_out, arguments: {bc: --set depth=2},"))
+
+
 def test_a_faulty_dataset_has_all_demonstrations_so_that_its_share_is_exact():
     data = copy.deepcopy(dict(parse_yaml(TEXT)["datasets"]))
     data["baseline"] |= {"fault": "wrong_instruction", "share": 0.3}

@@ -16,7 +16,7 @@ from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
 from roboxim_policies.bc.features import GraspMemory, proprio_features, state_features, word_indices
-from roboxim_policies.bc.network import TargetHead
+from roboxim_policies.bc.network import Encoder, TargetHead
 from roboxim_policies.bc.policy import BCPolicy
 from roboxim_policies.bc.samples import Samples, augmentation
 from roboxim_policies.bc.train import Trainer, statistics
@@ -330,6 +330,17 @@ def test_a_displacement_in_the_tools_frame_turns_with_the_tool():
     head = eqx.tree_at(lambda h: (h.output.weight, h.output.bias), head, (jnp.zeros_like(head.output.weight), bias))
     headings = jnp.array([[1.0, 0.0], [0.0, 1.0]])  # yaw of 0 and of 90 degrees
     assert np.asarray(head(jnp.ones((2, 4)), headings))[:, :2] == pytest.approx(np.array([[1, 0], [0, 1]]), abs=1e-6)
+
+
+@pytest.mark.parametrize(("film", "outputs"), [(None, 2 * 2 * 8), (2, 2 * 2 * 8), (1, 2 * 8), (0, 0)])
+def test_the_instruction_modulates_as_many_convolutions_as_configured(film, outputs):
+    encoder = Encoder(replace(CONFIG, film=film), rng=np.random.default_rng(0))
+    assert (0 if encoder.film is None else encoder.film.bias.shape[0]) == outputs
+    image = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 0.5, (1, 32, 32, 3)), jnp.float32)
+    said = [encoder(image, value * jnp.ones((1, CONFIG.word_size))) for value in (0.0, 5.0)]
+    assert bool(jnp.allclose(*said)) == (film == 0)
+    with pytest.raises(ConfigError, match=r"film must be 0\.\.2"):
+        replace(CONFIG, film=3)
 
 
 def test_errors_on_held_out_demonstrations_are_in_units_that_a_user_knows(trained):

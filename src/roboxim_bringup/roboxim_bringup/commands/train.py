@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,11 +24,15 @@ def command() -> None:
 @click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's.")
 @click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation.")
 @click.option("--config", type=click.Path(path_type=Path), help="YAML file with BCConfig's fields.")
+@click.option(
+    "--set", "changes", multiple=True, metavar="FIELD=VALUE", help="A field of BCConfig, e.g. depth=2; may be repeated."
+)
 @click.option("--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued.")
 @click.option("--limit", type=click.IntRange(0), default=0, help="Largest number of episodes to use; 0: all.")
 def behaviour_cloning(
-    dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, until: int | None, limit: int
-) -> None:
+    dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, changes: tuple[str, ...],
+    until: int | None, limit: int,
+) -> None:  # fmt: skip
     r"""Train a small behaviour-cloning network on a dataset of any format.
 
     \b
@@ -38,14 +41,12 @@ def behaviour_cloning(
     Ctrl-C saves a checkpoint. The same command continues from it and ends with the same weights. Processors suffice; a
     GPU is used where JAX has one.
     """
+    from roboxim_bringup.parameters import parse_options
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.training import read_bc_config, train_bc
 
-    settings = read_bc_config(config)
-    if steps is not None:
-        settings = replace(settings, steps=steps)
-    if seed is not None:
-        settings = replace(settings, seed=seed)
+    given = {"steps": steps, "seed": seed}
+    settings = read_bc_config(config, {**parse_options(changes), **{k: v for k, v in given.items() if v is not None}})
     with EventPrinter() as printer:
         result = train_bc(dataset, out, settings, limit=limit, until=until or 0, on_event=printer)
     if result.steps_now:

@@ -247,7 +247,7 @@ class _Run:
     def _attest(self) -> None:
         """Check what is attested about the trainings; write a file to fill in if they run elsewhere."""
         names = tuple(f"{t.condition}.{t.replicate}" for t in self.design.trainings)
-        Attestations.of(self.out, self.design.trainer).require_known(names)
+        Attestations.of(self.out, self.design).require_known(names)
         path = self.out / ATTEST_FILE
         if names and not self.design.trainer.command and not path.exists():
             write_atomically(path, attestation_template(names, self.design.trainer.steps))

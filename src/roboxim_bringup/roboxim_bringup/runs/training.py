@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from roboxim_bringup.executors import Cancellation, CancelledError
 from roboxim_bringup.runs.events import (
@@ -20,7 +22,7 @@ from roboxim_bringup.runs.events import (
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import CHECKPOINT, PolicySpec
 from roboxim_bringup.runs.results_log import write_atomically
-from roboxim_core.config import load_config, load_yaml
+from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
 from roboxim_datasets.dataset import EXPORT_FILE
@@ -147,14 +149,18 @@ def _check(cancellation: Cancellation | None) -> None:
         raise CancelledError("the training was cancelled")
 
 
-def read_bc_config(file: Path | None) -> BCConfig:
-    """Return a training's configuration; without a file: the defaults.
+def read_bc_config(file: Path | None, changes: Mapping[str, Any] | None = None) -> BCConfig:
+    """Return a training's configuration.
+
+    Args:
+        file: YAML file with fields of `BCConfig`; none: the defaults.
+        changes: Fields that replace those of the file.
 
     Raises:
-        ConfigError: When the file is missing, empty or wrong.
+        ConfigError: When the file is missing or empty, or a field is unknown or wrong.
     """
-    if file is None:
-        return BCConfig()
-    if load_yaml(file) is None:
+    content = {} if file is None else load_yaml(file)
+    if content is None:
         raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or omit --config")
-    return load_config(file, BCConfig)
+    found = from_plain(content, BCConfig, source=str(file))
+    return from_plain({**to_plain(found), **changes}, BCConfig, source="--set") if changes else found

@@ -88,6 +88,9 @@ class NoiseConfig:
 class ConditionConfig:
     """A condition: policies that are trained, or evaluated, in one way."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("arguments",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
+
     about: str = ""
     """What is special about it, one sentence."""
     train: str = ""
@@ -102,6 +105,8 @@ class ConditionConfig:
     """Ticks by which each of the policy's answers arrives late in this condition's evaluation."""
     steps: int = 0
     """Training steps; 0: the trainer's."""
+    arguments: dict[str, str] = field(default_factory=dict)
+    """Trainer to arguments that this condition adds to its command, e.g. ``{bc: --set depth=2}``; see `design_of`."""
     set: dict[str, Any] = field(default_factory=dict)
     """Keys of the task to replace in this condition's evaluation."""
 
@@ -109,7 +114,8 @@ class ConditionConfig:
         """Check that the policies have one origin.
 
         Raises:
-            ConfigError: When there is none, or more than one, or steps or ticks are negative.
+            ConfigError: When there is none, or more than one, steps or ticks are negative, or arguments are for a
+                condition that is not trained.
         """
         if sum((bool(self.train), bool(self.checkpoint_of), self.given)) != 1:
             raise ConfigError(
@@ -117,6 +123,8 @@ class ConditionConfig:
             )
         if self.steps < 0:
             raise ConfigError(f"steps must be >= 0, got {self.steps}")
+        if self.arguments and not self.train:
+            raise ConfigError("arguments: are those of a training; this condition has none (train)")
         if self.latency_ticks < 0:
             raise ConfigError(f"latency_ticks must be >= 0, got {self.latency_ticks}")
 
@@ -362,6 +370,8 @@ def _check(config: ExperimentConfig, data: Any, source: str) -> None:
     for name, condition in config.conditions.items():
         if condition.train:
             require(condition.train, config.datasets, "conditions", name, "train")
+        for trainer in condition.arguments:
+            require(trainer, config.trainers, "conditions", name, "arguments", trainer)
         if condition.checkpoint_of:
             trained = [other for other, c in config.conditions.items() if not c.checkpoint_of]
             require(condition.checkpoint_of, trained, "conditions", name, "checkpoint_of")

@@ -31,6 +31,8 @@ class Training:
     """The dataset, see `Design.datasets`."""
     steps: int
     """Training steps; 0: unknown, since the trainer does not state them."""
+    arguments: str
+    """What its condition adds to the trainer's command; empty: nothing."""
     checkpoints: tuple[int, ...]
     """Steps whose checkpoints are evaluated for the learning curve."""
 
@@ -114,9 +116,11 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
         trainer: Name of a trainer of the file; empty: the first one.
 
     Raises:
-        ConfigError: When a dataset has no cell, or a comparison needs cells that a condition is not evaluated in.
+        ConfigError: When a dataset has no cell, a comparison needs cells that a condition is not evaluated in, or a
+            condition has arguments for other trainers alone.
     """
     cells = cells_of(config)
+    trainer = trainer or next(iter(config.trainers), "")
     chosen_trainer = _trainer(config, trainer)
     datasets = {name: _counts(cells, name, dataset) for name, dataset in config.datasets.items()}
     used = {c.train for c in config.conditions.values() if c.train}
@@ -139,7 +143,7 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
         demonstrations=dict(sorted(demonstrations.items(), key=lambda item: order[item[0]])),
         generations=(config.replicates.count if "data" in config.replicates.vary else 1) if used else 0,
         datasets={name: datasets[name] for name in datasets if name in used},
-        trainings=tuple(_trainings(config, chosen_trainer)),
+        trainings=tuple(_trainings(config, chosen_trainer, trainer)),
         evaluations=tuple(_evaluations(config, cells, chosen_trainer)),
     )
     _check_comparisons(design)
@@ -149,9 +153,9 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
 def _trainer(config: ExperimentConfig, name: str) -> TrainerConfig:
     if not config.trainers:
         return TrainerConfig()
-    if name and name not in config.trainers:
+    if name not in config.trainers:
         raise ConfigError(f"no trainer '{name}' in the experiment; {one_of(config.trainers, name)}")
-    return config.trainers[name or next(iter(config.trainers))]
+    return config.trainers[name]
 
 
 def _counts(cells: tuple[Cell, ...], name: str, dataset: DatasetConfig) -> dict[str, int]:
@@ -161,13 +165,21 @@ def _counts(cells: tuple[Cell, ...], name: str, dataset: DatasetConfig) -> dict[
     return {cell.key: dataset.per_cell for cell in mine}
 
 
-def _trainings(config: ExperimentConfig, trainer: TrainerConfig) -> Iterator[Training]:
+def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: str) -> Iterator[Training]:
+    for name, condition in config.conditions.items():
+        if trainer.command and condition.arguments and trainer_name not in condition.arguments:
+            raise ConfigError(
+                f"conditions.{name}: arguments are for {', '.join(condition.arguments)} alone, so trainer "
+                f"'{trainer_name}' would train it like conditions without arguments; add what it needs there, e.g. "
+                f'{trainer_name}: "--learning-rate 1e-4"'
+            )
     for replicate in range(config.replicates.count):
         for name, condition in config.conditions.items():
             if condition.train:
                 steps = condition.steps or trainer.steps
                 yield Training(
                     condition=name, replicate=replicate, dataset=condition.train, steps=steps,
+                    arguments=condition.arguments.get(trainer_name, ""),
                     checkpoints=_checkpoints(config, trainer, steps, replicate),
                 )  # fmt: skip
 
@@ -286,7 +298,8 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
         add(
             "train", f"{training.condition}.{training.replicate}",
             (f"export/{training.dataset}.{data}", f"prove/training.{data}"),
-            command=design.trainer.command, steps=training.steps, seed=training.replicate,
+            command=f"{design.trainer.command} {training.arguments}".strip(), steps=training.steps,
+            seed=training.replicate,
             checkpoints=list(training.checkpoints), until=design.trainer.until if training.checkpoints else "",
         )  # fmt: skip
     for evaluation in design.evaluations:

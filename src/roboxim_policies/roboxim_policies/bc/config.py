@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from roboxim_core.errors import ConfigError
 
@@ -11,12 +12,17 @@ from roboxim_core.errors import ConfigError
 class BCConfig:
     """Network and training of a behaviour-cloning policy. Time is counted in steps, never in seconds."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("decay_to", "film")
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
+
     steps: int = 2000
     """Optimiser steps."""
     batch: int = 64
     """Samples per step."""
     learning_rate: float = 1e-3
-    """Peak learning rate; the schedule is a linear warm-up, then a cosine decay to 2 % of the peak."""
+    """Peak learning rate; the schedule is a linear warm-up, then a cosine decay."""
+    decay_to: float = 0.02
+    """Learning rate at the end, relative to the peak, 0..1; 1: no decay."""
     warmup_steps: int = 100
     """Steps of warm-up."""
     weight_decay: float = 1e-4
@@ -36,6 +42,9 @@ class BCConfig:
     """Channels of the convolutions; the first convolution has two thirds of this number."""
     depth: int = 1
     """Number of convolutions on the final grid; from the second on they are residual."""
+    film: int | None = None
+    """Number of convolutions, of those after the patches', whose channels the instruction scales and shifts (FiLM), the
+    first ones, 0..1+``depth``; None: all. The layers behind the points receive the instruction in any case."""
     keypoints: int = 32
     """Number of points that the features of each camera are reduced to."""
     hidden: int = 256
@@ -77,6 +86,10 @@ class BCConfig:
             raise ConfigError(f"execute must be 1..chunk ({self.chunk}), got {self.execute}")
         if not self.learning_rate > 0:
             raise ConfigError(f"learning_rate must be > 0, got {self.learning_rate}")
+        if not 0 <= self.decay_to <= 1:
+            raise ConfigError(f"decay_to must be 0..1, got {self.decay_to}")
+        if self.film is not None and not 0 <= self.film <= 1 + self.depth:
+            raise ConfigError(f"film must be 0..{1 + self.depth} (1 + depth), got {self.film}")
         if not 0 <= self.ema_decay < 1:
             raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
         for camera, side in (self.image_sizes or {}).items():

@@ -77,7 +77,7 @@ class Encoder(eqx.Module):
 
     kernels: list[Array]
     biases: list[Array]
-    film: Dense
+    film: Dense | None
     points: Dense
     values: Array
     temperature: Array
@@ -88,7 +88,8 @@ class Encoder(eqx.Module):
         shapes = [(2, 2, 3 * PATCH**2, first), (3, 3, first, c), *([(3, 3, c, c)] * config.depth)]
         self.kernels = [_he(rng, shape) for shape in shapes]
         self.biases = [jnp.zeros(shape[-1]) for shape in shapes]
-        self.film = Dense(config.word_size, 2 * c * (1 + config.depth), rng=rng, scale=0.1)
+        modulated = 1 + config.depth if config.film is None else config.film
+        self.film = Dense(config.word_size, 2 * c * modulated, rng=rng, scale=0.1) if modulated else None
         self.points = Dense(c, k, rng=rng)
         self.values = _he(rng, (k, c, 2 + POINT_VALUES), 0.3 * math.sqrt(k))
         self.temperature = jnp.ones(k)
@@ -101,10 +102,13 @@ class Encoder(eqx.Module):
             instruction: Embedding, shape (B, word_size).
         """
         x = jax.nn.relu(_convolve(_patches(image), self.kernels[0], 1) + self.biases[0])
-        films = jnp.split(self.film(instruction)[:, None, None, :], 2 * (len(self.kernels) - 1), axis=-1)
+        films = self._films(instruction)
         for layer, (kernel, bias) in enumerate(zip(self.kernels[1:], self.biases[1:], strict=True)):
-            scale, shift = films[2 * layer : 2 * layer + 2]
-            y = jax.nn.relu((_convolve(x, kernel, 2 if layer == 0 else 1) + bias) * (1 + scale) + shift)
+            y = _convolve(x, kernel, 2 if layer == 0 else 1) + bias
+            if layer < len(films):
+                scale, shift = films[layer]
+                y = y * (1 + scale) + shift
+            y = jax.nn.relu(y)
             x = x + y if layer > 1 else y
         batch, height, width, _ = x.shape
         x = x.reshape(batch, height * width, -1)
@@ -115,6 +119,14 @@ class Encoder(eqx.Module):
         inside = 2.0 / jnp.array([width, height]) * values[..., :2]
         places = jnp.einsum("bnk,nv->bkv", weight, grid) + inside
         return jnp.concatenate([places, values[..., 2:]], axis=-1).reshape(batch, -1)
+
+    def _films(self, instruction: Array) -> list[tuple[Array, Array]]:
+        """Return scale and shift of the channels of each modulated convolution, shape (B, 1, 1, channels) each."""
+        if self.film is None:
+            return []
+        channels = self.kernels[1].shape[-1]
+        parts = jnp.split(self.film(instruction)[:, None, None, :], self.film.bias.shape[0] // channels, axis=-1)
+        return list(zip(parts[::2], parts[1::2], strict=True))
 
 
 class TargetHead(eqx.Module):

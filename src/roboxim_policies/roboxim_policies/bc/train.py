@@ -212,5 +212,5 @@ def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int
 def _optimizer(config: BCConfig) -> optax.GradientTransformation:
     warmup = min(config.warmup_steps, config.steps // 4)
     peak = config.learning_rate
-    schedule = optax.warmup_cosine_decay_schedule(0.0, peak, warmup, max(config.steps, 2), 0.02 * peak)
+    schedule = optax.warmup_cosine_decay_schedule(0.0, peak, warmup, max(config.steps, 2), config.decay_to * peak)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
