@@ -43,10 +43,12 @@ def behaviour_cloning(
     """
     from roboxim_bringup.parameters import parse_options
     from roboxim_bringup.printer import EventPrinter
+    from roboxim_bringup.process import keep_freed_memory
     from roboxim_bringup.runs.training import read_bc_config, train_bc
 
     given = {"steps": steps, "seed": seed}
     settings = read_bc_config(config, {**parse_options(changes), **{k: v for k, v in given.items() if v is not None}})
+    keep_freed_memory()
     with EventPrinter() as printer:
         result = train_bc(dataset, out, settings, limit=limit, until=until or 0, on_event=printer)
     if result.steps_now:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, KeptProcesses, LocalExecutor
+from roboxim_bringup.process import keep_freed_memory
 from roboxim_bringup.runs.calibration_trainings import measure_side_by_side
 from roboxim_bringup.runs.delivery_demands import demands_of
 from roboxim_bringup.runs.delivery_reader import DeliveryReader
@@ -145,6 +146,7 @@ def calibrate(
         kept = len(demos.kept)
         export, export_s = _timed(lambda: _export(folder, options))
         watch = _Watch(on_event)
+        keep_freed_memory()  # as the command of a training does
         trained = train_bc(
             folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
         )
