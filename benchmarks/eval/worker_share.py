@@ -5,6 +5,9 @@ take, with the rasteriser's threads; the policy is what its reset and its answer
 other processor time is the evaluation's own: drawing and planning the scene, checking what is visible, the loop, the
 judge, messages, the recorder, the middleware. `overhead` compares workers with episodes in another process, so other
 jobs of the machine change it more than this share, which divides times of the same seconds.
+
+In wall time, an evaluation's own share is the time in which neither the simulator nor the policy works. What the
+recorder does while the next tick is simulated counts as processor time but not as wall time. Both are printed.
 """
 
 from __future__ import annotations
@@ -39,11 +42,12 @@ NATIVE = {"simulator": ("llvmpipe",), "policy": ("XLA",)}
 
 
 class Counted:
-    """Processor time of the calling threads in some functions, by what they belong to [s]."""
+    """Processor time of the calling threads in some functions, by what they belong to [s], and when they ran."""
 
     def __init__(self) -> None:
         """Start at zero."""
         self.spent: Counter[str] = Counter()
+        self.spans: list[tuple[float, float]] = []
         self._inside = threading.local()
 
     def count(self, owner: Any, name: str, part: str) -> None:
@@ -53,14 +57,23 @@ class Counted:
         def counted(*given: Any, **named: Any) -> Any:
             if getattr(self._inside, "now", False):
                 return function(*given, **named)
-            self._inside.now, began = True, time.thread_time()
+            self._inside.now, began, began_s = True, time.monotonic(), time.thread_time()
             try:
                 return function(*given, **named)
             finally:
-                self.spent[part] += time.thread_time() - began
+                self.spent[part] += time.thread_time() - began_s
+                self.spans.append((began, time.monotonic()))
                 self._inside.now = False
 
         setattr(owner, name, counted)
+
+    def wall_s(self) -> float:
+        """Return the time in which at least one of the functions ran [s]."""
+        covered, until = 0.0, 0.0
+        for began, ended in sorted(self.spans):
+            covered += max(0.0, ended - max(began, until))
+            until = max(until, ended)
+        return covered
 
 
 def main() -> None:
@@ -85,16 +98,22 @@ def main() -> None:
         for index in range(WARM):
             worker.run(index, lambda _: None)
         counted.spent.clear()
-        before, began = _threads(), time.process_time()
+        counted.spans.clear()
+        before, began, began_wall = _threads(), time.process_time(), time.monotonic()
         episodes = range(WARM, WARM + (2 if bench.quick else 12))
         ticks = sum(worker.run(index, lambda _: None)["last_seq"] + 1 for index in episodes)
-        total, threads = time.process_time() - began, _threads() - before
+        total, wall, threads = time.process_time() - began, time.monotonic() - began_wall, _threads() - before
         worker.close()
     for part, names in NATIVE.items():
         counted.spent[part] += sum(s for thread, s in threads.items() if any(name in thread for name in names))
     own = total - counted.spent.total()
     for part, seconds in (*counted.spent.items(), ("everything else", own), ("all", total)):
         bench.row(part=part, ms_per_tick=round(1000 * seconds / ticks, 2), percent=round(100 * seconds / total, 1))
+    own_wall = wall - counted.wall_s()
+    bench.row(
+        part="wall time, neither policy nor simulator", ms_per_tick=round(1000 * own_wall / ticks, 2),
+        percent=round(100 * own_wall / wall, 1),
+    )  # fmt: skip
     for thread, seconds in threads.most_common(8):
         percent = round(100 * seconds / total, 1)
         bench.row(part=f"thread {thread}", ms_per_tick=round(1000 * seconds / ticks, 2), percent=percent)
