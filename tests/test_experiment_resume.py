@@ -48,7 +48,7 @@ title, stage, show = sys.argv.pop(1), [], EventPrinter.__call__
 def killed(printer, event):
     if isinstance(event, StageStarted):
         stage[:] = [event.title]
-    if isinstance(event, StageProgress) and stage == [title]:
+    if isinstance(event, StageProgress) and stage and stage[0].startswith(title):
         os.kill(os.getpid(), signal.SIGKILL)
     show(printer, event)
 
@@ -56,9 +56,9 @@ EventPrinter.__call__ = killed
 sys.argv[0] = "roboxim"
 main()
 """
-"""The command ``roboxim``, killed at the first progress of a stage with a title, its first argument."""
+"""The command ``roboxim``, killed at the first progress of a stage whose title begins with its first argument."""
 TITLES = {"corrupt": "planting", "export": "exporting", "prove": "proving"}
-"""Kinds of stages that are over too soon to be killed from outside, to the title of their progress."""
+"""Kinds of stages that are over too soon to be killed from outside, to how the title of their progress begins."""
 LONGEST_S = 1800.0
 """Longest wait for a stage to begin [s]; a busy machine is slow."""
 
@@ -86,7 +86,7 @@ def kill_when(file, out, log, begun):
 
 
 def kill_itself(file, out, log, title):
-    """Run the experiment until a stage with this title has done something."""
+    """Run the experiment until a stage whose title begins so has done something."""
     process = start(file, out, log, program=(sys.executable, "-c", KILLS_ITSELF, title))
     assert process.wait(LONGEST_S) == -signal.SIGKILL, Path(log.name).read_text()[-3000:]
 

@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from roboxim_bringup.experiment_files import trainer_name
 from roboxim_bringup.experiment_provenance import Attestations, code, device, packages_sha256
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
@@ -116,7 +117,7 @@ def collect_card(
         scale: Its scale.
         design: The experiment.
         out: Its folder.
-        trainer: Trainer that was chosen; empty: the file's first one.
+        trainer: Trainer that was chosen, as the run was given it; empty: the file's first one.
         renderer: Renderer of the images.
 
     Raises:
@@ -128,8 +129,8 @@ def collect_card(
     config = design.config
     card = Card(
         experiment=CardExperiment(
-            name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(_plain(to_plain(config))), trainer=trainer,
-            deviations=config.deviations, config=config,
+            name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(_plain(to_plain(config))),
+            trainer=trainer_name(config, trainer), deviations=config.deviations, config=config,
         ),
         code=code(),
         environment=CardEnvironment(packages_sha256=packages_sha256(), renderer=renderer, device=device()),

@@ -46,7 +46,8 @@ def load_experiment(
     data = located(load_yaml(path), str(path))
     config = experiment_config(merged(data, changes or {}), source=str(path), scale=scale)
     config = with_trainer(config, trainer)
-    require_readable(config, config.trainers.get(trainer or next(iter(config.trainers), ""), TrainerConfig()))
+    chosen = trainer_name(config, trainer) or next(iter(config.trainers), "")
+    require_readable(config, config.trainers.get(chosen, TrainerConfig()))
     return config
 
 
@@ -66,7 +67,10 @@ def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
     """
     if not name or name in config.trainers or not config.datasets:
         return config
-    if not is_path(name) and name not in config_names(TRAINERS):
+    key = trainer_name(config, name)
+    if key in config.trainers:
+        raise ConfigError(f"{name}: the experiment has another trainer '{key}'; give the file another name")
+    if key == name and name not in config_names(TRAINERS):
         known = [*config.trainers, *config_names(TRAINERS)]
         raise ConfigError(
             f"no trainer '{name}' in the experiment or in config/{TRAINERS}; {one_of(known, name)}, or name a YAML file"
@@ -75,7 +79,17 @@ def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
     trainer = trainer_config(load_yaml(path), source=str(path))
     if not trainer.steps and config.trainers:
         trainer = replace(trainer, steps=next(iter(config.trainers.values())).steps)
-    return replace(config, trainers={**config.trainers, name: trainer})
+    return replace(config, trainers={**config.trainers, key: trainer})
+
+
+def trainer_name(config: ExperimentConfig, trainer: str) -> str:
+    """Return the name that an experiment, its designs and its cards know a trainer by: of a file, that of the file.
+
+    Args:
+        config: The experiment.
+        trainer: Name, or path to a YAML file; empty: the experiment's first one.
+    """
+    return Path(trainer).stem if is_path(trainer) and trainer not in config.trainers else trainer
 
 
 def write_experiment(config: ExperimentConfig, path: Path) -> None:
@@ -126,12 +140,12 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
     Args:
         name: Name of the experiment, for messages.
         config: The experiment at its scale.
-        trainer: Name of one of its trainers, see `with_trainer`; empty: the first one.
+        trainer: One of its trainers as it was given to `load_experiment`; empty: the first one.
 
     Raises:
         ConfigError: When the experiment or one of its task mixes is invalid.
     """
-    design = design_of(config, trainer)
+    design = design_of(config, trainer_name(config, trainer))
     once = {cell.key: 1 for cell in design.cells}
     changes = [condition.set for condition in config.conditions.values()]
     for number, change in enumerate(changes):

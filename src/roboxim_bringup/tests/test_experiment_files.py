@@ -7,6 +7,7 @@ import shlex
 import subprocess
 from dataclasses import replace
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -27,6 +28,7 @@ from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.experiment_policies import require_trainers_policy
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_bringup.runs.training import BCConfig, read_bc_config
+from roboxim_core.config import to_plain
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
@@ -84,6 +86,20 @@ def test_the_axes_of_pick_cube_differ_in_training_and_bc_is_refused_there(tmp_pa
     with pytest.raises(ConfigError, match="asked in convention 'octo_finetuned', whatever it was trained with"):
         load_experiment("pick_cube_axes", trainer="octo")
     assert load_experiment("pick_cube_axes", trainer="smolvla").trainers["smolvla"].steps == 20000
+
+
+def test_a_trainers_file_is_known_by_its_name_wherever_it_lies(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = "{command: 'train {dataset} {out} {seed} {steps}', policy: bc}"
+    for name in ("mine.yaml", "bc.yaml"):
+        Path(name).write_text(text)
+    ways = [
+        load_experiment("skill_object", "laptop", trainer=way) for way in ("mine.yaml", str(tmp_path / "mine.yaml"))
+    ]
+    assert to_plain(ways[0]) == to_plain(ways[1])
+    assert checked_design("skill_object", ways[0], "./mine.yaml").trainer.command.startswith("train ")
+    with pytest.raises(ConfigError, match="another trainer 'bc'; give the file another name"):
+        load_experiment("skill_object", "laptop", trainer="bc.yaml")
 
 
 @pytest.mark.parametrize("name", config_names("trainers"))

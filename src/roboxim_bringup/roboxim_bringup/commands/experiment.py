@@ -91,6 +91,7 @@ def plan(
         checked_design,
         load_benchmark,
         load_experiment,
+        trainer_name,
         write_experiment,
         write_mixes,
     )
@@ -121,7 +122,7 @@ def plan(
         for key, config in configs.items():
             rates = rates_of[key]
             assert rates is not None
-            sized = fitted(config, rates, seconds, trainer, trainings)
+            sized = fitted(config, rates, seconds, trainer_name(config, trainer), trainings)
             if sized is None:
                 raise ConfigError(
                     f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.experiment_card import CARD_FILE
-from roboxim_bringup.experiment_files import benchmark_experiments, load_benchmark
+from roboxim_bringup.experiment_files import benchmark_experiments, load_benchmark, trainer_name
 from roboxim_bringup.runs.events import OnEvent, ignore
 from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, run_experiment
 from roboxim_bringup.runs.experiment_report import (
@@ -162,9 +162,10 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
             raise ConfigError(f"{path}: {out / name} has a run of '{name}' already; leave the card out")
         if name in found and found[name].sha256 != card.sha256:
             raise ConfigError(f"{path}: another card of '{name}' is given, or in {out / name}; name one of them")
-        if config.trainer != card.experiment.trainer:
+        trainer = trainer_name(planned[name], config.trainer)
+        if trainer != card.experiment.trainer:
             there, here = (f"'{one}'" if one else "the first trainer of its file" for one in
-                           (card.experiment.trainer, config.trainer))  # fmt: skip
+                           (card.experiment.trainer, trainer))  # fmt: skip
             raise ConfigError(f"{path} has {there}, and --trainer is {here}")
         asked = to_plain(planned[name])
         if changed := differences(to_plain(card.experiment.config), asked, words=("in the card", "here")):

@@ -263,8 +263,8 @@ def test_a_trainer_of_a_file_gets_its_format_and_its_policy_its_checkpoint(fakes
     assert "loading" in (out / "evaluate/leave_out.0.server.log").read_text()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))
-    assert result.card.experiment.trainer == str(file)
-    assert result.card.experiment.config.trainers[str(file)].steps == 7, "those of the experiment's first trainer"
+    assert result.card.experiment.trainer == "mine_too"
+    assert result.card.experiment.config.trainers["mine_too"].steps == 7, "those of the experiment's first trainer"
     file.unlink()
     assert check_card(result.card.plain) == result.card, "the card holds the trainer"
 
@@ -281,8 +281,8 @@ def test_a_server_of_something_else_is_not_measured(fakes, config, lerobot_train
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("format: lerobot", "format: lerobt", "mine_too.yaml.dataset: no format 'lerobt'.*did you mean 'lerobot'"),
-        ("columns:", "colums:", "mine_too.yaml.dataset.*colums.*did you mean 'columns'"),
+        ("format: lerobot", "format: lerobt", "mine_too.dataset: no format 'lerobt'.*did you mean 'lerobot'"),
+        ("columns:", "colums:", "mine_too.dataset.*colums.*did you mean 'columns'"),
         ("columns: openpi", "per_cell: 3", "the experiment decides about 'per_cell'"),
         ("convention: ''", "actions: tool, convention: libero", "leave out .*actions"),
         ("command:", "comand:", "comand.*did you mean 'command'"),
