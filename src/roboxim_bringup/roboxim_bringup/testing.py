@@ -1,4 +1,4 @@
-"""For tests: fixtures of the whole graph in this process, in its own domain, and comparisons of runs.
+"""For tests: fixtures of the whole graph in this process, in its own domain, comparisons of runs, planted results.
 
 Import the fixture into your ``conftest.py``::
 
@@ -15,15 +15,33 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from roboxim_bringup.graph import Graph, start_graph
+from roboxim_eval.testing import SKILL_AND_OBJECT
+
+if TYPE_CHECKING:
+    from roboxim_bringup.runs.experiment_report import ExperimentFolder
+
+
+PLANTED_EXPERIMENT = SKILL_AND_OBJECT + """
+dimensions: {task: skill, target: object}
+trainers:
+  mine: {command: "train {dataset} {out} {seed}", policy: bc, steps: 7}
+evaluate: {per_cell: 20, cells: {blind: unseen}}
+compare:
+  - {first: leave_out, second: baseline, where: unseen, primary: true}
+"""  # fmt: skip
+"""Text of an experiment of three conditions in six cells; see `planted_folder`."""
+PLANTED_RATES: Mapping[str, float] = {"leave_out": 0.4, "baseline": 0.9, "blind": 0.0}
+"""Condition to its success rate in `planted_folder`."""
 
 
 @pytest.fixture
@@ -91,3 +109,50 @@ def _agent_ports() -> dict[str, int]:
         for one in sockets:
             one.bind(("127.0.0.1", 0))
         return {name: one.getsockname()[1] for name, one in zip(names, sockets, strict=True)}
+
+
+def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EXPERIMENT) -> ExperimentFolder:
+    """Write an experiment's folder with results: scene k of a cell is solved if its number is below the rate.
+
+    Args:
+        out: The folder, which does not exist yet.
+        rates: Condition to its success rate.
+        text: The experiment, with 20 rollouts in each cell.
+    """
+    from roboxim_bringup.experiment_card import evaluation_folder
+    from roboxim_bringup.experiment_files import checked_design
+    from roboxim_bringup.runs.experiment_report import ExperimentFolder
+    from roboxim_bringup.runs.folder import RunFolder
+    from roboxim_bringup.runs.results_log import ResultsLog
+    from roboxim_core.config import to_plain
+    from roboxim_core.episode import EpisodeResult
+    from roboxim_eval.experiments import stages_of
+    from roboxim_eval.testing import experiment_of
+    from roboxim_tasks.config import task_mix
+
+    config = experiment_of(text)
+    design = checked_design("mine", config)
+    out.mkdir(parents=True)
+    state = {"experiment": "mine.yaml", "scale": "full", "config": to_plain(config), "stages": {}}
+    (out / "experiment.json").write_text(json.dumps(state))
+    log = ResultsLog(out / "stages.jsonl")
+    for stage in stages_of(design):
+        log.append("key", {"stage": stage.name, "wall_s": 1.0, "sha256": f"hash of {stage.name}"})
+        if stage.kind == "train":
+            (out / stage.name).mkdir(parents=True)
+            (out / stage.name / "checkpoint.npz").write_text(stage.name)
+        if stage.kind != "evaluate":
+            continue
+        condition = stage.name.removeprefix("evaluate/").partition(".")[0]
+        mix = task_mix(stage.inputs["mix"])
+        folder = evaluation_folder(out, stage.name)
+        folder.mkdir(parents=True)
+        with RunFolder(folder).opened({"command": "evaluate"}) as run:
+            for index in range(stage.inputs["episodes"]):
+                number = int(mix.drawn(index)["cell_number"])
+                won = number < 20 * rates[condition]
+                run.append(EpisodeResult(
+                    episode_id=f"eval-{index}", index=index, outcome="success" if won else "failure",
+                    reason="" if won else "not_lifted", instruction="Pick it up",
+                ))  # fmt: skip
+    return ExperimentFolder.of(out)
