@@ -113,7 +113,12 @@ def test_the_page_of_a_card_says_what_it_concludes(card):
 
 
 def test_a_page_without_a_primary_comparison_shows_all_of_them_together(card):
-    many = experiment_page(ExperimentPage(card=planted_card(shipped("robustness", replicates=3), lambda *_: 0.8)))
+    several = planted_card(shipped("robustness", replicates=3), lambda *_: 0.8)
+    assert not any(verdict.primary for verdict in several.verdicts)
+    assert card.verdicts[0].primary
+    assert f"- **{card.verdicts[0].sentence}**" in experiment_markdown(card)
+    assert "- **" not in experiment_markdown(several)
+    many = experiment_page(ExperimentPage(card=several))
     assert many.index("All comparisons, points") < many.index("<details><summary>light - nominal, points")
     assert "(primary)" not in many
     assert 'href="#cells"' not in many, "one cell has no heat map"

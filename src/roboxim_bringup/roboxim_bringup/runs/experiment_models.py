@@ -8,6 +8,7 @@ from pathlib import Path
 from roboxim_bringup.experiment_card import results_of, stage_name
 from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, stored_card
 from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import ExperimentConfig
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.models import Models, Wins, compare_models
 
@@ -38,12 +39,13 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         folder = ExperimentFolder.of(path)
         cards[name] = folder_card(folder)
         scenes[name] = _wins(folder, condition)
-    return compare_models(cards, condition=condition, where=where, scenes=_same_scenes(cards, scenes)), cards
+    shared = _same_scenes(cards, scenes, condition)
+    return compare_models(cards, condition=condition, where=where, scenes=shared), cards
 
 
 def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     config = folder.design.config
-    condition = condition or (config.primary.first if config.primary else next(iter(config.conditions)))
+    condition = _condition(config, condition)
     if condition not in config.conditions:
         return []
     results = results_of(folder.design, folder.path)
@@ -54,11 +56,19 @@ def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     return found
 
 
-def _same_scenes(cards: dict[str, Card], scenes: dict[str, list[Wins]]) -> dict[str, list[Wins]]:
-    """Return the outcomes of runs whose scenes are the same: equal tasks, changes and seeds."""
-    drawn = {
-        name: (card.experiment.config.factors, card.experiment.config.set, [e.seed for e in card.evaluations])
-        for name, card in cards.items()
-    }
-    first = next(iter(drawn.values()))
-    return {name: wins for name, wins in scenes.items() if drawn[name] == first}
+def _condition(config: ExperimentConfig, condition: str) -> str:
+    return condition or (config.primary.first if config.primary else next(iter(config.conditions)))
+
+
+def _same_scenes(cards: dict[str, Card], scenes: dict[str, list[Wins]], condition: str) -> dict[str, list[Wins]]:
+    """Return the outcomes of runs whose scenes are the same: equal tasks, changes and seeds of final evaluations."""
+
+    def drawn(card: Card) -> tuple[object, ...]:
+        config = card.experiment.config
+        name = _condition(config, condition)
+        seeds = [e.seed for e in card.evaluations if e.condition == name and not e.checkpoint]
+        changes = config.conditions[name].set if name in config.conditions else {}
+        return config.factors, config.set, changes, seeds
+
+    first = drawn(next(iter(cards.values())))
+    return {name: wins for name, wins in scenes.items() if drawn(cards[name]) == first}

@@ -1,7 +1,8 @@
 """What the scenes of an experiment tell without its words.
 
-They tell the object where no other one is in the scene, and the task where it alone has a certain object. A policy can
-then succeed without the instruction. The facts are from the task files, which a card does not hold.
+They tell the object where no other one is in the scene, or where others lie in a wider area, and the task where it
+alone has a certain object. A policy can then succeed without the instruction. The facts are from the task files, which
+a card does not hold.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from roboxim_eval.experiments import Design, mix_of
 from roboxim_tasks.config import task_mix
+from roboxim_tasks.placement import PlacementConfig
 from roboxim_tasks.task_config import TaskConfig
 
 
@@ -23,7 +25,7 @@ def told_by_scene(design: Design) -> tuple[str, ...]:
         ConfigError: When a task file is missing or invalid.
     """
     tasks = _tasks(design)
-    return (*_told_objects(tasks), *_told_tasks(tasks))
+    return (*_told_objects(tasks), *_told_places(tasks), *_told_tasks(tasks))
 
 
 def _tasks(design: Design) -> dict[str, list[TaskConfig]]:
@@ -46,6 +48,23 @@ def _told_objects(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
         yield f"{where} has distractors, so that the scene alone tells which object is meant."
 
 
+def _told_places(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
+    named = {model for mine in tasks.values() for task in mine for model in _named(task)}
+    wider = [name for name, mine in tasks.items() if any(_lie_elsewhere(task) & named for task in mine)]
+    if wider:
+        yield (
+            f"Distractors of {' and '.join(wider)} may lie outside the area of the objects that tasks name, so that "
+            "the scene alone tells that some objects are not meant."
+        )
+
+
+def _lie_elsewhere(task: TaskConfig) -> set[str]:
+    """Return the models of distractors if those lie in another area than the task's objects."""
+    placed = (task.reset.get(component) for component in ("objects", "distractors"))
+    areas = {one.area for one in placed if isinstance(one, PlacementConfig)}
+    return _distractors(task) if len(areas) > 1 else set()
+
+
 def _vary(tasks: Sequence[TaskConfig]) -> bool:
     """Return whether a task asks for different object models."""
     return any(len({m for task in tasks for m in task.objects[role].models.values}) > 1 for role in tasks[0].objects)
@@ -64,7 +83,15 @@ def _told_tasks(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
 
 def _models(task: TaskConfig) -> set[str]:
     """Return the models that a scene of a task can have."""
-    found = {str(model) for one in task.objects.values() for model in one.models.values}
-    if task.distractors.maximum:
-        found |= {*task.distractors.always, *map(str, task.distractors.models.values)}
-    return found
+    return _named(task) | _distractors(task)
+
+
+def _named(task: TaskConfig) -> set[str]:
+    """Return the models of the objects that a task can name."""
+    return {str(model) for one in task.objects.values() for model in one.models.values}
+
+
+def _distractors(task: TaskConfig) -> set[str]:
+    """Return the models that a task's distractors can have."""
+    distractors = task.distractors
+    return {*distractors.always, *map(str, distractors.models.values)} if distractors.maximum else set()

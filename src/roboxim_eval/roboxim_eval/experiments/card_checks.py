@@ -63,11 +63,10 @@ def concluded(card: Card, design: Design | None = None) -> Card:
         InvalidRequestError: When counts are impossible, or conditions have different numbers of replicates.
     """
     analysis = analyse(design or design_of_card(card), outcomes_of_card(card))
-    primary = card.experiment.config.primary
     return sealed(replace(
         card,
         scores=plain_scores(analysis),
-        verdicts=tuple(_verdict(c, c.config is primary or c.config == primary) for c in analysis.comparisons),
+        verdicts=tuple(_verdict(c, c.config.primary or len(analysis.comparisons) == 1) for c in analysis.comparisons),
         warnings=(
             *analysis.warnings, *attestation_warnings(card.trainings), *proof_warnings(card.proofs), *card.statements,
         ),

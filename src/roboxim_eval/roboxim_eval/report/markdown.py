@@ -41,8 +41,7 @@ def _experiment(card: Card, level: int) -> Iterator[str]:
     arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
     yield f"{'#' * level} {card.experiment.name}, scale {card.experiment.scale}\n"
     yield f"{config.about}\n"
-    yield from (f"- **{verdict.sentence}**" for verdict in card.verdicts[:1])
-    yield from (f"- {verdict.sentence}" for verdict in card.verdicts[1:])
+    yield from (f"- **{one.sentence}**" if one.primary else f"- {one.sentence}" for one in card.verdicts)
     yield from (f"- Warning: {warning}" for warning in card.warnings)
     if card.scores:
         yield "\n" + _table(
