@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.experiment_files import trainer_name
-from roboxim_bringup.experiment_provenance import Attestations, code, device, packages_sha256
+from roboxim_bringup.experiment_provenance import Attestations, Origin, device, origin_statements
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.config import from_plain, to_plain
@@ -32,6 +32,7 @@ from roboxim_eval.experiments.card import (
     CardExperiment,
     CardTraining,
     JudgedAgain,
+    parse_card,
     sha256_of,
 )
 from roboxim_eval.experiments.card_checks import concluded
@@ -43,6 +44,8 @@ PROOFS_FILE = "proofs.json"
 JUDGED_FILE = "judged_again.json"
 EXCLUDED_FILE = "excluded.json"
 STATEMENTS_FILE = "statements.json"
+DRAWING = ("generate", "evaluate")
+"""Kinds of stages that draw images."""
 TIMES = ("wall_s", "inference_s")
 """Fields of a result that are not part of its hash."""
 
@@ -118,7 +121,7 @@ def collect_card(
         design: The experiment.
         out: Its folder.
         trainer: Trainer that was chosen, as the run was given it; empty: the file's first one.
-        renderer: Renderer of the images.
+        renderer: Renderer of the stages whose line in ``stages.jsonl`` does not state theirs.
 
     Raises:
         ConfigError: When an evaluation is not finished, or a file of the folder is damaged.
@@ -127,13 +130,19 @@ def collect_card(
     products = {entry.data.get("stage", ""): entry.data for entry in ResultsLog(out / STAGES_FILE).read()}
     datasets = _datasets(design, products)
     config = design.config
+    finished = [stage for stage in stages_of(design) if stage.name in products]
+    origins = {stage.name: Origin.of(products[stage.name]) for stage in finished}
+    drawn = {s.name: _renderer(origins[s.name], renderer) for s in finished if s.kind in DRAWING}
+    origin = _origin_of_evaluations([origins[s.name] for s in finished if s.kind == "evaluate"], renderer, out)
     card = Card(
         experiment=CardExperiment(
             name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(_plain(to_plain(config))),
             trainer=trainer_name(config, trainer), deviations=config.deviations, config=config,
         ),
-        code=code(),
-        environment=CardEnvironment(packages_sha256=packages_sha256(), renderer=renderer, device=device()),
+        code=origin.code,
+        environment=CardEnvironment(
+            packages_sha256=origin.packages_sha256, renderer=_renderer(origin, renderer), device=device()
+        ),
         datasets=datasets,
         trainings=tuple(_trainings(design, products, datasets, out)),
         evaluations=tuple(_evaluations(design, results)),
@@ -144,14 +153,34 @@ def collect_card(
         },
         judged_again=_judged(out),
         proofs=_proofs(out),
-        statements=_statements(out),
-        times={
-            stage.name: float(products[stage.name].get("wall_s", 0.0))
-            for stage in stages_of(design)  # the log has them in the order in which they ended
-            if stage.name in products
+        statements=(*_statements(out), *origin_statements(origins, drawn)),
+        times={  # the log has them in the order in which they ended
+            stage.name: float(products[stage.name].get("wall_s", 0.0)) for stage in finished
         },
     )  # fmt: skip
     return concluded(card, design)
+
+
+def _renderer(origin: Origin | None, otherwise: str) -> str:
+    return (origin.renderer if origin else "") or otherwise
+
+
+def _origin_of_evaluations(evaluations: Sequence[Origin | None], renderer: str, out: Path) -> Origin:
+    """Return what the last evaluation that states it ran with.
+
+    A folder of an older version states it in no line: it keeps what its card says, and without a card it is what this
+    process has.
+    """
+    if known := [origin for origin in evaluations if origin is not None]:
+        return known[-1]
+    path = out / CARD_FILE
+    try:
+        card = parse_card(parse_json(read_text(path), source=str(path)), source=str(path)) if path.exists() else None
+    except ConfigError:  # of another schema, or damaged: this call writes it anew
+        card = None
+    if card is None:
+        return Origin.here(renderer)
+    return Origin(code=card.code, packages_sha256=card.environment.packages_sha256, renderer=renderer)
 
 
 def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeResult]]) -> Iterator[CardEvaluation]:

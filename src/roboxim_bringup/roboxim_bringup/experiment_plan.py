@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
-from roboxim_eval.experiments.cost import detectable_drop, trainings_at_once
+from roboxim_eval.experiments.cost import detectable_drop, same_checkpoints, trainings_at_once
 
 NO_RATES = (
     "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"
@@ -121,6 +121,8 @@ def _power_lines(design: Design) -> Iterator[str]:
             f"  warning         fewer than {LEAST_REPLICATES} trainings compare checkpoints, not ways to train; "
             "verdicts will say so"
         )
+    elif same_checkpoints(design):
+        yield "                  if the trainings, the same on both sides, react alike to what differs, an assumption"
     else:
         yield (
             f"                  if trainings of one recipe spread by {100 * TRAINING_SPREAD:.1f} points at "

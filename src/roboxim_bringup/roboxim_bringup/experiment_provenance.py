@@ -6,7 +6,7 @@ import hashlib
 import platform
 import subprocess
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import metadata
@@ -22,6 +22,10 @@ from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
 
 ATTEST_FILE = "attest.yaml"
 BLOCK = 1 << 20
+ORIGIN = "ran"
+"""Key of a line of ``stages.jsonl`` with what the stage ran with, an `Origin`."""
+UNKNOWN = "unknown"
+"""How statements name what lines of older versions do not state."""
 
 
 @lru_cache(maxsize=1)
@@ -72,6 +76,76 @@ def _values(file: Path, key: str) -> list[str]:
         return []
     parts = [line.partition(":") for line in lines]
     return [value.strip() for name, _, value in parts if name.strip() == key]
+
+
+# ------------------------------------------------------------------ stages
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What a stage ran with, stored when it is finished: a later call may have other code."""
+
+    code: CardCode = CardCode()
+    """The code."""
+    packages_sha256: str = ""
+    """Hash of the installed packages, see `packages_sha256`."""
+    renderer: str = ""
+    """Renderer of its images; empty: it draws none."""
+
+    @staticmethod
+    def here(renderer: str = "") -> Origin:
+        """Return what a stage of this process runs with.
+
+        Args:
+            renderer: Renderer of its images; empty: it draws none.
+        """
+        return Origin(code=code(), packages_sha256=packages_sha256(), renderer=renderer)
+
+    @staticmethod
+    def of(entry: Mapping[str, Any]) -> Origin | None:
+        """Return what a line of ``stages.jsonl`` states; none: a version wrote it that did not store this.
+
+        Raises:
+            ConfigError: When the line is damaged.
+        """
+        if ORIGIN not in entry:
+            return None
+        found: Origin = from_plain(entry[ORIGIN], Origin, source=f"stage '{entry.get('stage', '')}'")
+        return found
+
+
+def origin_statements(origins: Mapping[str, Origin | None], renderers: Mapping[str, str]) -> Iterator[str]:
+    """Yield a sentence for each of code, packages and renderer that stages of an experiment do not share.
+
+    Args:
+        origins: Stage to what it ran with; none: unknown.
+        renderers: Stage that draws images to its renderer.
+    """
+    known = {name: origin for name, origin in origins.items() if origin is not None}
+    codes = {name: _code_text(known[name].code) if name in known else UNKNOWN for name in origins}
+    packages = {name: known[name].packages_sha256[:16] if name in known else UNKNOWN for name in origins}
+    for what, values in (("versions of the code", codes), ("sets of packages", packages), ("renderers", renderers)):
+        stages: dict[str, list[str]] = {}
+        for name, value in values.items():
+            stages.setdefault(value, []).append(name)
+        if len(stages) > 1:
+            shown = (f"{value} ({_first_of(names)})" for value, names in stages.items())
+            yield f"stages ran with {len(stages)} {what}: {', '.join(shown)}"
+
+
+def _code_text(code: CardCode) -> str:
+    """Return a version of the code in words, e.g. ``0.1.0 at b29ef5141170``."""
+    return code.version + (f" at {code.commit[:12]}" if code.commit else "") + (
+        " with uncommitted changes" if code.dirty else ""
+    )  # fmt: skip
+
+
+def _first_of(names: list[str]) -> str:
+    """Return the first of several names, and the number of the others."""
+    return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+
+
+# ------------------------------------------------------------------ files
 
 
 def folder_sha256(folder: Path) -> str:

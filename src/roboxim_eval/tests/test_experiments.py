@@ -23,9 +23,11 @@ from roboxim_eval.experiments import (
     scale_names,
     stages_of,
 )
-from roboxim_eval.experiments.cost import ASSUMED_SUCCEEDED, fitted
+from roboxim_eval.experiments.cost import ASSUMED_SUCCEEDED, detectable_drop, fitted
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.power import Design as Size
+from roboxim_eval.statistics.power import detectable
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.testing import RATES, experiment_of
 
@@ -425,11 +427,58 @@ def test_one_training_compares_checkpoints_alone():
     assert "These two checkpoints differ by" in apart.sentences[0]
 
 
-def test_seen_and_unseen_cells_of_one_condition_are_compared():
-    text = TEXT.replace(
-        "  - {first: leave_out, second: baseline, where: unseen, primary: true}\n",
-        "  - {first: leave_out, second: leave_out, where: unseen, against: seen, primary: true}\n",
+def test_an_excluded_rollout_leaves_the_scenes_shared():
+    design = design_of(config(replicates={"count": 1}))
+    pairs = {0: [Pairs(both=5, first=0, second=20, neither=14)]}  # 39 of the 40 scenes were met by both
+    outcomes = planted(design, lambda name, unseen: 0.5, pairs=pairs)
+    (row,) = outcomes.counts["leave_out"]
+    cell = "pick_up target=cube"
+    fewer = {**row, cell: Count(successes=row[cell].successes, episodes=row[cell].episodes - 1)}
+    counts = {**outcomes.counts, "leave_out": [fewer]}
+    verdict = analyse(design, replace(outcomes, counts=counts)).comparisons[0].verdict
+    own = paired_difference(pairs[0][0])
+    assert (verdict.question, verdict.kind) == ("checkpoint", "lower")
+    assert verdict.p_value == pytest.approx(2 * own.p_value), "exact McNemar, of two comparisons"
+    assert (verdict.difference.low, verdict.difference.high) == (own.low, own.high)
+    assert "on 39 scenes that both met" in verdict.sentence
+
+
+SEEN_AND_UNSEEN = TEXT.replace(
+    "  - {first: leave_out, second: baseline, where: unseen, primary: true}\n",
+    "  - {first: leave_out, second: leave_out, where: unseen, against: seen, primary: true}\n",
+)
+
+
+def test_other_cells_of_one_checkpoint_have_no_scenes_in_common():
+    design = design_of(config(SEEN_AND_UNSEEN, replicates={"count": 1}))
+    itself = {0: [Pairs(both=20, first=0, second=0, neither=20)]}  # a card's pairs are those of the first cells
+    rate = {True: 0.2, False: 0.9}
+    outcomes = planted(design, lambda name, unseen: rate[unseen], pairs=itself)
+    found = analyse(design, outcomes)
+    assert "These rates of one checkpoint differ by" in found.sentences[0]
+    assert found.comparisons[0].verdict.kind == "cannot_tell"
+    assert found == analyse(design, replace(outcomes, pairs={}))
+
+
+def test_a_plan_knows_where_both_sides_are_the_same_checkpoints():
+    def drop(text=TEXT, **changes):
+        changes = {"replicates": {"count": 3}, "evaluate": {"per_cell": 12, "per_unseen_cell": 25}} | changes
+        return detectable_drop(design_of(config(text, **changes)))
+
+    apart = drop()
+    against_seen = drop(SEEN_AND_UNSEEN)
+    in_other_words = drop(compare=[{"first": "leave_out", "second": "blind", "where": "unseen"}])
+    assert apart == pytest.approx(detectable(Size(replicates=3, scenes=50)))
+    assert against_seen == pytest.approx(
+        detectable(Size(replicates=3, scenes=48, other_scenes=50, same_checkpoints=True))
     )
+    assert in_other_words < against_seen < apart
+    one = SEEN_AND_UNSEEN.replace("replicates: {count: 5}", "replicates: {count: 1}")
+    assert detectable_drop(design_of(config(one))) is None, "on different scenes one training always 'cannot tell'"
+
+
+def test_seen_and_unseen_cells_of_one_condition_are_compared():
+    text = SEEN_AND_UNSEEN
     design = design_of(config(text))
     rate = {"leave_out": {True: 0.2, False: 0.9}, "baseline": {True: 0.5, False: 0.9}, "blind": {True: 0.05}}
     found = analyse(design, planted(design, lambda name, unseen: rate[name][unseen]))

@@ -336,6 +336,36 @@ def test_strengths_of_models_that_met_different_scenes():
     assert math.isfinite(bradley_terry({("a", "b"): 9})["a"])
 
 
+def test_cells_weigh_alike_over_trainings_but_scenes_are_the_sample_of_one():
+    uneven = {"a": Count(successes=10, episodes=19), "b": Count(successes=10, episodes=20)}
+    pairs = Pairs(both=10, first=10, second=2, neither=17)
+    one, three = (Arm(replicates=(uneven,) * replicates) for replicates in (1, 3))
+    assert condition_difference(one, one, [pairs]).pairs == pairs
+    assert condition_difference(three, three, [pairs] * 3).pairs is None
+
+
+@pytest.mark.parametrize(("shared", "planned"), [(True, 0.26), (False, 0.30)])
+def test_the_same_checkpoints_show_smaller_differences(shared, planned):
+    size = Design(replicates=3, scenes=50, other_scenes=0 if shared else 50, same_checkpoints=True)
+    assert detectable(size) == pytest.approx(planned, abs=0.01)
+    rng = np.random.default_rng(1)
+    found = 0
+    for _ in range(400):
+        middles = {0.8: 2.03, 0.5: 0.0}  # of the logit, where scenes spread by 1.5
+        counts, pairs = {0.8: [], 0.5: []}, []
+        for _ in range(3):
+            shift, ease = rng.normal() * 0.046 / 0.16, 1.5 * rng.normal(size=(2, 50))
+            logits = {0.8: middles[0.8] + ease[0], 0.5: middles[0.5] + ease[0 if shared else 1]}
+            won = {rate: rng.random(50) < 1 / (1 + np.exp(-logit - shift)) for rate, logit in logits.items()}
+            pairs.append(Pairs.of(zip(won[0.5], won[0.8], strict=True)))
+            for rate, outcomes in won.items():
+                counts[rate].append({"all": Count(successes=int(outcomes.sum()), episodes=50)})
+        low, high = (Arm(replicates=tuple(counts[rate])) for rate in (0.5, 0.8))
+        difference = condition_difference(low, high, pairs if shared else ())
+        found += condition_verdict("a", "b", difference).kind == "lower"
+    assert found / 400 == pytest.approx(power(size, 0.8, 0.5), abs=0.06)
+
+
 def test_replicates_before_scenes():
     assert detectable(Design(replicates=5, scenes=120)) == pytest.approx(0.16, abs=0.02)
     assert detectable(Design(replicates=3, scenes=120)) == pytest.approx(0.32, abs=0.02)

@@ -1,5 +1,6 @@
 """Behaviour cloning learns, resumes exactly after an interruption, and never leaves an incomplete checkpoint."""
 
+import hashlib
 import json
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
-from roboxim_policies.bc.checkpoint import load_checkpoint
+from roboxim_policies.bc.checkpoint import load_checkpoint, policy_only
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
 from roboxim_policies.bc.features import GraspMemory, proprio_features, state_features, word_indices
@@ -165,6 +166,56 @@ def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
         BCPolicy(tmp_path / "half.npz")
     with pytest.raises(ConfigError, match="roboxim train bc"):
         BCPolicy(tmp_path / "absent")
+
+
+def test_a_copy_without_the_state_of_the_training_acts_the_same(trained, tmp_path):
+    whole = trained[0] / "checkpoint.npz"
+    short = tmp_path / "checkpoint.npz"
+    short.write_bytes(policy_only(whole))
+    assert short.stat().st_size < whole.stat().st_size / 3
+    one, other = load_checkpoint(whole), load_checkpoint(tmp_path)
+    assert not np.array_equal(one.arrays[0], one.arrays[-1]), "the weights are not their average"
+    assert [array.tolist() for array in other.arrays] == [one.arrays[-1].tolist()]
+    assert (one.original_sha256, other.original_sha256) == ("", hashlib.sha256(whole.read_bytes()).hexdigest())
+    assert (other.step, other.identity, other.digest, other.robot) == (300, one.identity, one.digest, "panda")
+    policies = BCPolicy(whole), BCPolicy(tmp_path)
+    assert policies[0].describe() == policies[1].describe()
+    rng = np.random.default_rng(3)
+    for color in COLORS:
+        shown = episode(rng, color)
+        answers = [first_action(policy, shown, shown.instruction) for policy in policies]
+        assert np.array_equal(*answers)
+    assert policy_only(trained[0]) == short.read_bytes(), "the folder gives the same bytes"
+    with pytest.raises(ConfigError, match="has the averaged weights only already"):
+        policy_only(short)
+
+
+@pytest.mark.parametrize(("steps", "said"), [(300, "has all its steps"), (10, "cannot continue")])
+def test_no_training_continues_from_such_a_copy(trained, tmp_path, steps, said):
+    whole = Trainer(data(), CONFIG, tmp_path / "whole").run(until=steps) if steps < CONFIG.steps else trained[0]
+    short = tmp_path / "checkpoint.npz"
+    before = policy_only(whole)
+    short.write_bytes(before)
+    text = (
+        f"averaged weights only, after {steps} of 300 steps: .*experiment pack.*; the training {said}.*choose another"
+    )
+    with pytest.raises(ConfigError, match=text):
+        Trainer(data(), CONFIG, tmp_path)
+    with pytest.raises(ConfigError, match="of another configuration"):
+        Trainer(data(), replace(CONFIG, seed=1), tmp_path)
+    assert short.read_bytes() == before
+
+
+def test_weights_that_are_not_those_of_the_description_are_not_copied(trained, tmp_path):
+    with np.load(trained[0] / "checkpoint.npz") as archive:
+        content = dict(archive)
+    content[max(content.keys() - {"said"})] += 1.0
+    np.savez(tmp_path / "checkpoint.npz", **content)
+    with pytest.raises(ConfigError, match="is damaged: its averaged weights have another hash"):
+        policy_only(tmp_path)
+    np.savez(tmp_path / "checkpoint.npz", said=content["said"])
+    with pytest.raises(ConfigError, match="it has no weights"):
+        load_checkpoint(tmp_path)
 
 
 def test_words_and_yaw_are_read_as_meant():

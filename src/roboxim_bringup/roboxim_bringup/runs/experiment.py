@@ -2,7 +2,8 @@
 
 ``OUT/experiment.json`` holds the experiment and the inputs of every stage, ``OUT/stages.jsonl`` a line for each
 finished stage, in the order in which they ended. The same call continues: finished stages are skipped, and an
-unfinished one continues as its run does. A stage whose inputs have changed is refused by name.
+unfinished one continues as its run does. A stage whose inputs have changed is refused by name, and so is another
+renderer than that of finished stages. Each line also states the code that the stage ran with, for the card.
 """
 
 from __future__ import annotations
@@ -17,11 +18,20 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Executor, KeptProcesses
-from roboxim_bringup.experiment_card import EXCLUDED_FILE, JUDGED_FILE, PROOFS_FILE, STATEMENTS_FILE, collect_card
+from roboxim_bringup.experiment_card import (
+    DRAWING,
+    EXCLUDED_FILE,
+    JUDGED_FILE,
+    PROOFS_FILE,
+    STATEMENTS_FILE,
+    collect_card,
+)
 from roboxim_bringup.experiment_files import checked_design, load_experiment
 from roboxim_bringup.experiment_provenance import (
     ATTEST_FILE,
+    ORIGIN,
     Attestations,
+    Origin,
     attestation_template,
     folder_sha256,
 )
@@ -62,6 +72,8 @@ KINDS = ("generate", "export", "train", "evaluate")
 the evaluation."""
 
 STAGES_FILE = "stages.jsonl"
+RENDERER = "raster"
+"""Renderer unless one is named."""
 
 __all__ = ["KINDS", "ExperimentResult", "ExperimentRunConfig", "named_policies", "run_experiment"]
 
@@ -90,8 +102,8 @@ class ExperimentRunConfig:
     """Processes that run episodes."""
     trainings: int = 1
     """Trainings at a time. Results do not depend on it."""
-    renderer: str = "raster"
-    """Renderer of the images."""
+    renderer: str = RENDERER
+    """Renderer of the images, the same for demonstrations and rollouts."""
     shard: str = ""
     """``I/N``: run only the I-th of N parts of the episodes of each generation and evaluation; empty: everything."""
     trained: Path | str = ""
@@ -175,11 +187,12 @@ def run_experiment(
     if not config.shard and not any(name.startswith(("evaluate/", "prove/")) for name in missing):
         name = Path(config.experiment).stem
         run.collect_proofs()
+        folder = ExperimentFolder.of(run.out)
         card = collect_card(
-            name, config.scale, design, run.out, trainer=config.trainer, renderer=config.renderer
+            name, config.scale, design, run.out, trainer=config.trainer, renderer=folder.renderer
         )  # fmt: skip
         write_card(card, run.out)
-        write_experiment_report(ExperimentFolder.of(run.out), card)
+        write_experiment_report(folder, card)
         run.learn_rates(name)
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing,
@@ -224,9 +237,8 @@ class _Run:
     def open(self) -> None:
         """Store the experiment, or check that the folder holds the same one."""
         make_folder(self.out)
-        state = self.out / STATE_FILE
-        stored = parse_json(read_text(state), source=str(state)) if state.exists() else {}
-        before = stored.get("stages", {}) if isinstance(stored, dict) else {}
+        stored = _state(self.out)
+        before = stored.get("stages", {})
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}
         for stage in self.stages:
             if stage.name in done and done[stage.name] != self._key(stage) and stage.part in self.config.only:
@@ -235,14 +247,39 @@ class _Run:
                     f"{self.out}: stage '{stage.name}' was finished with other inputs "
                     f"({changed or 'of a stage that it needs'}); choose another output folder (--out)"
                 )
-        inputs = {stage.name: plain(self._inputs(stage)) for stage in self.stages}
+        draws = not set(DRAWING).isdisjoint(self.config.only)
+        if draws:
+            self._require_renderer()
+        inputs = {
+            stage.name: plain(self._inputs(stage)) for stage in self.stages
+            if stage.kind != "evaluate" or self.policies.get(stage.name) or stage.name not in before
+        }  # fmt: skip
         content = {
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
-            "benchmark": self.config.benchmark, "renderer": self.config.renderer,
+            "benchmark": self.config.benchmark,
+            "renderer": self.config.renderer if draws else stored.get("renderer", self.config.renderer),
             "config": to_plain(self.design.config), "stages": {**before, **inputs},
         }  # fmt: skip
-        write_atomically(state, json.dumps(plain(content), indent=2) + "\n")
+        write_atomically(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
         self._attest()
+
+    def _require_renderer(self) -> None:
+        """Check that finished stages, those of a shard's whole experiment included, have this call's renderer.
+
+        Raises:
+            ConfigError: Naming a stage that has another one.
+        """
+        for folder in dict.fromkeys((self.out, self.trained)):
+            otherwise = _state(folder).get("renderer") or RENDERER  # lines of older versions do not state it
+            for entry in ResultsLog(folder / STAGES_FILE).read():
+                stage, origin = self._by_name.get(entry.data.get("stage", "")), Origin.of(entry.data)
+                renderer = (origin.renderer if origin else "") or otherwise
+                if stage is not None and stage.kind in DRAWING and renderer != self.config.renderer:
+                    changed = differences({"renderer": renderer}, {"renderer": self.config.renderer})
+                    raise ConfigError(
+                        f"{folder}: stage '{stage.name}' was finished with other inputs ({changed}); run with "
+                        f"--renderer {renderer}, or choose another output folder (--out)"
+                    )
 
     def _attest(self) -> None:
         """Check what is attested about the trainings; write a file to fill in if they run elsewhere."""
@@ -370,9 +407,17 @@ class _Run:
     def _log(self, stage: Stage, wall_s: float, *, continued: bool, **facts: Any) -> None:
         """Append a finished stage to the log of stages."""
         self._ran = True
-        entry = {"stage": stage.name, "wall_s": round(wall_s, 1), **facts}
+        origin = Origin.here(self.config.renderer if stage.kind in DRAWING else "")
+        entry = {"stage": stage.name, "wall_s": round(wall_s, 1), ORIGIN: to_plain(origin), **facts}
         if continued:
             entry["continued"] = True  # wall_s has not all of it
         if stage.kind in ("export", "train"):
             entry["sha256"] = folder_sha256(self.out / stage.name)
         self.log.append(self._key(stage), entry)
+
+
+def _state(folder: Path) -> dict[str, Any]:
+    """Return the content of a folder's ``experiment.json``; empty: it has none."""
+    file = folder / STATE_FILE
+    stored = parse_json(read_text(file), source=str(file)) if file.exists() else {}
+    return stored if isinstance(stored, dict) else {}

@@ -2,6 +2,10 @@
 
 What remains suffices for reports, comparisons and further evaluations of the checkpoints. The pack has a manifest with
 the hash of each file, by which it is checked when it is unpacked.
+
+``bc`` checkpoints of finished trainings are three quarters state of the optimiser, which nothing reads any more. They
+are packed without it, see `roboxim_policies.bc.checkpoint.policy_only`. The hashes that the experiment's log and card
+state are those of the whole files; the manifest names them too.
 """
 
 from __future__ import annotations
@@ -9,15 +13,21 @@ from __future__ import annotations
 import io
 import json
 import tarfile
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from roboxim_bringup.experiment_card import STAGES_FILE
 from roboxim_bringup.experiment_provenance import file_sha256
 from roboxim_bringup.runs.experiment_report import STATE_FILE as EXPERIMENT_FILE
+from roboxim_bringup.runs.experiment_report import ExperimentFolder
 from roboxim_bringup.runs.folder import make_folder
+from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import stages_of
+from roboxim_policies.bc.checkpoint_file import checkpoint_file, read_description
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 BENCHMARK_FILE = "benchmark.json"
@@ -38,6 +48,8 @@ class Pack:
     """Number of files."""
     size: int
     """Size of the file [bytes]."""
+    originals: Mapping[str, str]
+    """Path of each checkpoint that it has without the optimiser's state, to the SHA-256 of the whole file."""
 
 
 def packed_files(out: Path) -> Iterator[Path]:
@@ -56,6 +68,9 @@ def packed_files(out: Path) -> Iterator[Path]:
 def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
     """Pack an experiment's or a benchmark's folder.
 
+    Checkpoints of ``bc`` are packed without the optimiser's state when their training is finished, see
+    `finished_trainings`; all other files are packed as they are.
+
     Args:
         out: The folder.
         target: File to write, a gzipped tar archive.
@@ -68,21 +83,25 @@ def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
         raise ConfigError(f"{out} is not the folder of an experiment or a benchmark: it has no {EXPERIMENT_FILE}")
     if target.exists():
         raise ConfigError(f"{target} exists; remove it, or name another file with --file")
-    files = list(packed_files(out))
-    manifest = {file.relative_to(out).as_posix(): file_sha256(file) for file in files}
     partial = target.with_name(f".{target.name}.partial")
     try:
-        with tarfile.open(partial, "w:gz", compresslevel=6) as archive:
-            text = json.dumps({"files": manifest}, indent=1).encode()
+        with (
+            tempfile.TemporaryDirectory(prefix=".pack-", dir=target.parent) as drafts,
+            tarfile.open(partial, "w:gz", compresslevel=6) as archive,
+        ):
+            files, originals = _contents(out, Path(drafts))
+            manifest = {name: file_sha256(file) for name, file in files.items()}
+            sizes = {name: file.stat().st_size for name, file in files.items()}
+            text = json.dumps({"files": manifest, "originals": originals}, indent=1).encode()
             entry = tarfile.TarInfo(MANIFEST)
             entry.size = len(text)
             archive.addfile(entry, io.BytesIO(text))
-            for name, file in zip(manifest, files, strict=True):
+            for name, file in files.items():
                 archive.add(file, arcname=name, recursive=False)
         size = partial.stat().st_size
         if size > most_bytes:
-            largest = sorted(files, key=lambda file: -file.stat().st_size)[:3]
-            named = ", ".join(f"{f.relative_to(out)} {f.stat().st_size / 1e6:.0f} MB" for f in largest)
+            largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+            named = ", ".join(f"{name} {sizes[name] / 1e6:.0f} MB" for name in largest)
             raise ConfigError(
                 f"the pack has {size / 1e6:.0f} MB, more than {most_bytes / 1e6:.0f} MB; its largest files: {named}. "
                 "Raise --most, or remove intermediate checkpoints"
@@ -90,7 +109,64 @@ def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
         partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)
-    return Pack(path=target, files=len(files), size=size)
+    return Pack(path=target, files=len(files), size=size, originals=originals)
+
+
+def finished_trainings(out: Path) -> Iterator[Path]:
+    """Yield the folders of an experiment's trainings whose checkpoints are only evaluated from now on.
+
+    These are trainings that the log of stages names, with their checkpoints on a learning curve. A training is left out
+    while an evaluation of it is begun and not finished, since that continues only with the same file. A folder of
+    another version of RoboXim has none.
+
+    Args:
+        out: The experiment's folder.
+    """
+    try:
+        stages = stages_of(ExperimentFolder.of(out).design)
+        done = {entry.data.get("stage") for entry in ResultsLog(out / STAGES_FILE).read()}
+    except ConfigError:
+        return
+    begun = [s for s in stages if s.kind == "evaluate" and s.name not in done and (out / s.name).exists()]
+    needed = {need for stage in begun for need in stage.needs}
+    for stage in stages:
+        if stage.kind == "train" and stage.name in done and stage.name not in needed:
+            folder = out / stage.name
+            yield from (folder, *sorted(folder.parent.glob(f"{folder.name}@*")))
+
+
+def _contents(out: Path, drafts: Path) -> tuple[dict[str, Path], dict[str, str]]:
+    """Return what a pack holds: names to files, and names of shortened checkpoints to the hash of the whole file.
+
+    Args:
+        out: The folder to pack.
+        drafts: Folder for the shortened checkpoints.
+    """
+    files = {file.relative_to(out).as_posix(): file for file in packed_files(out)}
+    experiments = [file.parent for file in files.values() if file.name == EXPERIMENT_FILE]
+    finished = {checkpoint_file(folder) for one in experiments for folder in finished_trainings(one)}
+    originals = {}
+    for number, (name, file) in enumerate(files.items()):
+        if file in finished and (found := _shortened(file, drafts / str(number))):
+            files[name], originals[name] = found
+    return files, originals
+
+
+def _shortened(file: Path, draft: Path) -> tuple[Path, str] | None:
+    """Write a ``bc`` checkpoint without the optimiser's state; return the file to pack, and the whole one's hash.
+
+    One that has none already is its own draft. None: the file is not a ``bc`` checkpoint of this version.
+    """
+    try:
+        said = read_description(file)
+        from roboxim_policies.bc.checkpoint import ORIGINAL, policy_only  # importing JAX takes a second
+
+        if ORIGINAL in said:
+            return file, str(said[ORIGINAL])
+        draft.write_bytes(policy_only(file))
+    except (ConfigError, KeyError, TypeError):
+        return None
+    return draft, str(read_description(draft)[ORIGINAL])
 
 
 def unpack(file: Path, out: Path) -> Pack:
@@ -107,7 +183,7 @@ def unpack(file: Path, out: Path) -> Pack:
         raise ConfigError(f"{out} is not empty; name another folder with --out")
     try:
         with tarfile.open(file, "r:gz") as archive:
-            manifest = _manifest(archive, file)
+            manifest, originals = _manifest(archive, file)
             make_folder(out)
             for name, expected in manifest.items():
                 archive.extract(archive.getmember(name), out, filter="data")
@@ -115,10 +191,11 @@ def unpack(file: Path, out: Path) -> Pack:
                     raise ConfigError(f"{file} is damaged: {name} has another hash than its manifest says")
     except (tarfile.TarError, EOFError, KeyError, OSError) as error:
         raise ConfigError(f"{file} is no whole pack: {error}") from None
-    return Pack(path=out, files=len(manifest), size=file.stat().st_size)
+    return Pack(path=out, files=len(manifest), size=file.stat().st_size, originals=originals)
 
 
-def _manifest(archive: tarfile.TarFile, file: Path) -> dict[str, str]:
+def _manifest(archive: tarfile.TarFile, file: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Return names to hashes of a pack's files, and of the whole files of its shortened checkpoints."""
     member = archive.getmember(MANIFEST)
     stream = archive.extractfile(member)
     data = parse_json(stream.read().decode(), source=f"{file}, {MANIFEST}") if stream is not None else None
@@ -128,4 +205,7 @@ def _manifest(archive: tarfile.TarFile, file: Path) -> dict[str, str]:
     for name in files:
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise ConfigError(f"{file} is no pack: '{name}' leaves its folder")
-    return {str(name): value for name, value in files.items()}
+    originals = data.get("originals", {}) if isinstance(data, dict) else {}
+    if not isinstance(originals, dict) or not originals.keys() <= files.keys():
+        raise ConfigError(f"{file} is no pack: its {MANIFEST} names originals of files that it does not have")
+    return {str(name): value for name, value in files.items()}, {str(n): str(v) for n, v in originals.items()}

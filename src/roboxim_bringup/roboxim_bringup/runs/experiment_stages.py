@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ from roboxim_core.seeds import CELL
 from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage
 from roboxim_eval.experiments.changes import changed_parts
-from roboxim_eval.experiments.proofs import Tally
+from roboxim_eval.experiments.proofs import NAMED, Tally
 from roboxim_eval.experiments.trainers import RLDS
 
 PROOF_FILE = "proof.json"
@@ -267,19 +267,38 @@ class Stages:
         again: Sequence[Mapping[str, Any]] | None,
         **most: float,
     ) -> None:
-        """Write a proof, and refuse it when too much failed.
+        """Write a proof, and refuse it when too much failed. Faults that are tolerated are stated.
 
         Raises:
             RoboximError: Naming bags and figures.
         """
         folder = self._folder(stage.name)
         folder.mkdir(parents=True, exist_ok=True)
+        refusal = found.refusal(**most)
+        if found.faults and not refusal:
+            found += Tally(statements=(self._tolerated(stage, found, excluded),))
         content = {**to_plain(found), "excluded": excluded, "judged_again": again}
         write_atomically(folder / PROOF_FILE, json.dumps(content, indent=2) + "\n")
         for text in found.statements:
             self.on_event(Notice(text=text))
-        if refusal := found.refusal(**most):
+        if refusal:
             raise RoboximError(f"{stage.name}: {refusal}\nall of them are in {folder / PROOF_FILE}")
+
+    def _tolerated(self, stage: Stage, found: Tally, excluded: Mapping[str, Sequence[int]]) -> str:
+        """Return a proof's faults in words: bags relative to the experiment's folder, checks and figures."""
+        checked = max((number for _, number in found.checks.values()), default=0)
+        named = "; ".join(str(replace(fault, bag=self._within(fault.bag))) for fault in found.faults[:NAMED])
+        more = f"; and {len(found.faults) - NAMED} more" if len(found.faults) > NAMED else ""
+        left_out = sum(map(len, excluded.values()))
+        return (
+            f"{stage.name}: tolerated faults in {len(found.faulty)} of {checked} episodes, {left_out} of them left out "
+            f"of the results: {named}{more} (all of them are in {stage.name}/{PROOF_FILE})"
+        )
+
+    def _within(self, bag: str) -> str:
+        """Return a bag's path relative to the experiment's folder; as it is if it lies elsewhere."""
+        path = Path(bag)
+        return path.relative_to(self.out).as_posix() if path.is_relative_to(self.out) else bag
 
 
 def plain(value: Any) -> Any:

@@ -9,13 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from roboxim_bringup import experiment_provenance
 from roboxim_bringup.runs import experiment_stages
+from roboxim_bringup.runs.events import Notice
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_eval.experiments.card import CardCode
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.proofs import Fault, Tally
 from roboxim_eval.testing import SKILL_AND_OBJECT
@@ -159,6 +162,102 @@ def test_a_changed_input_is_refused_by_name(fakes, config):
         run_experiment(config(TEXT.replace("per_cell: 3", "per_cell: 4")))
     more = TEXT.replace("count: 3", "count: 4")
     assert run_experiment(config(more)).missing == (), "more replicates are no change of the others"
+
+
+@pytest.fixture
+def at(monkeypatch):
+    """Return a function that changes the commit of the code, as `git commit` between two calls does."""
+
+    def moved(letter):
+        found = CardCode(version="0.1.0", commit=letter * 40)
+        monkeypatch.setattr(experiment_provenance, "code", lambda: found)
+
+    return moved
+
+
+def differing(card):
+    """Return what a card says about stages that ran with something else than others."""
+    return [text for text in card.statements if text.startswith("stages ran with")]
+
+
+def older(out):
+    """Make a folder one of a version that did not store what stages ran with."""
+    lines = [json.loads(line) for line in (out / "stages.jsonl").read_text().splitlines()]
+    assert all("ran" in line for line in lines)
+    texts = [json.dumps({key: value for key, value in line.items() if key != "ran"}) for line in lines]
+    (out / "stages.jsonl").write_text("\n".join(texts) + "\n")
+
+
+def test_another_renderer_is_a_changed_input(fakes, config, tmp_path):
+    said = (
+        'stage \'generate/0\' was finished with other inputs .renderer: "raster" stored, "tiny" requested.*--renderer'
+    )
+    run_experiment(config(only=("generate", "export")))
+    for only in (("evaluate",), ("generate",), ("generate", "export", "train", "evaluate")):
+        with pytest.raises(ConfigError, match=said):
+            run_experiment(config(renderer="tiny", only=only))
+    shard = {"out": tmp_path / "shard", "shard": "1/2", "only": ("evaluate",), "trained": tmp_path / "out"}
+    with pytest.raises(ConfigError, match=said):
+        run_experiment(config(renderer="tiny", **shard))
+    assert not [call for call in fakes.calls if call.startswith("evaluate")]
+    card = run_experiment(config()).card
+    assert (card.environment.renderer, differing(card)) == ("raster", [])
+
+
+def test_stages_that_draw_nothing_do_not_need_the_renderer_s_name(fakes, config, tmp_path):
+    run_experiment(config(renderer="tiny"))
+    again = run_experiment(config(only=("export", "train")))
+    assert again.card.environment.renderer == "tiny"
+    assert json.loads((tmp_path / "out/experiment.json").read_text())["renderer"] == "tiny"
+
+
+def test_a_folder_of_an_older_version_keeps_its_renderer_and_its_card(fakes, config, at, tmp_path):
+    at("a")
+    card = run_experiment(config(renderer="tiny")).card
+    older(tmp_path / "out")
+    at("b")
+    with pytest.raises(ConfigError, match='renderer: "tiny" stored, "raster" requested.*run with --renderer tiny'):
+        run_experiment(config())
+    again = run_experiment(config(renderer="tiny")).card
+    assert again.sha256 == card.sha256
+    assert again.code.commit == "a" * 40
+    (tmp_path / "out/experiment.json").unlink()
+    with pytest.raises(ConfigError, match='renderer: "raster" stored, "tiny" requested'):
+        run_experiment(config(renderer="tiny"))
+
+
+def test_a_finished_run_keeps_its_card_after_a_commit(fakes, config, at, monkeypatch):
+    at("a")
+    card = run_experiment(config()).card
+    at("b")
+    monkeypatch.setattr(experiment_provenance, "packages_sha256", lambda: "others")
+    again = run_experiment(config()).card
+    assert (again.code, again.sha256) == (card.code, card.sha256)
+    assert again.code.commit == "a" * 40
+    assert differing(again) == []
+
+
+def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, config, at, tmp_path):
+    at("a")
+    fakes.fail_at = "leave_out.0"
+    with pytest.raises(RoboximError, match="switched off"):
+        run_experiment(config())
+    at("b")
+    fakes.fail_at = ""
+    card = run_experiment(config()).card
+    assert card.code.commit == "b" * 40, "that of the evaluations"
+    said = "stages ran with 2 versions of the code: 0.1.0 at aaaaaaaaaaaa (generate/0 and "
+    (statement,) = differing(card)
+    assert statement.startswith(said)
+    assert "0.1.0 at bbbbbbbbbbbb (evaluate/leave_out.0 and " in statement
+    assert statement in card.sentences, "the report shows it"
+    assert check_card(card.plain) == card
+    at("c")
+    assert run_experiment(config()).card.sha256 == card.sha256
+    older(tmp_path / "out")
+    more = run_experiment(config(TEXT.replace("count: 3", "count: 4"))).card
+    assert more.code.commit == "c" * 40
+    assert "2 versions of the code: unknown (generate/0 and " in differing(more)[0]
 
 
 def test_an_experiment_waits_for_policies_that_are_trained_elsewhere(fakes, config):
@@ -356,3 +455,29 @@ def test_an_episode_without_proof_is_none_of_its_cell(fakes, config):
     ))  # fmt: skip
     with pytest.raises(RoboximError, match=r"2 of 120 .*1 % are tolerated.*\n  a: camera.*5.0 cm"):
         run_experiment(config(TEXT.replace("count: 3", "count: 4")))
+
+
+def test_tolerated_faults_are_named_with_bag_and_figure(fakes, config, tmp_path):
+    out = tmp_path / "out"
+    bags = [f"evaluate/baseline.0/baseline/episodes/eval-{number}" for number in range(7)]
+    moved = "camera 'workspace' is 5.0 cm from the demanded pose"
+    faults = tuple(Fault(check="camera", bag=str(out / bag), text=moved) for bag in bags)
+    fakes.evaluation = Tally(checks={"camera": (993, 1000)}, faults=faults[:3])
+    fakes.excluded = {"baseline": [0, 1, 2]}
+    events = []
+    one = TEXT.replace("count: 3", "count: 1")
+    card = run_experiment(config(one), on_event=events.append).card
+    (said,) = [text for text in card.statements if text.startswith("prove/evaluation.0: ")]
+    assert "tolerated faults in 3 of 1000 episodes, 3 of them left out of the results: " in said
+    assert all(f"{bag}: camera: {moved}" in said for bag in bags[:3])
+    assert str(tmp_path) not in said, "the same on every machine"
+    assert [event.text for event in events if isinstance(event, Notice)].count(said) == 1
+    assert said in card.sentences, "the report shows it"
+    assert said in (out / "report.html").read_text().replace("&#39;", "'")
+    again = run_experiment(config(one)).card
+    assert again.sha256 == card.sha256
+    fakes.evaluation = Tally(checks={"camera": (993, 1000)}, faults=faults)
+    card = run_experiment(config(one, out=tmp_path / "other")).card
+    said = next(text for text in card.statements if text.startswith("prove/evaluation.0: "))
+    assert said.count(": camera: ") == 5
+    assert said.endswith("; and 2 more (all of them are in prove/evaluation.0/proof.json)")

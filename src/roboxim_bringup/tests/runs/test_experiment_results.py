@@ -1,18 +1,24 @@
 """An experiment's folder after its run: report, comparison, pack. Results are planted, not simulated."""
 
+import hashlib
 import itertools
 import json
+import re
 import shlex
+import shutil
 import tarfile
 from collections import Counter
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.cli import group
 from roboxim_bringup.experiment_card import evaluation_folder
+from roboxim_bringup.experiment_provenance import file_sha256, folder_sha256
 from roboxim_bringup.runs import experiment_pack
 from roboxim_bringup.runs.evaluation_report import EvaluationRecord
+from roboxim_bringup.runs.experiment import ExperimentRunConfig, run_experiment
 from roboxim_bringup.runs.experiment_models import compared
 from roboxim_bringup.runs.experiment_pack import pack, packed_files, unpack
 from roboxim_bringup.runs.experiment_policies import named_policies
@@ -26,9 +32,13 @@ from roboxim_bringup.runs.experiment_report import (
     write_experiment_report,
 )
 from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.testing import PLANTED_EXPERIMENT, PLANTED_RATES, planted_folder
-from roboxim_core.config import to_json
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import digest, to_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
+from roboxim_core.proprioception import Proprioception
 from roboxim_eval.experiments import stages_of
 
 
@@ -178,6 +188,104 @@ def test_a_pack_survives_the_loss_of_its_machine(tmp_path):
         pack(folder.path, packed.path)
 
 
+def train_tiny(folder):
+    """Train a bc network of the usual size for one step on two invented demonstrations."""
+    from roboxim_policies.bc.config import BCConfig
+    from roboxim_policies.bc.data import Demonstration, assemble
+    from roboxim_policies.bc.train import Trainer
+
+    rng = np.random.default_rng(0)
+    shown = [
+        Demonstration(
+            images={"workspace": rng.integers(0, 255, (6, 32, 32, 3), np.uint8)},
+            proprio=np.stack([Proprioception(tcp_position=(0.5, 0.01 * i, 0.1)).vector() for i in range(6)]),
+            actions=rng.normal(size=(6, 7)).astype(np.float32), instruction=f"Pick up the {color} cube",
+        )
+        for color in ("red", "blue")
+    ]  # fmt: skip
+    data = assemble(shown, camera_sizes={"workspace": (32, 32)}, semantics=ActionSemantics(), robot="panda")
+    return Trainer(data, BCConfig(steps=1, batch=2, image_sizes={"workspace": 32}), folder).run()
+
+
+def acted(checkpoint):
+    """Return what the policy of a checkpoint answers to an invented observation."""
+    from roboxim_policies.bc.policy import BCPolicy
+
+    policy = BCPolicy(checkpoint)
+    policy.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=0))
+    image = np.random.default_rng(1).integers(0, 255, (32, 32, 3), np.uint8)
+    seen = Observation(seq=0, stamp_ns=0, images={"workspace": image}, proprio=Proprioception())
+    return policy.act(
+        ObservationWindow(instruction="Pick up the red cube", observations=[seen], pad_mask=(True,), episode_id="e",
+                          seq=0)
+    )  # fmt: skip
+
+
+def hash_with(folder, file, original):
+    """Return `folder_sha256` of a folder if a file of it had another hash."""
+    content = hashlib.sha256()
+    for one in sorted(folder.iterdir()):
+        content.update(f"{one.name}\0{original if one.name == file else file_sha256(one)}\n".encode())
+    return content.hexdigest()
+
+
+def test_a_pack_has_finished_bc_checkpoints_without_the_optimisers_state(tmp_path):
+    folder = planted_folder(tmp_path / "run", PLANTED_RATES)
+    stages = {stage.name: stage for stage in stages_of(folder.design)}
+    trained = train_tiny(tmp_path / "bc")
+    trainings = tmp_path / "run/train"
+    last = next(name for name in reversed(stages) if name.startswith("train/")).removeprefix("train/")
+    assert last not in ("leave_out.0", "leave_out.1", "baseline.0", "baseline.1")
+    for name in ("baseline.0", "baseline.0@1", "baseline.1", "leave_out.0", last):
+        (trainings / name).mkdir(exist_ok=True)
+        shutil.copy(trained, trainings / name / "checkpoint.npz")
+        (trainings / name / "trained_on.json").write_text("{}")
+    # the last training is not finished, the evaluation of leave_out.0 neither
+    unfinished = {f"train/{last}", "evaluate/leave_out.0"}
+    log = ResultsLog(tmp_path / "run/stages.jsonl")
+    log.path.unlink()
+    for stage in stages.values():
+        if stage.name not in unfinished:
+            key = digest({"sha": stage.sha, "name": stage.name, "policy": None})
+            product = {"sha256": folder_sha256(tmp_path / "run" / stage.name)} if stage.kind == "train" else {}
+            log.append(key, {"stage": stage.name, "wall_s": 1.0, **product})
+    card = folder_card(folder)
+    packed = pack(folder.path, tmp_path / "run.tar.gz")
+    short = {f"train/{name}/checkpoint.npz" for name in ("baseline.0", "baseline.0@1", "baseline.1")}
+    assert packed.originals == dict.fromkeys(short, file_sha256(trained))
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")], "no drafts are left"
+    found = unpack(packed.path, tmp_path / "again")
+    assert found.originals == packed.originals
+
+    def sizes(name):
+        return [(tmp_path / run / "train" / name / "checkpoint.npz").stat().st_size for run in ("run", "again")]
+
+    assert all(3 * sizes(name)[1] < sizes(name)[0] for name in ("baseline.0", "baseline.0@1", "baseline.1"))
+    for name in (last, "leave_out.0", "leave_out.1"):  # two that are to be continued, and one that is not bc's
+        assert len(set(sizes(name))) == 1
+    assert np.array_equal(acted(trained), acted(tmp_path / "again/train/baseline.0"))
+
+    again = ExperimentFolder.of(tmp_path / "again")
+    assert folder_card(again) == card
+    assert card.verdicts[0].sentence in write_experiment_report(again, card).read_text()
+    (again.path / "card.json").unlink()
+    assert folder_card(again).sha256 == card.sha256, "a card that is written again is the same"
+    stated = next(t.checkpoint_sha256 for t in card.trainings if (t.condition, t.replicate) == ("baseline", 0))
+    original = found.originals["train/baseline.0/checkpoint.npz"]
+    assert hash_with(again.path / "train/baseline.0", "checkpoint.npz", original) == stated
+
+    repacked = pack(again.path, tmp_path / "more.tar.gz")
+    assert repacked.originals == packed.originals
+    unpack(repacked.path, tmp_path / "more")
+    for name in sorted(short):
+        assert file_sha256(tmp_path / "more" / name) == file_sha256(again.path / name)
+
+    (tmp_path / "mine.yaml").write_text(PLANTED_EXPERIMENT)
+    config = ExperimentRunConfig(experiment=str(tmp_path / "mine.yaml"), out=again.path, only=("train",))
+    with pytest.raises(ConfigError, match=rf"the training command cannot be started: train \S+ \S+/{re.escape(last)} "):
+        run_experiment(config)  # it begins with the training that is not finished
+
+
 def test_packs_that_are_too_large_or_damaged_are_refused(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     with pytest.raises(ConfigError, match=r"more than 0 MB; its largest files: .*results.jsonl"):
@@ -194,6 +302,11 @@ def test_packs_that_are_too_large_or_damaged_are_refused(tmp_path):
     with tarfile.open(evil, "w:gz") as archive:
         archive.add(tmp_path / "pack.json", arcname=experiment_pack.MANIFEST)
     with pytest.raises(ConfigError, match="'../outside' leaves its folder"):
+        unpack(evil, tmp_path / "evil")
+    (tmp_path / "pack.json").write_text(json.dumps({"files": {}, "originals": {"a": "0"}}))
+    with tarfile.open(evil, "w:gz") as archive:
+        archive.add(tmp_path / "pack.json", arcname=experiment_pack.MANIFEST)
+    with pytest.raises(ConfigError, match="names originals of files that it does not have"):
         unpack(evil, tmp_path / "evil")
 
 
@@ -220,6 +333,10 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     assert set(cards) == {"weak", "strong"}
     assert models.pairs[0].test == "these checkpoints, on 40 scenes that both met"
     assert models.models["strong"].letters != models.models["weak"].letters
+    text = one.replace("steps: 7}", 'steps: 8, until: "--until {until}"}') + "curve: {every: 4, per_checkpoint: 4}\n"
+    planted_folder(tmp_path / "curved", {**PLANTED_RATES, "leave_out": 0.9}, text)
+    models, _ = compared([tmp_path / "weak", tmp_path / "curved"])
+    assert models.pairs[0].test == "these checkpoints, on 40 scenes that both met", "a curve has scenes of its own"
     card = tmp_path / "card.json"
     card.write_text((tmp_path / "weak/card.json").read_text())
     models, _ = compared([card, tmp_path / "strong"])

@@ -105,7 +105,8 @@ def _differences(
 ) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    return condition_difference(first, second, pairs, same_cells=not compare.against)
+    same_scenes = compare.against in ("", compare.where)  # else pairs are those of a condition with itself
+    return condition_difference(first, second, pairs if same_scenes else (), same_cells=not compare.against)
 
 
 def _p_value(difference: ConditionDifference) -> float:

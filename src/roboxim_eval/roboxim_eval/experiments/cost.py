@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.statistics.power import Design as Size
@@ -276,6 +277,8 @@ def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
 def detectable_drop(design: Design, *, alone: bool = False) -> float | None:
     """Return the smallest drop from 80 % that a comparison finds with a chance of 80 %; none: not even one to 0.
 
+    The drop is that of the primary comparison's first condition from its second one.
+
     Args:
         design: The experiment.
         alone: Whether none of the other comparisons is found. Holm's adjustment then asks for p <= alpha / k with k
@@ -284,8 +287,33 @@ def detectable_drop(design: Design, *, alone: bool = False) -> float | None:
     config, scenes = design.config, design.compared_scenes
     if not scenes:
         return None
-    size = Size(replicates=config.replicates.count, scenes=scenes)
+    size = Size(
+        replicates=config.replicates.count, scenes=_scenes_against(design) or scenes,
+        other_scenes=scenes if _scenes_against(design) else 0, same_checkpoints=same_checkpoints(design),
+    )  # fmt: skip
     return detectable(size, alpha=config.decide.alpha / (max(1, len(config.compare)) if alone else 1))
+
+
+def same_checkpoints(design: Design) -> bool:
+    """Return whether both sides of the primary comparison are the same trainings, evaluated in two ways."""
+    primary, conditions = design.config.primary, design.config.conditions
+    if primary is None:
+        return False
+    first, second = (conditions[name].checkpoint_of or name for name in (primary.first, primary.second))
+    return first == second
+
+
+def _scenes_against(design: Design) -> int:
+    """Return the rollouts of each training of the primary comparison's second condition; 0: on the first one's scenes.
+
+    The two sides have scenes of their own if they are compared in different cells.
+    """
+    primary = design.config.primary
+    if primary is None or primary.against in ("", primary.where):
+        return 0
+    keys = {cell.key for cell in chosen(design.cells, primary.against)}
+    theirs = next(e for e in design.evaluations if e.condition == primary.second and not e.checkpoint)
+    return sum(count for key, count in theirs.counts.items() if key in keys)
 
 
 REPLICATES = (1, 3, 4, 5, 6, 8, 10, 12, 16, 20)

@@ -2,7 +2,10 @@
 
 The model: a training's success rate deviates from that of its recipe by ``training_spread`` (standard deviation), and
 its rollouts deviate from its rate by chance. Scenes differ in difficulty (standard deviation ``SCENE_SPREAD`` on the
-logit), and both conditions meet the same scenes, so that difficulty cancels.
+logit). Difficulty cancels where both conditions meet the same scenes.
+
+Where both sides of a comparison are the same checkpoints, a training's deviation shifts both rates by the same amount
+on the logit, and nearly cancels. That is an assumption too: trainings may react differently to what is changed.
 """
 
 from __future__ import annotations
@@ -31,7 +34,11 @@ class Design:
     replicates: int
     """Trainings of each condition."""
     scenes: int
-    """Rollouts of each training that the comparison counts; the same scenes in both conditions."""
+    """Rollouts of each training that the comparison counts; of the better condition where the scenes differ."""
+    other_scenes: int = 0
+    """Rollouts of each training of the worse condition, on scenes of their own; 0: both meet the same scenes."""
+    same_checkpoints: bool = False
+    """Whether both conditions evaluate the same trainings, e.g. in other cells or with another instruction."""
     training_spread: float = TRAINING_SPREAD
     """Standard deviation of a recipe's success rate between trainings at a rate of 0.8, 0..1."""
 
@@ -41,36 +48,39 @@ class Design:
         Raises:
             InvalidRequestError: If one is too small.
         """
-        if self.replicates < 1 or self.scenes < 1 or self.training_spread < 0:
-            raise InvalidRequestError(f"needs replicates >= 1, scenes >= 1 and training_spread >= 0, got {self}")
+        if self.replicates < 1 or self.scenes < 1 or min(self.training_spread, self.other_scenes) < 0:
+            raise InvalidRequestError(
+                f"needs replicates >= 1, scenes >= 1, other_scenes >= 0 and training_spread >= 0, got {self}"
+            )
 
 
 def power(design: Design, first: float, second: float, *, alpha: float = 0.05) -> float:
     """Return the chance to find a difference of two conditions' success rates.
 
     Three or more replicates: Student's t over them (Q2). One: the exact McNemar test of one checkpoint (Q1), without
-    the spread of trainings. Two decide nothing.
+    the spread of trainings; on different scenes one decides nothing. Two decide nothing.
 
     Args:
         design: Size of the comparison.
-        first: Success rate of the first condition, 0..1.
-        second: Success rate of the second one, 0..1.
+        first: Success rate of the first condition, 0..1; the one with ``scenes``.
+        second: Success rate of the second one, 0..1; the one with ``other_scenes``, where the scenes differ.
         alpha: Probability of a false alarm, two-sided.
     """
     from scipy.stats import norm
     from scipy.stats import t as student
 
-    if design.replicates == 1:
+    if design.replicates == 1 and not design.other_scenes:
         return _mcnemar_power(design.scenes, first, second, alpha)
-    if design.replicates == 2:
+    if design.replicates <= 2:
         return 0.0
-    rollouts = (_within(first) + _within(second)) / design.scenes
-    trainings = design.training_spread**2 * (_logit_scale(first) ** 2 + _logit_scale(second) ** 2)
+    rollouts, trainings = _rollouts_variance(design, first, second), _trainings_variance(design, first, second)
     if not trainings + rollouts:
         return 1.0 if first != second else alpha
     lead = abs(first - second) / math.sqrt((trainings + rollouts) / design.replicates)
     freedom = design.replicates - 1
     limits = student.ppf(1 - alpha / 2, freedom) * _sample_spreads(freedom)
+    if design.same_checkpoints:  # the rollouts' own test decides more often, since trainings hardly spread
+        limits = np.maximum(limits, norm.ppf(1 - alpha / 2) * math.sqrt(rollouts / (rollouts + trainings)))
     return float(np.mean(norm.sf(limits - lead) + norm.cdf(-limits - lead)))
 
 
@@ -90,6 +100,19 @@ def detectable(design: Design, rate: float = 0.8, *, chance: float = 0.8, alpha:
         return power(design, rate, rate - drop, alpha=alpha) - chance
 
     return float(brentq(missing, 1e-6, rate)) if missing(rate) > 0 else None
+
+
+def _rollouts_variance(design: Design, first: float, second: float) -> float:
+    """Return the variance of a training's difference that comes from its rollouts."""
+    if design.other_scenes:  # difficulty does not cancel
+        return first * (1 - first) / design.scenes + second * (1 - second) / design.other_scenes
+    return (_within(first) + _within(second)) / design.scenes
+
+
+def _trainings_variance(design: Design, first: float, second: float) -> float:
+    """Return the variance of a training's difference that comes from the spread of trainings."""
+    one, two = _logit_scale(first), _logit_scale(second)
+    return design.training_spread**2 * ((one - two) ** 2 if design.same_checkpoints else one**2 + two**2)
 
 
 def _logit_scale(rate: float) -> float:

@@ -65,7 +65,7 @@ class ConditionDifference:
     """Success rates of both conditions over all replicates, for the rollouts' share of the uncertainty."""
     pairs: Pairs | None = None
     """Outcomes of all replicates on the same scenes, which narrow the rollouts' share; none: the scenes differ, or
-    cells have different numbers of them."""
+    cells of several replicates have different numbers of them. Those of one replicate are Q1's sample."""
 
     @property
     def replicates(self) -> int:
@@ -141,11 +141,12 @@ def condition_difference(
         odd = ", ".join(sorted(set(first.cells) ^ set(second.cells)))
         raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
     differences = first.rates - second.rates
+    alone = len(first.replicates) == 1  # Q1: scenes are the sample
     even = len({count.episodes for count in first.by_cell.values()}) == 1  # else scenes of some cells would weigh more
     return ConditionDifference(
         differences=tuple(float(d) for d in differences),
         rollouts=(_pooled(first), _pooled(second)),
-        pairs=sum(pairs[1:], start=pairs[0]) if pairs and even else None,
+        pairs=sum(pairs[1:], start=pairs[0]) if pairs and (alone or even) else None,
     )
 
 

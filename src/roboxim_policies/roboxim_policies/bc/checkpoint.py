@@ -2,6 +2,9 @@
 
 The file is a ``.npz`` with the arrays and a JSON text that describes everything else that the policy needs:
 configuration, cameras and their sizes, vocabulary, normalisation, action semantics.
+
+The policy needs one of the four arrays of weights and moments: the averaged weights. `policy_only` leaves out the
+others, for a copy of a finished training that is moved or stored.
 """
 
 from __future__ import annotations
@@ -27,6 +30,8 @@ from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations
 
 Floats = npt.NDArray[np.float32]
+ORIGINAL = "original_sha256"
+"""Key of the description of a checkpoint without the training's state: the hash of the whole one's file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +87,9 @@ class Checkpoint:
     digest: str
     """Hash of the averaged weights, 16 hexadecimal digits."""
     arrays: list[npt.NDArray[Any]]
-    """Arrays of (weights, optimiser state, averaged weights), in this order."""
+    """Arrays of (weights, optimiser state, averaged weights), in this order; see ``original_sha256``."""
+    original_sha256: str = ""
+    """SHA-256 of the whole checkpoint's file, if this one has the averaged weights only; empty: it is whole."""
 
     @staticmethod
     def identity_of(config: BCConfig, data: Demonstrations) -> str:
@@ -141,18 +148,49 @@ def save_checkpoint(
         "robot": data.robot,
         "state_layout": list(STATE_NAMES),
         "identity": Checkpoint.identity_of(config, data),
-        "digest": hashlib.blake2b(arrays[-1].tobytes(), digest_size=8).hexdigest(),
+        "digest": _digest(arrays[-1]),
         "episodes": data.episodes,
     }
-    buffer = io.BytesIO()
-    named = {f"array_{index:04d}": array for index, array in enumerate(arrays)}
-    np.savez(buffer, allow_pickle=False, said=np.array(json.dumps(said)), **named)
+    content = _content(said, arrays)
     scratch = path.with_name(f".{path.name}.tmp")
     with scratch.open("wb") as file:
-        file.write(buffer.getbuffer())
+        file.write(content)
         file.flush()
         os.fsync(file.fileno())
     scratch.replace(path)
+
+
+def policy_only(path: Path) -> bytes:
+    """Return the content of a checkpoint that has what the policy needs, without the state of the training.
+
+    It has the whole checkpoint's description and averaged weights, and the hash of its file. The policy acts the same;
+    a training cannot continue from it.
+
+    Args:
+        path: The file of a whole checkpoint, or the folder of its training.
+
+    Raises:
+        ConfigError: When it is missing, damaged, of another version, or has the averaged weights only.
+    """
+    file, whole = checkpoint_file(path), load_checkpoint(path)
+    if whole.original_sha256:
+        raise ConfigError(f"{file} has the averaged weights only already")
+    averaged = whole.arrays[-1]
+    if _digest(averaged) != whole.digest:
+        raise ConfigError(f"{file} is damaged: its averaged weights have another hash than its description says")
+    said = {**read_description(path), ORIGINAL: hashlib.sha256(file.read_bytes()).hexdigest()}
+    return _content(said, [averaged])
+
+
+def _content(said: dict[str, Any], arrays: list[npt.NDArray[Any]]) -> bytes:
+    buffer = io.BytesIO()
+    named = {f"array_{index:04d}": array for index, array in enumerate(arrays)}
+    np.savez(buffer, allow_pickle=False, said=np.array(json.dumps(said)), **named)
+    return buffer.getvalue()
+
+
+def _digest(averaged: npt.NDArray[Any]) -> str:
+    return hashlib.blake2b(averaged.tobytes(), digest_size=8).hexdigest()
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -170,6 +208,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
             arrays = [archive[name] for name in sorted(archive.files) if name.startswith("array_")]
     except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+    if not arrays:
+        raise ConfigError(f"{file} is not a readable checkpoint: it has no weights")
     return Checkpoint(
         step=said["step"],
         config=from_plain(said["config"], BCConfig, source=str(file)),
@@ -184,7 +224,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         identity=said["identity"],
         digest=said["digest"],
         arrays=arrays,
+        original_sha256=said.get(ORIGINAL, ""),
     )
 
 
-__all__ = ["Checkpoint", "Statistics", "load_checkpoint", "save_checkpoint"]
+__all__ = ["ORIGINAL", "Checkpoint", "Statistics", "load_checkpoint", "policy_only", "save_checkpoint"]

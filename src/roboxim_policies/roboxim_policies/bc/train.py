@@ -86,7 +86,7 @@ class Trainer:
 
         Raises:
             ConfigError: When a checkpoint exists and ``resume`` is False, or the checkpoint belongs to another
-                configuration or dataset.
+                configuration or dataset, or has no state to continue from, see `checkpoint.policy_only`.
         """
         self.data, self.config, self.out = data, config, out
         self.path = out / CHECKPOINT
@@ -112,6 +112,13 @@ class Trainer:
             raise ConfigError(
                 f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
                 "choose another output folder (--out or out=), or continue with the same configuration and dataset"
+            )
+        if found.original_sha256:
+            done = "has all its steps" if found.step >= self.config.steps else "cannot continue"
+            raise ConfigError(
+                f"{self.path} has the averaged weights only, after {found.step} of {self.config.steps} steps: 'roboxim "
+                f"experiment pack' left out the optimiser's state. The policy runs from it; the training {done}. "
+                "To train again, choose another output folder (--out or out=)"
             )
         self._at = found.restore(self._at[0]), found.step
 
