@@ -27,7 +27,7 @@ from roboxim_datasets.dataset import EXPORT_FILE, Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_eval.experiments.changes import WORDS_SAY_OTHER_ROLES
 from roboxim_eval.experiments.delivery import WORDS, Allowed, Demand, Shown
-from roboxim_eval.experiments.proofs import Fault, Tally, Trained, pairing, tally, training_tally
+from roboxim_eval.experiments.proofs import PROOF_OF_TRAINING, Fault, Tally, Trained, pairing, tally, training_tally
 
 THREADS_VARIABLE = "LP_NUM_THREADS"
 """Threads of the software renderer of a worker."""
@@ -208,8 +208,8 @@ def prove_trained_on(training: Path, claim: DatasetClaim) -> Tally:
     cells = export.get("cells", {}).get("train", {})
     if cells != dict(claim.counts):
         faults.append(f"its export holds {cells}, expected {dict(claim.counts)}")
-    wrong = tuple(Fault(check="trained_on", bag=str(training), text=text) for text in faults)
-    return Tally(checks={"trained_on": (int(not wrong), 1)}, faults=wrong)
+    wrong = tuple(Fault(check=PROOF_OF_TRAINING, bag=str(training), text=text) for text in faults)
+    return Tally(checks={PROOF_OF_TRAINING: (int(not wrong), 1)}, faults=wrong)
 
 
 # ------------------------------------------------------------------ evaluations

@@ -33,6 +33,8 @@ from roboxim_eval.experiments.delivery import (
     hidden_distractors,
 )
 
+PROOF_OF_TRAINING = "trained_on"
+"""Check of a training, not of an episode: it read the export that the experiment gave it."""
 MOST_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
 NAMED = 5
@@ -89,8 +91,12 @@ class Tally:
         """Return why a run must stop, naming bags and figures; empty: it may go on.
 
         Args:
-            most: Share of faulty episodes that is tolerated.
+            most: Share of faulty episodes that is tolerated. A training on another dataset never is.
         """
+        if wrong := [fault for fault in self.faults if fault.check == PROOF_OF_TRAINING]:
+            return "trainings read another dataset than the experiment gave them:\n" + "\n".join(
+                f"  {fault}" for fault in wrong
+            )
         checked = max((n for _, n in self.checks.values()), default=0)
         if len(self.faulty) <= most * checked:
             return ""
