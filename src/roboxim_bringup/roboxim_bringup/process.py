@@ -32,7 +32,8 @@ def keep_freed_memory() -> bool:
     """Have the C library keep memory that is freed for this process's next allocations; see ``man mallopt``.
 
     A training step of XLA allocates and frees large buffers. By default glibc returns them to the kernel, which hands
-    out zeroed pages again at the next step, thousands of page faults each time. The process's peak is unchanged.
+    out zeroed pages again at the next step, thousands of page faults each time. `make bench-bc_training` measures what
+    that costs; on an idle machine it is little.
 
     Returns:
         Whether the C library took all settings; others than glibc have none.
