@@ -141,7 +141,8 @@ def collect_card(
         ),
         code=origin.code,
         environment=CardEnvironment(
-            packages_sha256=origin.packages_sha256, renderer=_renderer(origin, renderer), device=device()
+            packages_sha256=origin.packages_sha256, renderer=_renderer(origin, renderer),
+            device=origin.device or device(),
         ),
         datasets=datasets,
         trainings=tuple(_trainings(design, products, datasets, out)),
@@ -180,7 +181,10 @@ def _origin_of_evaluations(evaluations: Sequence[Origin | None], renderer: str, 
         card = None
     if card is None:
         return Origin.here(renderer)
-    return Origin(code=card.code, packages_sha256=card.environment.packages_sha256, renderer=renderer)
+    environment = card.environment
+    return Origin(
+        code=card.code, packages_sha256=environment.packages_sha256, renderer=renderer, device=environment.device
+    )
 
 
 def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeResult]]) -> Iterator[CardEvaluation]:

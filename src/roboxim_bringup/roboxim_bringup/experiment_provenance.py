@@ -91,6 +91,8 @@ class Origin:
     """Hash of the installed packages, see `packages_sha256`."""
     renderer: str = ""
     """Renderer of its images; empty: it draws none."""
+    device: str = ""
+    """Machine of the command, see `device`; empty: a version wrote the line that did not store it."""
 
     @staticmethod
     def here(renderer: str = "") -> Origin:
@@ -99,7 +101,7 @@ class Origin:
         Args:
             renderer: Renderer of its images; empty: it draws none.
         """
-        return Origin(code=code(), packages_sha256=packages_sha256(), renderer=renderer)
+        return Origin(code=code(), packages_sha256=packages_sha256(), renderer=renderer, device=device())
 
     @staticmethod
     def of(entry: Mapping[str, Any]) -> Origin | None:
@@ -115,7 +117,7 @@ class Origin:
 
 
 def origin_statements(origins: Mapping[str, Origin | None], renderers: Mapping[str, str]) -> Iterator[str]:
-    """Yield a sentence for each of code, packages and renderer that stages of an experiment do not share.
+    """Yield a sentence for each of code, packages, machine and renderer that stages of an experiment do not share.
 
     Args:
         origins: Stage to what it ran with; none: unknown.
@@ -124,7 +126,11 @@ def origin_statements(origins: Mapping[str, Origin | None], renderers: Mapping[s
     known = {name: origin for name, origin in origins.items() if origin is not None}
     codes = {name: _code_text(known[name].code) if name in known else UNKNOWN for name in origins}
     packages = {name: known[name].packages_sha256[:16] if name in known else UNKNOWN for name in origins}
-    for what, values in (("versions of the code", codes), ("sets of packages", packages), ("renderers", renderers)):
+    machines = {name: origin.device for name, origin in known.items() if origin.device}
+    shared = {
+        "versions of the code": codes, "sets of packages": packages, "renderers": renderers, "machines": machines
+    }  # fmt: skip
+    for what, values in shared.items():
         stages: dict[str, list[str]] = {}
         for name, value in values.items():
             stages.setdefault(value, []).append(name)

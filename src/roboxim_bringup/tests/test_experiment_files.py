@@ -176,6 +176,7 @@ def test_a_plan_says_counts_time_disk_and_power():
     text = "\n".join(plan_lines("skill_object", "laptop", design, RATES))
     assert "432; datasets: leave_out 324, baseline 324" in text
     assert "[-/18]" in text
+    assert "warning         No scene has distractors" in text
     assert "1,440 of 9 policies" in text
     assert "3.0 h: 11 min demonstrations, 1.2 h trainings, 1.7 h rollouts" in text
     assert "a drop from 80 to 48 % with a chance of 80 % (3 trainings, 120 rollouts each)" in text

@@ -57,6 +57,7 @@ from roboxim_bringup.runs.learned_rates import rates_of_run
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.rates import store_rates, stored_rates
 from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
+from roboxim_bringup.runs.told_by_scene import told_by_scene
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_json_object, read_text
@@ -171,6 +172,8 @@ def run_experiment(
     design = checked_design(config.experiment, experiment, config.trainer)
     if experiment.curve is not None and not design.trainer.until:
         on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
+    for sentence in told_by_scene(design):
+        on_event(Notice(text=sentence))
     with KeptProcesses() as kept:
         run = _Run(config, design, on_event, cancellation, executor, kept)
         run.open()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_bringup import experiment_provenance
+from roboxim_bringup import experiment_card, experiment_provenance
 from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.events import Notice
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
@@ -226,11 +226,13 @@ def test_a_folder_of_an_older_version_keeps_its_renderer_and_its_card(fakes, con
         run_experiment(config(renderer="tiny"))
 
 
-def test_a_finished_run_keeps_its_card_after_a_commit(fakes, config, at, monkeypatch):
+def test_a_finished_run_keeps_its_card_after_a_commit_and_on_another_machine(fakes, config, at, monkeypatch):
     at("a")
     card = run_experiment(config()).card
     at("b")
     monkeypatch.setattr(experiment_provenance, "packages_sha256", lambda: "others")
+    monkeypatch.setattr(experiment_provenance, "device", lambda: "another processor")
+    monkeypatch.setattr(experiment_card, "device", lambda: "another processor")
     again = run_experiment(config()).card
     assert (again.code, again.sha256) == (card.code, card.sha256)
     assert again.code.commit == "a" * 40
@@ -258,6 +260,17 @@ def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, c
     more = run_experiment(config(TEXT.replace("count: 3", "count: 4"))).card
     assert more.code.commit == "c" * 40
     assert "2 versions of the code: unknown (generate/0 and " in differing(more)[0]
+
+
+def test_a_card_names_the_machines_that_its_stages_ran_on(fakes, config, monkeypatch):
+    monkeypatch.setattr(experiment_provenance, "device", lambda: "AMD EPYC, NVIDIA H100")
+    run_experiment(config(only=("generate", "export", "train")))
+    monkeypatch.setattr(experiment_provenance, "device", lambda: "AMD EPYC")
+    card = run_experiment(config()).card
+    assert card.environment.device == "AMD EPYC", "that of the evaluations"
+    (statement,) = differing(card)
+    assert statement.startswith("stages ran with 2 machines: AMD EPYC, NVIDIA H100 (generate/0 and ")
+    assert "AMD EPYC (evaluate/" in statement
 
 
 def test_an_experiment_waits_for_policies_that_are_trained_elsewhere(fakes, config):

@@ -47,7 +47,7 @@ class CardExperiment:
 
 @dataclass(frozen=True, kw_only=True)
 class CardCode:
-    """The code that ran."""
+    """Code that a stage ran with."""
 
     version: str = ""
     """Version of RoboXim."""
@@ -66,7 +66,7 @@ class CardEnvironment:
     renderer: str = ""
     """Renderer of the evaluations' images."""
     device: str = ""
-    """Processor and GPUs of the machine that wrote the card; trainings may have run elsewhere."""
+    """Processor and GPUs of the machine that started the last evaluation; a statement names other stages' machines."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +191,7 @@ class Card:
     experiment: CardExperiment
     """The experiment."""
     code: CardCode = CardCode()
-    """The code that ran."""
+    """Code of the last evaluation; a statement names that of other stages."""
     environment: CardEnvironment = CardEnvironment()
     """The machine and its software."""
     datasets: dict[str, CardDataset] = field(default_factory=dict)
