@@ -15,7 +15,7 @@ from roboxim_bringup.process import die_with_parent
 def main() -> None:
     """Become the command, which SIGINT interrupts even where a shell's background job ignores it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # becomes the default action in the command
-    die_with_parent(int(os.environ["ROBOXIM_PARENT"]))
+    die_with_parent(int(os.environ.pop("ROBOXIM_PARENT")))  # a script's own roboxim commands have another parent
     program, *_ = words = sys.argv[1:]
     os.execvp(program, words)
 

@@ -2,8 +2,9 @@
 
 ``OUT/experiment.json`` holds the experiment and the inputs of every stage, ``OUT/stages.jsonl`` a line for each
 finished stage, in the order in which they ended. The same call continues: finished stages are skipped, and an
-unfinished one continues as its run does. A stage whose inputs have changed is refused by name, and so is another
-renderer than that of finished stages. Each line also states the code that the stage ran with, for the card.
+unfinished one continues as its run does. A stage whose inputs have changed is refused by name, and so are another
+renderer than that of finished stages, and changed files that the experiment names. Each line also states the code that
+the stage ran with, for the card.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import shutil
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +21,7 @@ from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Executor, KeptProcesses
 from roboxim_bringup.experiment_card import (
+    CARD_FILE,
     DRAWING,
     EXCLUDED_FILE,
     JUDGED_FILE,
@@ -36,7 +39,9 @@ from roboxim_bringup.experiment_provenance import (
     folder_sha256,
 )
 from roboxim_bringup.runs.events import Notice, OnEvent, ignore
+from roboxim_bringup.runs.experiment_definitions import changed_definitions, changed_policy, definitions
 from roboxim_bringup.runs.experiment_policies import (
+    is_named,
     named_policies,
     policy_of,
     require_found,
@@ -44,6 +49,7 @@ from roboxim_bringup.runs.experiment_policies import (
     require_trainers_policy,
     server_of_policy,
 )
+from roboxim_bringup.runs.experiment_products import has_product, lost_products
 from roboxim_bringup.runs.experiment_report import (
     STATE_FILE,
     ExperimentFolder,
@@ -73,6 +79,10 @@ KINDS = ("generate", "export", "train", "evaluate")
 the evaluation."""
 
 STAGES_FILE = "stages.jsonl"
+CHANGED = "changed_after_results"
+"""Key of ``experiment.json``: sentences for the card."""
+DECIDING = ("replicates", "compare", "decide")
+"""Keys of an experiment on which verdicts depend, but no stage."""
 RENDERER = "raster"
 """Renderer unless one is named."""
 
@@ -222,6 +232,7 @@ class _Run:
         trained = bool(design.trainer.command)
         self.stages = tuple(stage for stage in stages_of(design) if stage.kind != "train" or trained)
         self._ran = False
+        self._lost: set[str] = set()
         self._by_name = {stage.name: stage for stage in self.stages}
         require_known(design, config.policies)
         evaluations = [s for s in self.stages if s.kind == "evaluate" and "evaluate" in config.only]
@@ -253,6 +264,9 @@ class _Run:
         draws = not set(DRAWING).isdisjoint(self.config.only)
         if draws:
             self._require_renderer()
+        defined = definitions(self.design)
+        self._require_definitions(defined)
+        self._require_policies(done)
         inputs = {
             stage.name: plain(self._inputs(stage)) for stage in self.stages
             if stage.kind != "evaluate" or self.policies.get(stage.name) or stage.name not in before
@@ -261,10 +275,14 @@ class _Run:
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
             "benchmark": self.config.benchmark,
             "renderer": self.config.renderer if draws else stored.get("renderer", self.config.renderer),
-            "config": to_plain(self.design.config), "stages": {**before, **inputs},
+            "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
+            CHANGED: [*stored.get(CHANGED, []), *self._changed_after_results(stored)],
         }  # fmt: skip
         write_atomically(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
         self._attest()
+        pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
+        if not self.config.shard:  # which has a part of the products alone
+            self._lost = lost_products(self._by_name, self.done, pending, self.out)
 
     def _require_renderer(self) -> None:
         """Check that finished stages, those of a shard's whole experiment included, have this call's renderer.
@@ -284,6 +302,48 @@ class _Run:
                         f"--renderer {renderer}, or choose another output folder (--out)"
                     )
 
+    def _require_definitions(self, defined: Mapping[str, str]) -> None:
+        """Check that episodes that exist were run with the same tasks, scenes, cameras and models.
+
+        Raises:
+            ConfigError: Naming those that have changed.
+        """
+        for folder in dict.fromkeys((self.out, self.trained)):
+            changed = changed_definitions(_state(folder).get("definitions", {}), defined)
+            begun = [s.name for s in self.stages if s.kind in DRAWING and (folder / s.name).exists()]
+            if begun and changed:
+                raise ConfigError(
+                    f"{folder}: {changed} since stage '{begun[0]}' was begun; put the file back, or choose another "
+                    "output folder (--out)"
+                )
+
+    def _require_policies(self, done: Mapping[str, str]) -> None:
+        """Check that finished evaluations ran with the present files of the policies that the user names.
+
+        Raises:
+            ConfigError: Naming a file that has changed.
+        """
+        for name, policy in self.policies.items():
+            named = is_named(self.design, self._by_name[name], self.config.policies, self.trained)
+            changed = changed_policy(policy, self.out, name) if policy and named and name in done else ""
+            if changed:
+                raise ConfigError(
+                    f"{self.out}: stage '{name}' was finished with an earlier state of its policy: {changed}; "
+                    "choose another output folder (--out)"
+                )
+
+    def _changed_after_results(self, stored: Mapping[str, Any]) -> list[str]:
+        """Return a sentence if trainings, comparisons or margins differ from those of a card that was written before.
+
+        More trainings until a result is clear find more than they should: chances of error hold for one look.
+        """
+        if not stored or not (self.out / CARD_FILE).exists():
+            return []
+        now, before = plain(to_plain(self.design.config)), stored["config"]
+        parts = ({key: one.get(key) for key in DECIDING} for one in (before, now))
+        changed = differences(*parts)
+        return [f"changed after results were seen: {changed}; p values are not adjusted for that"] if changed else []
+
     def _attest(self) -> None:
         """Check what is attested about the trainings; write a file to fill in if they run elsewhere."""
         names = tuple(f"{t.condition}.{t.replicate}" for t in self.design.trainings)
@@ -294,9 +354,9 @@ class _Run:
 
     @property
     def done(self) -> set[str]:
-        """Names of the finished stages whose inputs are unchanged."""
+        """Names of the finished stages whose inputs are unchanged and whose products are there if they are read."""
         keys = {entry.key for entry in self.log.read()}
-        return {stage.name for stage in self.stages if self._key(stage) in keys}
+        return {stage.name for stage in self.stages if self._key(stage) in keys} - self._lost
 
     def _inputs(self, stage: Stage) -> dict[str, Any]:
         policy = self.policies.get(stage.name)
@@ -315,7 +375,7 @@ class _Run:
         checks: dict[str, list[int]] = {}
         excluded: dict[str, list[int]] = {}
         again: list[Any] | None = None
-        statements: list[str] = []
+        statements: list[str] = list(_state(self.out).get(CHANGED, []))
         for stage in self.stages:
             if stage.kind != "prove":
                 continue
@@ -386,9 +446,24 @@ class _Run:
         if stage.name in done:
             return
         self._require_needs(stage, done)
+        self._clear(stage)
         started, continued = time.monotonic(), (self.out / stage.name).exists()
         made = self._runner.run(stage, self._by_name)
         self._log(stage, time.monotonic() - started, continued=continued, **made)
+
+    def _clear(self, stage: Stage) -> None:
+        """Set apart what is left of a stage that is to run again because its bags or its dataset are gone."""
+        folder = self.out / stage.name
+        again = stage.name in self._lost or (
+            not self.config.shard and folder.exists() and not has_product(stage, self.out)
+        )
+        if again:
+            apart = folder.with_name(f".{folder.name}-without-bags")
+            shutil.rmtree(apart, ignore_errors=True)
+            if folder.exists():
+                folder.rename(apart)
+            what = "dataset is" if stage.kind == "export" else "bags are"
+            self._runner.on_event(Notice(text=f"{stage.name} runs again: its {what} gone, as after 'unpack'"))
 
     def _require_needs(self, stage: Stage, done: Collection[str]) -> None:
         """Check that the stages that a stage needs are finished.
@@ -417,6 +492,7 @@ class _Run:
         if stage.kind in ("export", "train"):
             entry["sha256"] = folder_sha256(self.out / stage.name)
         self.log.append(self._key(stage), entry)
+        self._lost.discard(stage.name)
 
 
 def _state(folder: Path) -> dict[str, Any]:

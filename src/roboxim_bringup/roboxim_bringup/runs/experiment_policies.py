@@ -37,6 +37,11 @@ def policy_of(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out
     return _worded(policy, asked.condition, asked.instruction)
 
 
+def is_named(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out: Path) -> bool:
+    """Return whether the user names the policy of an evaluation; for the arguments see `policy_of`."""
+    return _Asked.of(design, stage, out).named(given) is not None
+
+
 def server_of_policy(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out: Path) -> Server | None:
     """Return the server that an evaluation's checkpoint needs; none: it needs none, or the user named its policy.
 

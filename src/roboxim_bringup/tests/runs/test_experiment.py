@@ -1,6 +1,7 @@
 """An experiment as a graph of runs: planted policies, resuming, refusals, the card."""
 
 import json
+import shutil
 import socket
 import sys
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.events import Notice
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
 from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_bringup.runs.policies import PolicySpec, find_policies
+from roboxim_bringup.runs.store import STORED_FILE
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
@@ -58,6 +60,7 @@ class Fakes:
     def generate(self, config, **_):
         self.calls.append(f"generate {config.episodes}")
         assert config.first_try
+        Path(config.out).mkdir(parents=True)
         results = [EpisodeResult(episode_id=str(i), index=i, outcome="success") for i in range(config.episodes)]
         return type("Result", (), {"results": results, "kept": results, "out": config.out})()
 
@@ -67,6 +70,7 @@ class Fakes:
         number = config.per_cell * (cells.count(",") + 1)
         self.calls.append(f"export {Path(target).name} {number}")
         assert config.val_fraction == 0.0
+        Path(target).mkdir(parents=True)
         return type("Report", (), {"splits": {"train": number}, "left_out": {}})()
 
     def prove_training(self, claims, mix, unseen, reading):
@@ -89,7 +93,9 @@ class Fakes:
         self.calls.append(f"evaluate {name}.{replicate} {config.policies.spec}")
         self.policies[f"{name}.{replicate}"] = config.policies
         mix = mix_of_text(Path(config.task).read_text())
-        with RunFolder(Path(config.out) / name).opened({"command": "evaluate"}) as folder:
+        own = ".py:" in config.policies.spec
+        files = find_policies([config.policies])[0].files(Path(config.out)) if own else {}
+        with RunFolder(Path(config.out) / name).opened({"command": "evaluate", "policy_files": files}) as folder:
             for index in range(config.episodes):
                 drawn = mix.drawn(index)
                 rate = self.planted[name, drawn["cell"] in UNSEEN]
@@ -98,6 +104,8 @@ class Fakes:
                 folder.append(
                     EpisodeResult(episode_id=f"{index}", index=index, attempt=0, outcome=outcome, bag=f"{index}")
                 )
+            bags = "".join(json.dumps({"bag": f"{index}", "files": {}}) + "\n" for index in range(config.episodes))
+            (folder.path / STORED_FILE).write_text(bags)
         return type("Result", (), {"require_measured": lambda self: None})()
 
 
@@ -162,6 +170,71 @@ def test_a_changed_input_is_refused_by_name(fakes, config):
         run_experiment(config(TEXT.replace("per_cell: 3", "per_cell: 4")))
     more = TEXT.replace("count: 3", "count: 4")
     assert run_experiment(config(more)).missing == (), "more replicates are no change of the others"
+
+
+TASK = (Path(__file__).parents[4] / "config/tasks/pick_cube.yaml").read_text()
+GIVEN = """
+about: Is a policy as good as another one?
+factors: {{task: [{task}]}}
+conditions: {{a: {{given: true}}, b: {{given: true}}}}
+evaluate: {{per_cell: 2}}
+replicates: {{count: 1}}
+compare: [{{first: a, second: b}}]
+"""
+
+
+def test_a_changed_task_file_is_refused_by_name(fakes, config, tmp_path):
+    task = tmp_path / "pick_cube.yaml"
+    task.write_text(TASK)
+    text, fakes.planted = GIVEN.format(task=task), {("a", False): 1.0, ("b", False): 0.5}
+    run_experiment(config(text, policies=named_policies(["a=random"])))
+    task.write_text(TASK + "# as before\n")
+    run_experiment(config(text, policies=named_policies(["a=random"])))
+    task.write_text(TASK.replace("lift_m: 0.05", "lift_m: 0.01"))
+    with pytest.raises(ConfigError, match=f"the task {task} has changed since stage 'evaluate/a.0' was begun"):
+        run_experiment(config(text, policies=named_policies(["a=random", "b=random"])))
+    task.write_text(TASK)
+    assert run_experiment(config(text, policies=named_policies(["a=random", "b=random"]))).missing == ()
+
+
+def test_a_changed_policy_file_is_refused_by_name(fakes, config, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy = tmp_path / "mine.py"
+    policy.write_text("from roboxim_policies.builtin import RandomPolicy\n\nclass Mine(RandomPolicy):\n    pass\n")
+    text, fakes.planted = GIVEN.format(task="pick_cube"), {("a", False): 1.0, ("b", False): 0.5}
+    run_experiment(config(text, policies=named_policies([f"a={policy}:Mine"])))
+    policy.write_text(policy.read_text() + "    version = 2\n")
+    with pytest.raises(ConfigError, match="'evaluate/a.0' was finished with an earlier state.*mine.py has changed"):
+        run_experiment(config(text, policies=named_policies([f"a={policy}:Mine", "b=random"])))
+
+
+def test_what_a_pack_leaves_out_runs_again_if_it_is_read(fakes, config, tmp_path):
+    fakes.fail_at = "baseline.1"
+    with pytest.raises(RoboximError, match="switched off"):
+        run_experiment(config())
+    before, fakes.fail_at, fakes.calls, out = list(fakes.calls), "", [], tmp_path / "out"
+    for folder in ("generate", "export"):
+        shutil.rmtree(out / folder)
+    for bags in out.glob("evaluate/*/*/" + STORED_FILE):
+        bags.unlink()
+    card = run_experiment(config()).card
+    assert card is not None
+    assert {call for call in before if call not in fakes.calls} == {"prove leave_out.0 baseline.0"}
+    assert (out / "evaluate/.leave_out.1-without-bags").is_dir(), "results are set apart, not removed"
+    fakes.calls = []
+    shutil.rmtree(out / "export")
+    assert run_experiment(config()).card.sha256 == card.sha256
+    assert fakes.calls == [], "nothing reads them any more"
+
+
+def test_trainings_that_are_added_after_results_were_seen_are_stated(fakes, config):
+    first = run_experiment(config()).card
+    assert not [text for text in first.statements if "after results were seen" in text]
+    more = TEXT.replace("count: 3", "count: 4")
+    (said,) = [text for text in run_experiment(config(more)).card.statements if "after results were seen" in text]
+    assert "replicates.count: 3 stored, 4 requested" in said
+    again = run_experiment(config(more)).card
+    assert said in again.sentences
 
 
 @pytest.fixture

@@ -272,3 +272,10 @@ def test_a_report_that_is_none_is_skipped(tmp_path):
 def test_the_trainer_roboxim_is_the_one_of_this_environment(tmp_path):
     with open(tmp_path / "log", "w") as log:
         assert started(["roboxim", "--help"], log).wait(300) == 0
+
+
+def test_a_script_may_be_the_trainer_of_roboxim(tmp_path):
+    words = ["sh", "-c", "roboxim --version; true"]  # the shell remains the parent of what it calls
+    with (tmp_path / "log").open("wb") as log:
+        assert started(words, log).wait(60) == 0
+    assert (tmp_path / "log").read_text().startswith("roboxim")
