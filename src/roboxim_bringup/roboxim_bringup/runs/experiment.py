@@ -21,7 +21,6 @@ from typing import Any
 
 from roboxim_bringup.executors import Cancellation, Executor, KeptProcesses
 from roboxim_bringup.experiment_card import (
-    CARD_FILE,
     DRAWING,
     EXCLUDED_FILE,
     JUDGED_FILE,
@@ -39,7 +38,14 @@ from roboxim_bringup.experiment_provenance import (
     folder_sha256,
 )
 from roboxim_bringup.runs.events import Notice, OnEvent, ignore
-from roboxim_bringup.runs.experiment_definitions import changed_definitions, changed_policy, definitions
+from roboxim_bringup.runs.experiment_checks import (
+    changed_after_results,
+    require_definitions,
+    require_policies,
+    require_renderer,
+    state_of,
+)
+from roboxim_bringup.runs.experiment_definitions import definitions
 from roboxim_bringup.runs.experiment_policies import (
     is_named,
     named_policies,
@@ -66,7 +72,7 @@ from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
 from roboxim_bringup.runs.told_by_scene import told_by_scene
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
-from roboxim_core.documents import parse_json, read_json_object, read_text
+from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.shards import Shard
 from roboxim_eval.experiments import Design, Stage, stages_of
@@ -81,8 +87,6 @@ the evaluation."""
 STAGES_FILE = "stages.jsonl"
 CHANGED = "changed_after_results"
 """Key of ``experiment.json``: sentences for the card."""
-DECIDING = ("replicates", "compare", "decide")
-"""Keys of an experiment on which verdicts depend, but no stage."""
 RENDERER = "raster"
 """Renderer unless one is named."""
 
@@ -251,7 +255,7 @@ class _Run:
     def open(self) -> None:
         """Store the experiment, or check that the folder holds the same one."""
         make_folder(self.out)
-        stored = _state(self.out)
+        stored = state_of(self.out)
         before = stored.get("stages", {})
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}
         for stage in self.stages:
@@ -261,12 +265,16 @@ class _Run:
                     f"{self.out}: stage '{stage.name}' was finished with other inputs "
                     f"({changed or 'of a stage that it needs'}); choose another output folder (--out)"
                 )
+        folders = tuple(dict.fromkeys((self.out, self.trained)))
         draws = not set(DRAWING).isdisjoint(self.config.only)
         if draws:
-            self._require_renderer()
+            require_renderer(folders, self._by_name, self.config.renderer, otherwise=RENDERER)
         defined = definitions(self.design)
-        self._require_definitions(defined)
-        self._require_policies(done)
+        require_definitions(folders, self.stages, defined)
+        finished = {name: policy for name, policy in self.policies.items() if policy and name in done}
+        given, trained = self.config.policies, self.trained
+        named = {n: p for n, p in finished.items() if is_named(self.design, self._by_name[n], given, trained)}
+        require_policies(self.out, named)
         inputs = {
             stage.name: plain(self._inputs(stage)) for stage in self.stages
             if stage.kind != "evaluate" or self.policies.get(stage.name) or stage.name not in before
@@ -276,73 +284,13 @@ class _Run:
             "benchmark": self.config.benchmark,
             "renderer": self.config.renderer if draws else stored.get("renderer", self.config.renderer),
             "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
-            CHANGED: [*stored.get(CHANGED, []), *self._changed_after_results(stored)],
+            CHANGED: [*stored.get(CHANGED, []), *changed_after_results(self.out, stored, self.design.config)],
         }  # fmt: skip
         write_atomically(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
         self._attest()
         pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
         if not self.config.shard:  # which has a part of the products alone
             self._lost = lost_products(self._by_name, self.done, pending, self.out)
-
-    def _require_renderer(self) -> None:
-        """Check that finished stages, those of a shard's whole experiment included, have this call's renderer.
-
-        Raises:
-            ConfigError: Naming a stage that has another one.
-        """
-        for folder in dict.fromkeys((self.out, self.trained)):
-            otherwise = _state(folder).get("renderer") or RENDERER  # lines of older versions do not state it
-            for entry in ResultsLog(folder / STAGES_FILE).read():
-                stage, origin = self._by_name.get(entry.data.get("stage", "")), Origin.of(entry.data)
-                renderer = (origin.renderer if origin else "") or otherwise
-                if stage is not None and stage.kind in DRAWING and renderer != self.config.renderer:
-                    changed = differences({"renderer": renderer}, {"renderer": self.config.renderer})
-                    raise ConfigError(
-                        f"{folder}: stage '{stage.name}' was finished with other inputs ({changed}); run with "
-                        f"--renderer {renderer}, or choose another output folder (--out)"
-                    )
-
-    def _require_definitions(self, defined: Mapping[str, str]) -> None:
-        """Check that episodes that exist were run with the same tasks, scenes, cameras and models.
-
-        Raises:
-            ConfigError: Naming those that have changed.
-        """
-        for folder in dict.fromkeys((self.out, self.trained)):
-            changed = changed_definitions(_state(folder).get("definitions", {}), defined)
-            begun = [s.name for s in self.stages if s.kind in DRAWING and (folder / s.name).exists()]
-            if begun and changed:
-                raise ConfigError(
-                    f"{folder}: {changed} since stage '{begun[0]}' was begun; put the file back, or choose another "
-                    "output folder (--out)"
-                )
-
-    def _require_policies(self, done: Mapping[str, str]) -> None:
-        """Check that finished evaluations ran with the present files of the policies that the user names.
-
-        Raises:
-            ConfigError: Naming a file that has changed.
-        """
-        for name, policy in self.policies.items():
-            named = is_named(self.design, self._by_name[name], self.config.policies, self.trained)
-            changed = changed_policy(policy, self.out, name) if policy and named and name in done else ""
-            if changed:
-                raise ConfigError(
-                    f"{self.out}: stage '{name}' was finished with an earlier state of its policy: {changed}; "
-                    "choose another output folder (--out)"
-                )
-
-    def _changed_after_results(self, stored: Mapping[str, Any]) -> list[str]:
-        """Return a sentence if trainings, comparisons or margins differ from those of a card that was written before.
-
-        More trainings until a result is clear find more than they should: chances of error hold for one look.
-        """
-        if not stored or not (self.out / CARD_FILE).exists():
-            return []
-        now, before = plain(to_plain(self.design.config)), stored["config"]
-        parts = ({key: one.get(key) for key in DECIDING} for one in (before, now))
-        changed = differences(*parts)
-        return [f"changed after results were seen: {changed}; p values are not adjusted for that"] if changed else []
 
     def _attest(self) -> None:
         """Check what is attested about the trainings; write a file to fill in if they run elsewhere."""
@@ -375,7 +323,7 @@ class _Run:
         checks: dict[str, list[int]] = {}
         excluded: dict[str, list[int]] = {}
         again: list[Any] | None = None
-        statements: list[str] = list(_state(self.out).get(CHANGED, []))
+        statements: list[str] = list(state_of(self.out).get(CHANGED, []))
         for stage in self.stages:
             if stage.kind != "prove":
                 continue
@@ -493,10 +441,3 @@ class _Run:
             entry["sha256"] = folder_sha256(self.out / stage.name)
         self.log.append(self._key(stage), entry)
         self._lost.discard(stage.name)
-
-
-def _state(folder: Path) -> dict[str, Any]:
-    """Return the content of a folder's ``experiment.json``; empty: it has none."""
-    file = folder / STATE_FILE
-    stored = parse_json(read_text(file), source=str(file)) if file.exists() else {}
-    return stored if isinstance(stored, dict) else {}
