@@ -32,7 +32,7 @@ from roboxim_core.poses import Pose
 from roboxim_eval.experiments.cells import mix_of
 from roboxim_eval.experiments.changes import changed_parts
 from roboxim_eval.experiments.design import design_of
-from roboxim_eval.experiments.proofs import Tally, tally
+from roboxim_eval.experiments.proofs import Tally, Trained, tally, training_tally
 from roboxim_policies.builtin import ZeroPolicy
 from roboxim_policies.reworded import RewordedPolicy
 from roboxim_recorder import topics
@@ -231,6 +231,46 @@ def test_a_distractor_of_another_model_or_colour_is_found(rollouts):
     assert faults() == set()
     assert faults(models={"values": ["plate"]}, modifiers=None) == {"distractors"}
     assert faults(models={"values": ["cube"]}, modifiers={"color": {"values": ["black"]}}) == {"distractors"}
+
+
+def test_a_held_out_light_is_told_from_the_seen_one_by_what_bags_say(tmp_path):
+    lights = {"intensity": {"values": [1.0]}, "lamps": {"number": {"values": [1]}}}
+    cells = [{"tasks": ["pick_cube"], "key": "usual"}, {"tasks": ["pick_cube"], "key": "dim", "set": {"reset": {
+        "lights": lights, "background": {"backdrop": {"values": [[0.2, 0.2, 0.2]]}}}}}]  # fmt: skip
+    mix = {"seed_by": "cell", "cells": cells, "set": {"scene": "kitchen"}}
+    seen, unseen = "pick_cube usual", "pick_cube dim"
+    record(tmp_path / "runs", mix, 2, policy=ZeroPolicy(), max_steps=1, settle_ticks=1)
+
+    def found(bags):
+        demands, shown = shown_of(bags, mix)
+        own = training_tally(demands, [unseen], {seen: len(bags)}, [Trained(shown=one) for one in shown])
+        return own, tally(demands, shown)
+
+    bags = {BagReader(bag).info.task.drawn["cell"]: bag for bag in list_bags(tmp_path / "runs")}
+    unseen_tally, checks = found([bags[seen]])
+    assert (unseen_tally.faults, checks.faults) == ((), ())
+    assert found([bags[unseen]])[1].faults == (), "it is what its cell demands"
+
+    def lie(topic, message):
+        for pair in message.task.drawn if topic == topics.INFO else ():
+            if pair.key == "cell":
+                pair.value = seen
+
+    lying = copy_edited(bags[unseen], tmp_path / "lying", (topics.INFO,), lie)
+    (fault,) = found([bags[seen], lying])[0].faults
+    assert (fault.check, fault.bag) == ("unseen", str(lying))
+    assert fault.text == f"it is of the held-out cell '{unseen}', although it claims '{seen}'"
+
+
+def test_pictures_of_renderers_that_are_not_drawn_again_are_said_to_be_unproven(rollouts, tmp_path):
+    def photo(topic, message):
+        if topic == topics.INFO:
+            message.renderer = "photo (CPU)"
+
+    demands, shown = shown_of([copy_edited(list_bags(rollouts)[0], tmp_path / "photo", (topics.INFO,), photo)])
+    found = tally(demands, shown)
+    assert (found.faults, found.checks["pictures"]) == ((), (0, 1))
+    assert found.statements[0].startswith("pictures were not compared (renderer photo): where 'pictures' did not pass")
 
 
 @pytest.mark.slow

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from roboxim_bringup.runs.benchmark import benchmark_warnings
+from roboxim_bringup.runs.experiment_report import card_warnings
 from roboxim_eval.benchmark import check_benchmark_card
 from roboxim_eval.benchmark.card import is_benchmark_card
 from roboxim_eval.experiments.card_checks import check_card
@@ -19,7 +21,9 @@ CARDS = sorted((Path(__file__).parents[1] / "docs/results").glob("*/card.json"))
 def test_published_results_follow_from_their_counts(file: Path) -> None:
     data = json.loads(file.read_text())
     if is_benchmark_card(data):
-        text = benchmark_markdown(check_benchmark_card(data))
+        benchmark = check_benchmark_card(data)
+        text = benchmark_markdown(benchmark, warnings=benchmark_warnings(benchmark))
     else:
-        text = experiment_markdown(check_card(data))
+        card = check_card(data)
+        text = experiment_markdown(card, warnings=card_warnings(card))
     assert file.with_name("results.md").read_text() == text, "renew it: report --from card.json --markdown"

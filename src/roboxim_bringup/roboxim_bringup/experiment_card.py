@@ -241,18 +241,19 @@ def _datasets(design: Design, products: Mapping[str, Mapping[str, Any]]) -> dict
 def _trainings(
     design: Design, products: Mapping[str, Mapping[str, Any]], datasets: Mapping[str, CardDataset], out: Path
 ) -> Iterator[CardTraining]:
-    attestations = Attestations.of(out, design)
+    attestations, here = Attestations.of(out, design), bool(design.trainer.command)
     stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(design)}
     for training in design.trainings:
         name = f"train/{training.condition}.{training.replicate}"
         dataset = stages[name].needs[0].removeprefix("export/")
         attest = attestations.training(
             f"{training.condition}.{training.replicate}", steps=training.steps,
-            dataset_sha256=datasets[dataset].sha256 if dataset in datasets else "",
+            dataset_sha256=datasets[dataset].sha256 if dataset in datasets else "", here=here,
         )  # fmt: skip
         yield CardTraining(
             condition=training.condition, replicate=training.replicate, dataset=dataset,
-            recipe_sha256=sha256_of(_plain(attest.recipe)), seed=training.replicate, steps=training.steps,
+            recipe_sha256=sha256_of(_plain(attest.recipe)), seed=training.seed,
+            steps=training.steps if here else 0,
             checkpoint_sha256=str(products.get(name, {}).get("sha256", "")), attest=attest,
         )  # fmt: skip
 

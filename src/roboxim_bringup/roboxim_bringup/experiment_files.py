@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from roboxim_bringup.runs.delivery_demands import demands_in
 from roboxim_bringup.runs.experiment_exports import require_readable
 from roboxim_core.config import load_yaml, located, named_config, to_plain
 from roboxim_core.config_folders import config_names, is_path
@@ -20,6 +21,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
 from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
+from roboxim_eval.experiments.telling import PARTS, differing, undistinguished
 from roboxim_eval.experiments.trainers import TrainerConfig, trainer_config
 from roboxim_tasks.config import task_mix
 
@@ -143,7 +145,8 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
         trainer: One of its trainers as it was given to `load_experiment`; empty: the first one.
 
     Raises:
-        ConfigError: When the experiment or one of its task mixes is invalid.
+        ConfigError: When the experiment or one of its task mixes is invalid, or no proof could tell a held-out cell
+            from a cell of a dataset.
     """
     design = design_of(config, trainer_name(config, trainer))
     once = {cell.key: 1 for cell in design.cells}
@@ -151,7 +154,32 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
     for number, change in enumerate(changes):
         if change not in changes[:number]:  # all mixes consist of these cells, with other counts
             task_mix(mix_of(config, once, change), source=f"experiment '{name}'")
+    _require_told_apart(name, design)
     return design
+
+
+def _require_told_apart(name: str, design: Design) -> None:
+    """Refuse an experiment whose demonstrations would be taken for those of a held-out cell.
+
+    Raises:
+        ConfigError: Naming the first two cells, and what tells cells apart.
+    """
+    unseen = [cell.key for cell in design.cells if cell.unseen]
+    held_out = {data: [cell for cell in unseen if cell not in counts] for data, counts in design.datasets.items()}
+    if not any(held_out.values()):
+        return
+    mix = task_mix(mix_of(design.config, {cell.key: 1 for cell in design.cells}), source=f"experiment '{name}'")
+    demands = demands_in(mix)
+    for data, cells in held_out.items():
+        for cell, other in undistinguished(demands, cells, design.datasets[data]):
+            parts = " and ".join(differing(demands[cell], demands[other]))
+            shared = f"differ in {parts}, but may share values there" if parts else "differ in nothing that bags show"
+            raise ConfigError(
+                f"experiment '{name}': the held-out cell '{cell}' and the cell '{other}' of dataset '{data}' {shared}, "
+                "so the proof of the training data would take demonstrations of the one for the other; expected values "
+                f"that exclude each other in at least one of {', '.join(PARTS)}. Give both cells such values in "
+                "factors, or hold both of them out or none in unseen"
+            )
 
 
 def mixes(design: Design) -> dict[str, Any]:

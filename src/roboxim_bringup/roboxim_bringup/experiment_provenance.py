@@ -24,6 +24,8 @@ ATTEST_FILE = "attest.yaml"
 BLOCK = 1 << 20
 ORIGIN = "ran"
 """Key of a line of ``stages.jsonl`` with what the stage ran with, an `Origin`."""
+UNSAID = ("", 0, None)
+"""Values of a recipe that say nothing: those of the template."""
 UNKNOWN = "unknown"
 """How statements name what lines of older versions do not state."""
 
@@ -216,19 +218,21 @@ class Attestations:
             exposure="no" if own else "unknown", trainings=recipes if any(differing.values()) else {},
         )  # fmt: skip
 
-    def training(self, name: str, *, steps: int, dataset_sha256: str) -> Attestation:
+    def training(self, name: str, *, steps: int, dataset_sha256: str, here: bool = True) -> Attestation:
         """Return what is said about a training.
 
         Args:
             name: ``CONDITION.R``.
             steps: Its training steps as planned; 0: unknown.
-            dataset_sha256: Hash of the dataset that it was given here; empty: unknown.
+            dataset_sha256: Hash of the dataset that was exported for it; empty: unknown.
+            here: Whether a command of this run trained it, so that its steps and dataset are known. What nobody said
+                about a training elsewhere stays out.
 
         Raises:
             ConfigError: When a key is wrong, or the training used another dataset than it was given.
         """
-        said = {"recipe": {**({"steps": steps} if steps else {}), **self.recipe}, "pretraining": self.pretraining,
-                "exposure": self.exposure}  # fmt: skip
+        known = {"steps": steps} if steps and here else {}
+        said = {"recipe": {**known, **self.recipe}, "pretraining": self.pretraining, "exposure": self.exposure}
         for key in (name.rpartition(".")[0], name):
             own = dict(self.trainings.get(key, {}))
             recipe = own.pop("recipe", {})
@@ -236,12 +240,15 @@ class Attestations:
                 raise ConfigError(f"{ATTEST_FILE}: trainings.{key}.recipe must be a mapping, got {recipe!r}")
             said = {**said, **own, "recipe": {**said["recipe"], **recipe}}  # type: ignore[dict-item]
         attest: Attestation = from_plain(said, Attestation, source=f"{ATTEST_FILE}, training {name}")
+        recipe = {key: value for key, value in attest.recipe.items() if value not in UNSAID}
         if attest.dataset_sha256 and dataset_sha256 and attest.dataset_sha256 != dataset_sha256:
             raise ConfigError(
                 f"{ATTEST_FILE}: training {name} used a dataset with hash {attest.dataset_sha256}, not the one that "
                 f"was exported for it ({dataset_sha256}); train it again, or name the right training"
             )
-        return replace(attest, dataset_sha256=attest.dataset_sha256 or dataset_sha256)
+        return replace(
+            attest, recipe=recipe, dataset_sha256=attest.dataset_sha256 or (dataset_sha256 if here else "")
+        )  # fmt: skip
 
     def require_known(self, names: tuple[str, ...]) -> None:
         """Refuse attestations of trainings that the experiment does not have.
@@ -255,17 +262,17 @@ class Attestations:
                 raise ConfigError(f"{ATTEST_FILE}: no training '{name}'; {one_of(sorted(known), name)}")
 
 
-def attestation_template(names: tuple[str, ...], steps: int) -> str:
+def attestation_template(names: tuple[str, ...]) -> str:
     """Return the text of an ``attest.yaml`` to fill in, for policies that are trained elsewhere."""
     content = {
-        "recipe": {"model": "", "steps": steps, "batch": 0, "learning_rate": 0.0},
+        "recipe": {"model": "", "steps": 0, "batch": 0, "learning_rate": 0.0},
         "pretraining": "",
         "exposure": "unknown",
         "trainings": {name: {"dataset_sha256": ""} for name in names},
     }
     text: str = yaml.safe_dump(content, sort_keys=False)
     return (
-        "# What cannot be seen in the data. The card and the report state it.\n"
+        "# What cannot be seen in the data. The card and the report state it, and warn of what is left at 0 or ''.\n"
         "# recipe: everything besides dataset and seed; equal in all conditions, or the report flags it.\n"
         "# pretraining: weights that the training started from, or none. exposure: no, yes or unknown.\n" + text
     )

@@ -32,7 +32,7 @@ from roboxim_core.config import to_plain
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
-from roboxim_eval.testing import RATES
+from roboxim_eval.testing import RATES, experiment_of
 from roboxim_tasks.config import load_task_config, task_mix
 
 
@@ -43,11 +43,73 @@ def own_cache(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("name", config_names("experiments"))
 def test_every_shipped_experiment_is_valid_at_every_scale(name):
-    config = load_experiment(name)
-    assert scale_names(config) == ("smoke", "laptop", "night", "full")
-    for scale in ("smoke", "laptop", "night"):
-        design_of(load_experiment(name, scale))
-    checked_design(name, config)
+    assert scale_names(load_experiment(name)) == ("smoke", "laptop", "night", "full")
+    for scale in ("smoke", "laptop", "night", "full"):
+        checked_design(name, load_experiment(name, scale))
+
+
+HELD_OUT = """
+about: Does a policy act where one property is as it never was?
+factors: {{task: {tasks}, setting: {{usual: {usual}, other: {other}}}}}
+unseen: [{unseen}]
+datasets: {{leave_out: {{cells: seen, per_cell: 1}}}}
+conditions: {{leave_out: {{train: leave_out}}}}
+trainers: {{external: {{}}}}
+evaluate: {{per_cell: 1}}
+replicates: {{count: 1}}
+"""
+
+
+def held_out(other, usual="{}", tasks="[pick_cube]", unseen="{setting: other}"):
+    return checked_design("mine", experiment_of(HELD_OUT.format(other=other, usual=usual, tasks=tasks, unseen=unseen)))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "{reset: {lights: {intensity: {values: [1.0]}}}}",
+        "{reset: {lights: {direction: {values: [[0.5, 0.5, -1.0]]}}}}",
+        "{reset: {lights: {lamps: {number: {values: [1, 2]}}}}}",
+        "{reset: {surfaces: {table: {texture: {values: [marble]}}}}}",
+        "{reset: {background: {kind: {values: [plain]}}}}",
+        "{reset: {robot: {position: {lower: [0.41, 0.1, 0.26], upper: [0.53, 0.2, 0.38]}}}}",
+        "{reset: {cameras: {exposure_ev: {workspace: {values: [-1.0, 1.0]}}}}}",
+        "{reset: {physics: {table_friction: {values: [0.5]}, objects: {}, distractors: {}}}}",
+        "{objects: {target: {modifiers: {mass: {values: [0.5, 2.0]}}}}}",
+        "{distractors: {minimum: 1, maximum: 3}}",
+        "{templates: {values: ['Grasp the {target}']}}",
+        "{scene: kitchen}",
+    ],
+)
+def test_any_property_that_bags_show_may_be_held_out(other):
+    assert len(held_out(other).cells) == 2
+    assert held_out(other, unseen="{setting: usual}").datasets == {"leave_out": {"pick_cube setting=other": 1}}
+
+
+def test_two_tasks_of_one_skill_may_be_told_apart_by_their_distractors():
+    design = held_out("{max_steps: 50}", tasks="[pick_cube, pick_cube_distractors]", unseen="{task: pick_cube}")
+    assert len(design.datasets["leave_out"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ("{max_steps: 50}", "differ in nothing that bags show"),
+        ("{reset: {objects: {yaw_rad: {values: [0.0]}}}}", "differ in nothing that bags show"),
+        ("{reset: {lights: {intensity: {lower: 1.0, upper: 4.0}}}}", "differ in light, but may share values there"),
+        ("{distractors: {minimum: 0, maximum: 3}}", "differ in distractors, but may share values there"),
+        ("{templates: {values: ['Pick up the {target}', 'Grasp the {target}']}}", "differ in instruction, but may"),
+        ("{objects: {target: {modifiers: {mass: {lower: 0.5, upper: 2.0}}}}}", "differ in object, but may"),
+    ],
+)
+def test_held_out_cells_that_no_proof_can_tell_from_seen_ones_are_refused(other, said):
+    with pytest.raises(ConfigError) as error:
+        held_out(other)
+    text = str(error.value)
+    cells = "the held-out cell 'pick_cube setting=other' and the cell 'pick_cube setting=usual' of dataset 'leave_out'"
+    assert f"experiment 'mine': {cells} {said}" in text
+    assert "expected values that exclude each other in at least one of skill, object, physics, " in text
+    assert "hold both of them out or none in unseen" in text
 
 
 @pytest.mark.parametrize(

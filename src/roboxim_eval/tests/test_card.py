@@ -7,14 +7,21 @@ import pytest
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
-from roboxim_eval.benchmark import BenchmarkCard, benchmark_config, check_benchmark_card, concluded_benchmark
+from roboxim_eval.benchmark import (
+    BenchmarkCard,
+    benchmark_config,
+    check_benchmark_card,
+    concluded_benchmark,
+    points_text,
+    rate_text,
+)
 from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import sha256_of
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.benchmark import benchmark_page
-from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+from roboxim_eval.report.experiment import ExperimentPage, experiment_page, score_rows
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
 from roboxim_eval.testing import planted_card, shipped
@@ -158,6 +165,20 @@ def test_a_benchmarks_card_is_checked_through_its_experiments(card):
         check_benchmark_card(changed)
     page = benchmark_page(whole)
     assert all(sentence in page for sentence in whole.sentences[:3])
+    score = whole.dimensions["object"]
+    assert score.gap[0] == pytest.approx(score.baseline[0] - score.absolute[0], abs=2e-6)
+    assert f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}; mean of" in page
+    assert page.count(f'<td class="num">{points_text(score.gap)}</td>') == 1, "in the row of the dimension"
+
+
+def test_a_benchmark_of_single_trainings_has_gaps_without_interval():
+    single = planted_card(shipped(replicates=1), rate)
+    whole = concluded_benchmark(BenchmarkCard(name="t", scale="smoke", experiments={"skill_object": single}))
+    assert whole.dimensions["skill"].gap[1:] == (None, None)
+    assert check_benchmark_card(whole.plain) == whole
+    assert conforms(whole.plain, schema_of("benchmark_card"), schema_of("benchmark_card")) == ""
+    assert "points (no interval from one training); mean of skill_object." in whole.sentences[0]
+    assert "points (no interval from one training)" in benchmark_page(whole)
 
 
 def tables_of(text):
@@ -187,13 +208,39 @@ def test_a_cards_markdown_has_its_sentences_and_counts(card):
     assert len(wide["cell"][0]) == 2, "one cell: conditions are the rows"
 
 
+def test_markdown_has_what_is_told_beside_the_card(card):
+    text = experiment_markdown(card, warnings=["No held-out scene allows another instruction."])
+    assert "- Warning: No held-out scene allows another instruction.\n" in text
+    whole = concluded_benchmark(BenchmarkCard(name="t", scale="full", experiments={"skill_object": card}))
+    said = benchmark_markdown(whole, warnings={"skill_object": ["No held-out scene allows another instruction."]})
+    assert said.count("- Warning: No held-out scene allows another instruction.\n") == 1
+
+
+def test_a_substitution_of_0_depends_on_what_scenes_allow():
+    def shown(instead):
+        (row,) = (r for r in score_rows(planted_card(shipped(), rate, instead=instead)) if r["name"] == "substitution")
+        return row["value"], row["interval"]
+
+    value, interval = shown({})
+    assert value == "0.00"
+    assert interval.endswith(", if scenes allow another instruction")
+    value, interval = shown({"pick_up target=cube": "rotate target=cube"})
+    assert float(value) > 0
+    assert "scenes" not in interval
+
+
 def test_a_benchmarks_markdown_shows_published_scores(card):
     config = benchmark_config(load_yaml(named_config("benchmark", "transfer")))
     whole = BenchmarkCard(name="transfer", scale="full", experiments={"skill_object": card}, reference=config.reference)
     tables = tables_of(benchmark_markdown(concluded_benchmark(whole)))
     rows = {row[0]: row[1:] for row in tables["dimension or experiment"]}
-    assert rows["skill_object"][2:] == ["0.19", "72 %"], "the thesis's scores"
-    assert rows["skill"][:2] == rows["skill_object"][:2], "its only experiment"
+    assert rows["skill_object"][4:] == ["0.19", "72 %"], "the thesis's scores"
+    assert rows["skill"][:4] == rows["skill_object"][:4], "its only experiment"
+    scores = {row[0]: row[1] for row in tables["score"]}
+    baseline, gap, relative = (scores[name] for name in ("baseline, s", "gap, s - u", "relative, u / s"))
+    assert rows["skill"][1].startswith(f"{baseline} ("), "a ratio never stands without s and the gap"
+    assert rows["skill"][2].startswith(f"{gap} (")
+    assert rows["skill"][3].startswith(f"{100 * float(relative):.0f} %")
 
 
 # ------------------------------------------------------------------ models

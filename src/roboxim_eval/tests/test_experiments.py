@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboxim_core.config import from_plain, parse_yaml, to_plain
+from roboxim_core.config import digest, from_plain, parse_yaml, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_eval.benchmark import benchmark_config, benchmark_scores
 from roboxim_eval.experiments import (
@@ -95,6 +95,13 @@ def config(text=TEXT, **changes):
             "cells: {baseline: seen}",
             ["compare.0", "'baseline' is not evaluated in", "pick_up"],
         ),
+        (
+            "  - {first: leave_out, second: blind, where: unseen}\nscales:",
+            "scales:\n  full: {evaluate: {cells: {blind: seen}}}",
+            ["evaluate.cells.blind", "'leave_out' without words", "pick_up target=cube", "blind: unseen or all"],
+        ),
+        ("count: 5}", "count: 5, vary: []}", ["replicates.vary", "would have the same seed", "vary: [training]"]),
+        ("count: 5}", "count: 5, vary: [train]}", ["replicates.vary", "unknown 'train'"]),
     ],
 )
 def test_a_wrong_experiment_is_refused_at_the_door(old, new, said):
@@ -129,6 +136,17 @@ def test_keys_that_came_later_change_no_hash_of_experiments_without_them():
     served = config(TEXT.replace("policy: bc,", "policy: mine, options: {url: 'ws://a:1', v: '{checkpoint}'},"))
     changed = {stage.name for stage in stages_of(design_of(served)) if stage.sha != hashes[stage.name]}
     assert {name.partition("/")[0] for name in changed} == {"evaluate", "prove"}
+
+
+def test_a_policy_without_words_may_be_evaluated_anywhere_if_no_score_needs_it():
+    text = TEXT.replace("  - {first: leave_out, second: blind, where: unseen}\n", "")
+    for cells in ("unseen", "all"):
+        design = design_of(config(text, evaluate={"cells": {"blind": cells}}))
+        found = analyse(design, planted(design, lambda name, unseen: 0.05 if name == "blind" else 0.85))
+        assert found.scores.words.value > 0.5
+    whole = text.replace("where: unseen, primary", "where: seen, primary")
+    design = design_of(config(whole, evaluate={"cells": {"blind": "seen"}}))
+    assert analyse(design, planted(design, lambda name, unseen: 0.5)).scores is None
 
 
 # ------------------------------------------------------------------ cells, mixes, stages
@@ -170,6 +188,33 @@ def test_arms_share_the_demonstrations_of_the_cells_that_they_share():
     assert design.compared_scenes == 40
     varied = design_of(config(replicates={"count": 5, "vary": ["training", "data"]}))
     assert varied.episodes == 5 * design.episodes
+
+
+def seeds_of(vary):
+    """Return the seeds of a condition's trainings, and their exports, where these things vary."""
+    stages = [s for s in stages_of(design_of(config(replicates={"count": 3, "vary": vary}))) if s.kind == "train"]
+    mine = [stage for stage in stages if stage.name.startswith("train/baseline.")]
+    return [stage.inputs["seed"] for stage in mine], [stage.needs[0] for stage in mine]
+
+
+def test_trainings_differ_in_what_varies_alone():
+    same, each = ["export/baseline.0"] * 3, [f"export/baseline.{replicate}" for replicate in range(3)]
+    assert seeds_of(["training"]) == ([0, 1, 2], same)
+    assert seeds_of(["training", "data"]) == ([0, 1, 2], each)
+    assert seeds_of(["data"]) == ([0, 0, 0], each)
+    design = design_of(config(replicates={"count": 3, "vary": ["data"]}))
+    assert {training.seed for training in design.trainings} == {0}
+    given = {name: {"given": True} for name in ("leave_out", "baseline")}
+    public = design_of(config(conditions=given, compare=[], evaluate={}, replicates={"count": 3, "vary": []}))
+    assert not public.trainings, "nothing is trained, so nothing has to vary"
+
+
+def test_stages_keep_their_hashes():
+    """A change of these hashes makes every experiment that is under way begin again."""
+    curve = {"every": 1000, "per_checkpoint": 10, "replicates": 1}
+    assert digest({stage.name: stage.sha for stage in stages_of(design_of(config()))}) == "a1469aabb1bdf38a"
+    varied = config(curve=curve, replicates={"count": 3, "vary": ["training", "data"]})
+    assert digest({stage.name: stage.sha for stage in stages_of(design_of(varied))}) == "68dc6e05ecae66a6"
 
 
 def test_every_condition_and_replicate_is_trained_and_evaluated():

@@ -1,11 +1,17 @@
-"""Models side by side: different numbers of trainings, errors, adjusted p values, and letters of many models."""
+"""Models side by side: what is comparable, numbers of trainings, errors, adjusted p values, letters of many models."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
+from roboxim_core.config import load_yaml, named_config
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments import design_of, experiment_config, scale_names
+from roboxim_eval.experiments.card import CardDataset, CardEnvironment, parse_card
 from roboxim_eval.experiments.card_checks import concluded
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.models import models_page
@@ -13,6 +19,8 @@ from roboxim_eval.statistics.multiple import compact_letters
 from roboxim_eval.statistics.paired import newcombe
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.testing import planted_card, shipped
+
+RESULTS = Path(__file__).parents[3] / "docs/results"
 
 
 def card_of(rates, *, errors=0, per_cell=20):
@@ -29,6 +37,163 @@ def card_of(rates, *, errors=0, per_cell=20):
         for one in card.evaluations
     )
     return concluded(replace(card, evaluations=evaluations), design)
+
+
+# ------------------------------------------------------------------ what is comparable
+
+
+def card_with(**changes):
+    """Return a card of `skill_object`'s conditions with some keys of the file replaced."""
+    config = replace(shipped(replicates=3).config, **changes)
+    return planted_card(design_of(config), lambda condition, cell: 0.5)
+
+
+def conditions_with(condition, **changes):
+    conditions = shipped(replicates=3).config.conditions
+    return {**conditions, condition: replace(conditions[condition], **changes)}
+
+
+def test_experiments_with_equal_cells_and_other_scenes_are_refused():
+    plain, worded = (
+        planted_card(shipped(name, replicates=3), lambda condition, cell: 0.5)
+        for name in ("skill_object", "skill_object_worded")
+    )
+    assert plain.evaluations[0].by_cell.keys() == worded.evaluations[0].by_cell.keys(), "names alone do not tell"
+    with pytest.raises(ConfigError) as caught:
+        compare_models({"a": plain, "b": worded})
+    for said in ("a and b cannot be compared", "set.distractors.minimum: 0 in a, 3 in b", "Compare runs of one"):
+        assert said in str(caught.value)
+    with pytest.raises(ConfigError, match="b and c cannot be compared"):
+        compare_models({"b": worded, "d": worded, "c": plain}, condition="blind")
+
+
+@pytest.mark.parametrize(
+    ("changes", "condition", "said"),
+    [
+        (
+            {"factors": {**shipped().config.factors, "task": {
+                "pick_up": {}, "place_on": {}, "rotate": {"arguments": {"direction": {"values": ["any"]}}}}}},
+            "", 'factors.task.rotate.arguments.direction.values: ["clockwise"] in a, ["any"] in b',
+        ),
+        ({"set": {}}, "", "set.distractors.minimum: 0 in a, nothing in b"),
+        (
+            {"set": {"distractors": {"minimum": 0, "maximum": 0, "models": None}}}, "",
+            'set.distractors.models: nothing in a, "null" in b',
+        ),
+        ({"evaluate": replace(shipped().config.evaluate, max_steps=50)}, "", "evaluate.max_steps: 0 in a, 50 in b"),
+        (
+            {"conditions": conditions_with("leave_out", set={"instruction": "Do it"})}, "",
+            'conditions.leave_out.set.instruction: nothing in a, "Do it" in b',
+        ),
+        (
+            {"conditions": conditions_with("leave_out", instruction="Do it")}, "leave_out",
+            'conditions.leave_out.instruction: nothing in a, "Do it" in b',
+        ),
+        (
+            {"conditions": conditions_with("baseline", latency_ticks=2)}, "baseline",
+            "conditions.baseline.latency_ticks: 0 in a, 2 in b",
+        ),
+    ],
+)  # fmt: skip
+def test_rollouts_that_were_asked_different_things_are_refused(changes, condition, said):
+    cards = {"a": card_of([0.5] * 3), "b": card_with(**changes)}
+    with pytest.raises(ConfigError) as caught:
+        compare_models(cards, condition=condition)
+    assert said in str(caught.value)
+
+
+def test_conditions_that_are_not_compared_and_replicates_may_differ():
+    other = card_with(conditions=conditions_with("baseline", instruction="Do it"), decide=shipped().config.decide)
+    found = compare_models({"a": card_of([0.5] * 4), "b": other})
+    assert not found.circumstances
+    with pytest.raises(ConfigError, match="conditions.baseline.instruction"):
+        compare_models({"a": card_of([0.5] * 4), "b": other}, condition="baseline")
+
+
+def test_two_scales_of_an_experiment_are_compared_in_the_cells_that_both_have():
+    data = load_yaml(named_config("experiments", "skill_object"))
+    cards = {}
+    for scale in ("smoke", "laptop"):
+        design = design_of(experiment_config(data, scale=scale))
+        card = planted_card(design, lambda condition, cell: 0.5)
+        cards[scale] = concluded(replace(card, experiment=replace(card.experiment, scale=scale)), design)
+    found = compare_models(cards)
+    assert found.cells == ("pick_up target=cube", "place_on target=soda_can")
+    assert found.circumstances == (
+        "The runs differ in scale, too: smoke (smoke); laptop (laptop). A difference of the models may be due to that.",
+        "The runs differ in image size, too: 64x64 (smoke); 128x128 (laptop). A difference of the models may be due to "
+        "that.",
+    )
+    assert set(found.circumstances) <= set(found.sentences)
+    page = models_page(found, cards)
+    assert all(sentence in page for sentence in found.circumstances)
+
+
+@pytest.mark.parametrize("name", ["robustness", "camera_object", "triple", "zero_shot"])
+def test_all_scales_of_a_shipped_experiment_can_be_compared(name):
+    data = load_yaml(named_config("experiments", name))
+    cards = {}
+    for scale in scale_names(experiment_config(data)):
+        config = experiment_config(data, scale=scale)
+        cards[scale] = planted_card(design_of(config), lambda condition, cell: 0.5)
+    for condition in list(experiment_config(data).conditions)[:4]:
+        assert compare_models(cards, condition=condition).cells
+
+
+def run_of(card, *, trainer="", renderer="raster", packages="1" * 64, datasets=("aaaaaaaa", "bbbbbbbb")):
+    """Return a card that states where it ran, and the hashes of the datasets of its first two generations."""
+    generations = {
+        f"{name}.{number}": CardDataset(sha256=f"{sha}{name}", by_cell={"pick_up target=onion": 324})
+        for number, sha in enumerate(datasets)
+        for name in ("leave_out", "baseline")
+    }
+    trainings = [replace(t, dataset=f"{t.dataset}.{min(t.replicate, len(datasets) - 1)}") for t in card.trainings]
+    return replace(
+        card, environment=CardEnvironment(renderer=renderer, packages_sha256=packages), datasets=generations,
+        trainings=tuple(trainings), experiment=replace(card.experiment, trainer=trainer),
+    )  # fmt: skip
+
+
+def test_circumstances_that_differ_are_said():
+    card = card_of([0.5] * 3)
+
+    def said(**changes):
+        return compare_models({"a": run_of(card), "b": run_of(card), "c": run_of(card, **changes)}).circumstances
+
+    def expected(what, ours, theirs):
+        return (
+            f"The runs differ in {what}, too: {ours} (a and b); {theirs} (c). A difference of the models may be due to "
+            "that.",
+        )
+
+    assert said() == said(trainer="external") == (), "two trainers of an experiment are what is compared"
+    assert said(renderer="") == said(datasets=()) == (), "what a card does not state is not compared"
+    assert said(renderer="tiny") == expected("renderer", "raster", "tiny")
+    assert said(packages="2" * 64) == expected("installed packages (by hash)", "11111111", "22222222")
+    assert said(datasets=("cccccccc",)) == expected(
+        "training datasets (by hash)", "324 demonstrations as rlds, aaaaaaaa, bbbbbbbb",
+        "324 demonstrations as rlds, cccccccc",
+    )  # fmt: skip
+
+
+def test_datasets_of_replicates_that_only_some_models_have_are_not_compared():
+    one, five = (run_of(card_of([0.5] * number)) for number in (1, 5))
+    assert not compare_models({"a": one, "b": five}).circumstances
+    (said,) = compare_models({"a": one, "b": run_of(card_of([0.5]), datasets=("cccccccc",))}, condition="blind",
+                             where="unseen").circumstances  # fmt: skip
+    assert "324 demonstrations as rlds, aaaaaaaa (a); 324 demonstrations as rlds, cccccccc (b)" in said
+
+
+def test_published_cards_of_one_experiment_are_compared():
+    cards = {
+        name: parse_card(json.loads((RESULTS / f"skill_object-{name}/card.json").read_text()))
+        for name in ("laptop", "night")
+    }
+    found = compare_models(cards)
+    assert len(found.cells) == 6
+    assert [sentence.partition(", too")[0] for sentence in found.circumstances] == [
+        "The runs differ in scale", "The runs differ in training datasets (by hash)",
+    ]  # fmt: skip
 
 
 # ------------------------------------------------------------------ different numbers of trainings

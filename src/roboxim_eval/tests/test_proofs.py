@@ -6,8 +6,9 @@ import pytest
 
 from roboxim_core.poses import Pose
 from roboxim_eval.experiments.changes import changed_parts
-from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, View, belongs_to, faults_of
+from roboxim_eval.experiments.delivery import Allowed, Demand, Shown, View, faults_of
 from roboxim_eval.experiments.proofs import Tally, Trained, pairing, tally, training_tally
+from roboxim_eval.experiments.telling import belongs_to
 
 VIEW = View(parent="world", pose=Pose(position=(1.0, 0.2, 0.6)))
 
@@ -109,6 +110,18 @@ def test_hidden_distractors_are_stated_but_no_fault():
     assert not found.faults
     (said,) = found.statements
     assert said.startswith("1 of 2 distractors are hidden or out of the picture: fewer than 40 visible pixels")
+
+
+def test_pictures_that_nothing_compared_are_counted_and_stated_but_no_fault():
+    photo = replace(CLEAN, bag="episodes/eval-1", not_compared="renderer photo", tool_px={}, pixels={}, colors={})
+    found = tally(DEMANDS, [CLEAN, photo, photo])
+    assert not found.faults
+    assert found.checks["pictures"] == (1, 3)
+    (said,) = found.statements
+    assert said.startswith("pictures were not compared (renderer photo): where 'pictures' did not pass, camera")
+    compared = tally(DEMANDS, [CLEAN])
+    assert (compared.checks["pictures"], compared.statements) == ((1, 1), ())
+    assert "pictures" not in tally(DEMANDS, [replace(CLEAN, pictures={})]).checks, "there are none to compare"
 
 
 @pytest.mark.parametrize(
@@ -394,6 +407,66 @@ def test_a_held_out_episode_is_found_whatever_cell_it_claims():
     assert "episodes/demo-2: unseen: it is of the held-out cell 'pick_up target=cube', although it claims" in refusal
     both = {"pick_up target=cube": 1, "rotate target=cube": 1}
     assert not trained_on(TURN, Trained(shown=CLEAN), counts=both).refusal(0.0), "the baseline may have it"
+
+
+BRIGHT = replace(DEMAND, look={**DEMAND.look, "light.intensity": Allowed(lower=(2.5,), upper=(4.0,))})
+FACTORS = {
+    "light": (BRIGHT, {"look": {**CLEAN.look, "light.intensity": 3.0}}),
+    "texture": (
+        replace(DEMAND, look={**DEMAND.look, "table.texture": words("speckle")}),
+        {"look": {**CLEAN.look, "table.texture": "speckle"}},
+    ),
+    "start": (
+        replace(DEMAND, start=Allowed(lower=(0.4, 0.2, 0.3), upper=(0.5, 0.3, 0.4))), {"start": (0.45, 0.25, 0.35)},
+    ),
+    "distractors": (
+        replace(DEMAND, distractors=(0, 0), others={}), {"others": {}, "other_modifiers": {}, "pixels": {}},
+    ),
+    "physics": (
+        replace(DEMAND, physics={"target": {"mass_kg": Allowed(lower=(0.3,), upper=(0.5,))}}),
+        {"physics": {"target": {"mass_kg": 0.4, "friction_coefficient": 0.8}}, "weights": {"target": 0.4}},
+    ),
+    "instruction": (
+        replace(DEMAND, templates=("Grasp the {target}",)),
+        {"instruction": "Grasp the red cube", "received": ("Grasp the red cube",)},
+    ),
+}  # fmt: skip
+"""Property to what another level of it demands of a cell that is DEMAND otherwise, and what its episodes show."""
+NOMINAL = replace(DEMAND, look={**DEMAND.look, "light.intensity": words(2.0)})
+USUAL = Trained(shown=replace(CLEAN, cell="usual"))
+
+
+def held_out_by(factor, *episodes):
+    cells = {"usual": NOMINAL, "other": FACTORS[factor][0]}
+    return training_tally(cells, ["other"], {"usual": len(episodes)}, episodes)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_a_held_out_light_start_or_word_is_told_from_the_seen_one(factor):
+    assert held_out_by(factor, USUAL).faults == ()
+    shown = replace(CLEAN, cell="other", bag="episodes/other", **FACTORS[factor][1])
+    assert faults_of(FACTORS[factor][0], shown) == {}
+    lying = Trained(shown=replace(shown, cell="usual"))
+    (fault,) = held_out_by(factor, USUAL, lying).faults
+    assert (fault.check, fault.bag) == ("unseen", "episodes/other")
+    assert fault.text == "it is of the held-out cell 'other', although it claims 'usual'"
+    said = held_out_by(factor, USUAL, Trained(shown=shown)).refusal(0.0)
+    assert "episodes/other: unseen: it is of the held-out cell 'other'" in said
+
+
+def test_a_held_out_episode_with_a_fault_or_other_words_is_still_one():
+    dark = replace(CLEAN, cell="usual", **FACTORS["light"][1])
+    for defect in ({"instruction": "Rotate the red cube"}, {"brightness": {"workspace": 90.0}}, {"others": {}}):
+        planted = Trained(shown=replace(dark, **defect), planted="a fault that excuses it from the other checks")
+        assert held_out_by("light", planted).refusal(0.0), defect
+    reworded = Trained(shown=replace(CLEAN, cell="rotate target=cube", instruction="Rotate the red cube"))
+    assert trained_on(reworded).refusal(0.0), "skills tell these cells apart, not words"
+
+
+def test_a_light_of_neither_cell_is_a_fault_of_the_light_alone():
+    between = Trained(shown=replace(CLEAN, cell="usual", look={**CLEAN.look, "light.intensity": 2.3}))
+    assert held_out_by("light", between).faults == ()
+    assert list(faults_of(NOMINAL, between.shown)) == ["light"]
 
 
 def test_the_counts_of_a_dataset_must_be_those_of_the_design():

@@ -19,7 +19,7 @@ from roboxim_eval.statistics.replicates import (
     mean_interval,
     more_trainings,
 )
-from roboxim_eval.statistics.scores import dimension_scores, relative_score, scores, substitutions
+from roboxim_eval.statistics.scores import ExperimentScore, dimension_scores, relative_score, scores, substitutions
 from roboxim_eval.statistics.tables import Arm, Count
 from roboxim_eval.statistics.verdicts import checkpoint_verdict, condition_verdict
 
@@ -278,18 +278,30 @@ def test_the_benchmarks_scores_are_those_of_the_thesis():
     def score(value):
         return Interval(value=value, low=value - 0.06, high=value + 0.08)
 
-    found = dimension_scores({
-        "skill_object": (("skill", "object"), score(0.19), score(0.72)),
-        "camera_object": (("camera", "object"), score(0.23), score(0.80)),
-        "camera_skill": (("camera", "skill"), score(0.80), score(1.02)),
-    })  # fmt: skip
+    def scored(u, ratio, *dimensions):
+        s = u / (ratio or 1)
+        return ExperimentScore(
+            dimensions=dimensions, absolute=score(u), baseline=score(s), gap=score(s - u),
+            relative=None if ratio is None else score(ratio),
+        )  # fmt: skip
+
+    found = dimension_scores(
+        {
+            "skill_object": scored(0.19, 0.72, "skill", "object"),
+            "camera_object": scored(0.23, 0.80, "camera", "object"),
+            "camera_skill": scored(0.80, 1.02, "camera", "skill"),
+        }
+    )
     both = found["object"]
+    assert both.baseline.value == pytest.approx((0.19 / 0.72 + 0.23 / 0.80) / 2)
+    assert both.gap.value == pytest.approx(both.baseline.value - both.absolute.value)
+    assert both.gap.low == pytest.approx(both.gap.value - 0.06 / math.sqrt(2))
     assert (both.absolute.value, both.relative.value) == (pytest.approx(0.21), pytest.approx(0.76))
     assert both.absolute.low == pytest.approx(0.21 - 0.06 / math.sqrt(2)), "two independent estimates"
     assert both.relative.high == pytest.approx(0.76 + 0.08 / math.sqrt(2))
     assert found["skill"].absolute.value == pytest.approx(0.5, abs=0.03)
     assert found["camera"].absolute.value == pytest.approx(0.5, abs=0.03)
-    refused = dimension_scores({"a": (("skill",), score(0.1), None), "b": (("skill",), score(0.3), score(0.9))})
+    refused = dimension_scores({"a": scored(0.1, None, "skill"), "b": scored(0.3, 0.9, "skill")})
     assert (refused["skill"].relative, refused["skill"].refused) == (None, ("a",))
     assert refused["skill"].absolute.value == pytest.approx(0.2)
 

@@ -112,7 +112,12 @@ def _run_command(name: str) -> click.Command:
 @click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
 def report(folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None) -> None:
     """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
-    from roboxim_bringup.runs.benchmark import benchmark_card_page, stored_benchmark_card, write_benchmark_report
+    from roboxim_bringup.runs.benchmark import (
+        benchmark_card_page,
+        benchmark_warnings,
+        stored_benchmark_card,
+        write_benchmark_report,
+    )
     from roboxim_core.errors import ConfigError
 
     if (folder is None) == (card is None):
@@ -128,7 +133,7 @@ def report(folder: Path | None, card: Path | None, html: Path | None, markdown: 
     if markdown is not None:
         from roboxim_eval.report.markdown import benchmark_markdown
 
-        markdown.write_text(benchmark_markdown(found))
+        markdown.write_text(benchmark_markdown(found, warnings=benchmark_warnings(found)))
     click.echo(f"{found.name}, scale {found.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")

@@ -291,7 +291,7 @@ def report(
     if markdown is not None:
         from roboxim_eval.report.markdown import experiment_markdown
 
-        markdown.write_text(experiment_markdown(found))
+        markdown.write_text(experiment_markdown(found, warnings=card_warnings(found)))
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in (*found.sentences, *card_warnings(found)):
         click.echo(f"  {sentence}")

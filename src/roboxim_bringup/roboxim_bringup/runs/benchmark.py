@@ -240,17 +240,21 @@ def write_benchmark_report(out: Path) -> BenchmarkCard:
     pages = {name: f"{name}/{REPORT_FILE}" for name in card.experiments if (out / name / REPORT_FILE).exists()}
     write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
     write_atomically(out / REPORT_FILE, benchmark_page(
-        card, command=benchmark_reproduction(out, card.experiments), pages=pages,
-        warnings={name: card_warnings(one) for name, one in card.experiments.items()},
+        card, command=benchmark_reproduction(out, card.experiments), pages=pages, warnings=benchmark_warnings(card),
     ))  # fmt: skip
     return card
+
+
+def benchmark_warnings(card: BenchmarkCard) -> dict[str, tuple[str, ...]]:
+    """Return what weakens the results of each experiment besides its card's warnings, see `card_warnings`."""
+    return {name: card_warnings(one) for name, one in card.experiments.items()}
 
 
 def benchmark_card_page(card: BenchmarkCard) -> str:
     """Return the page of a card without its run's folder."""
     from roboxim_eval.report.benchmark import benchmark_page
 
-    return benchmark_page(card, warnings={name: card_warnings(one) for name, one in card.experiments.items()})
+    return benchmark_page(card, warnings=benchmark_warnings(card))
 
 
 def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_bringup.runs.delivery_demands import noise_of
+from roboxim_bringup.runs.delivery_demands import look_of, noise_of
 from roboxim_core.cameras import project
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
@@ -25,7 +25,7 @@ from roboxim_core.models.visuals import ScenePoses, camera_parent, drawn_entitie
 from roboxim_core.poses import Pose, distance
 from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import CELL, CELL_NUMBER
-from roboxim_core.specs import CameraSpec, EntitySpec, LookSpec, PhysicalObject, SceneSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_datasets.audit.color import color_difference, median_lab
 from roboxim_eval.experiments.delivery import Demand, Shown, Value, View, plain_value
@@ -131,8 +131,10 @@ class DeliveryReader:
         )
         demand = demand_for(shown.cell)
         name = info.renderer.split(" ")[0]
-        if not pictures or demand is None or name not in DRAWN_AGAIN or not info.scene.cameras:
+        if demand is None or not info.scene.cameras:
             return shown
+        if not pictures or name not in DRAWN_AGAIN:
+            return replace(shown, not_compared=f"renderer {name}" if pictures else "as asked for")
         return self._with_pictures(shown, {r: thing.name for r, thing in own.items()}, info.scene, tick, demand, name)
 
     def asked(self, bag: Path, instruction: str) -> list[dict[str, Any]]:
@@ -233,21 +235,7 @@ def _parent(camera: CameraSpec, arm: ArmKinematics) -> str:
 
 
 def _look(scene: SceneSpec) -> dict[str, Value]:
-    look: LookSpec = scene.look
-    found: dict[str, Value] = {"background": look.background, "light.ambient": plain_value(look.ambient)}
-    for surface in ("table", "floor", "wall"):
-        material = getattr(look, surface)
-        found |= {
-            f"{surface}.color": plain_value(material.color), f"{surface}.texture": material.texture,
-            f"{surface}.roughness": material.roughness,
-        }  # fmt: skip
-    if look.lights:
-        light = look.lights[0]
-        found |= {
-            "light.intensity": light.intensity, "light.color": plain_value(light.color),
-            "light.position": plain_value(light.position), "light.radius": light.radius,
-        }  # fmt: skip
-    found |= {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
+    found = look_of(scene.look) | {f"exposure.{camera.name}": camera.noise.exposure_ev for camera in scene.cameras}
     return found | {f"noise.{camera.name}": noise_of(camera) for camera in scene.cameras}
 
 

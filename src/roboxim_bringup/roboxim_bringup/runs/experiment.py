@@ -298,7 +298,7 @@ class _Run:
         Attestations.of(self.out, self.design).require_known(names)
         path = self.out / ATTEST_FILE
         if names and not self.design.trainer.command and not path.exists():
-            write_atomically(path, attestation_template(names, self.design.trainer.steps))
+            write_atomically(path, attestation_template(names))
 
     @property
     def done(self) -> set[str]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from roboxim_bringup.experiment_card import results_of, stage_name
 from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, stored_card
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments import ExperimentConfig
 from roboxim_eval.experiments.card import Card
-from roboxim_eval.experiments.models import Models, Wins, compare_models
+from roboxim_eval.experiments.models import Models, Wins, compare_models, compared_condition
 
 
 def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -> tuple[Models, dict[str, Card]]:
@@ -25,10 +24,11 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         The comparison, and name to card.
 
     Raises:
-        ConfigError: When two have the same name, a card was changed, or nothing is common.
+        ConfigError: When two have the same name, a card was changed, nothing is common, or rollouts were asked
+            different things.
     """
     cards: dict[str, Card] = {}
-    scenes: dict[str, list[Wins]] = {}
+    runs: dict[str, ExperimentFolder] = {}
     for path in folders:
         name = path.stem if path.is_file() else path.resolve().name
         if name in cards:
@@ -36,16 +36,16 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         if path.is_file():
             cards[name] = stored_card(path)
             continue
-        folder = ExperimentFolder.of(path)
-        cards[name] = folder_card(folder)
-        scenes[name] = _wins(folder, condition)
-    shared = _same_scenes(cards, scenes, condition)
-    return compare_models(cards, condition=condition, where=where, scenes=shared), cards
+        runs[name] = ExperimentFolder.of(path)
+        cards[name] = folder_card(runs[name])
+    if cards and not condition:  # of the first run; another run's own may be another one
+        condition = compared_condition(next(iter(cards.values())).experiment.config)
+    scenes = {name: _wins(folder, condition) for name, folder in runs.items() if _same_seeds(cards, name, condition)}
+    return compare_models(cards, condition=condition, where=where, scenes=scenes), cards
 
 
 def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     config = folder.design.config
-    condition = _condition(config, condition)
     if condition not in config.conditions:
         return []
     results = results_of(folder.design, folder.path)
@@ -56,19 +56,13 @@ def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     return found
 
 
-def _condition(config: ExperimentConfig, condition: str) -> str:
-    return condition or (config.primary.first if config.primary else next(iter(config.conditions)))
+def _same_seeds(cards: Mapping[str, Card], name: str, condition: str) -> bool:
+    """Return whether a run's final evaluations have the seeds of the first run's.
 
+    Then their scenes are the same: `compare_models` refuses runs whose rollouts were asked different things.
+    """
 
-def _same_scenes(cards: dict[str, Card], scenes: dict[str, list[Wins]], condition: str) -> dict[str, list[Wins]]:
-    """Return the outcomes of runs whose scenes are the same: equal tasks, changes and seeds of final evaluations."""
+    def seeds(card: Card) -> list[int]:
+        return [e.seed for e in card.evaluations if e.condition == condition and not e.checkpoint]
 
-    def drawn(card: Card) -> tuple[object, ...]:
-        config = card.experiment.config
-        name = _condition(config, condition)
-        seeds = [e.seed for e in card.evaluations if e.condition == name and not e.checkpoint]
-        changes = config.conditions[name].set if name in config.conditions else {}
-        return config.factors, config.set, changes, seeds
-
-    first = drawn(next(iter(cards.values())))
-    return {name: wins for name, wins in scenes.items() if drawn(cards[name]) == first}
+    return seeds(cards[name]) == seeds(next(iter(cards.values())))

@@ -1,16 +1,22 @@
 """What the scenes of an experiment tell without its words.
 
 They tell the object where no other one is in the scene, or where others lie in a wider area, and the task where it
-alone has a certain object. A policy can then succeed without the instruction. The facts are from the task files, which
-a card does not hold.
+alone has a certain object. A policy can then succeed without the instruction. Where a held-out scene allows only what
+is asked for, a policy cannot do anything else that it was trained to do: a substitution of 0 says nothing there.
+
+The facts are from the task files, which a card does not hold.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
+from roboxim_bringup.runs.experiment_definitions import tasks_of
+from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_eval.experiments import Design, mix_of
 from roboxim_tasks.config import task_mix
+from roboxim_tasks.files import named
 from roboxim_tasks.placement import PlacementConfig
 from roboxim_tasks.task_config import TaskConfig
 
@@ -24,21 +30,8 @@ def told_by_scene(design: Design) -> tuple[str, ...]:
     Raises:
         ConfigError: When a task file is missing or invalid.
     """
-    tasks = _tasks(design)
-    return (*_told_objects(tasks), *_told_places(tasks), *_told_tasks(tasks))
-
-
-def _tasks(design: Design) -> dict[str, list[TaskConfig]]:
-    """Return the configurations of each task in all cells, also as the conditions change them."""
-    once = {cell.key: 1 for cell in design.cells}
-    changes = [{}, *(condition.set for condition in design.config.conditions.values())]
-    found: dict[str, list[TaskConfig]] = {}
-    for number, change in enumerate(changes):
-        if change not in changes[:number]:
-            mix = task_mix(mix_of(design.config, once, change))
-            for name, task in zip(mix.tasks, mix.cells, strict=True):
-                found.setdefault(name, []).append(task)
-    return found
+    tasks = tasks_of(design)
+    return (*_told_objects(tasks), *_told_places(tasks), *_told_tasks(tasks), *_not_substituted(design))
 
 
 def _told_objects(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
@@ -95,3 +88,71 @@ def _distractors(task: TaskConfig) -> set[str]:
     """Return the models that a task's distractors can have."""
     distractors = task.distractors
     return {*distractors.always, *map(str, distractors.models.values)} if distractors.maximum else set()
+
+
+# ------------------------------------------------------------------ substitution
+
+
+def _not_substituted(design: Design) -> Iterator[str]:
+    """Yield in how many held-out cells another instruction of the training can be carried out, if not in all."""
+    primary = design.config.primary
+    held_out = {cell.key: 1 for cell in design.cells if cell.unseen}
+    if primary is None or primary.against or primary.where != "unseen" or not held_out:
+        return  # no scores
+    first = design.config.conditions[primary.first]
+    if not first.train:
+        return  # what it was trained with is unknown
+    scenes = task_mix(mix_of(design.config, held_out, first.set)).cells
+    trained = task_mix(mix_of(design.config, design.datasets[first.train])).cells
+    allowing = sum(any(_allows_another(scene, other) for other in trained) for scene in scenes)
+    if not allowing:
+        yield (
+            "No held-out scene allows another instruction of the training to be carried out, so substitution cannot "
+            "happen here and its 0 says nothing."
+        )
+    elif allowing < len(scenes):
+        yield (
+            f"Only {allowing} of {len(scenes)} held-out cells have scenes that allow another instruction of the "
+            "training to be carried out; in the others substitution cannot happen."
+        )
+
+
+def _allows_another(task: TaskConfig, other: TaskConfig) -> bool:
+    """Return whether a scene of a task may allow another task's instruction to be carried out, unless both are equal.
+
+    Colours and other modifiers do not count: where only they could rule it out, it may be allowed.
+    """
+    own = [_models_of(task, role) for role in task.objects]
+    needed = [_models_of(other, role) for role in other.objects]
+    same = task.skill == other.skill and not _arguments_differ(task, other)
+    for chosen in itertools.permutations(enumerate([*own, *_other_things(task)]), len(needed)):
+        if all(models & wanted for (_, models), wanted in zip(chosen, needed, strict=True)):
+            as_asked = same and [number for number, _ in chosen] == list(range(len(own)))
+            if not as_asked:
+                return True
+    return False
+
+
+def _arguments_differ(task: TaskConfig, other: TaskConfig) -> bool:
+    """Return whether episodes of two tasks of a skill may have different arguments, e.g. directions."""
+    names = task.arguments.keys() | other.arguments.keys()
+    return any(len(_values(task, name) | _values(other, name)) > 1 for name in names)
+
+
+def _values(task: TaskConfig, argument: str) -> set[Scalar]:
+    """Return the values that an argument can have; both ends of a range."""
+    given = task.arguments.get(argument)
+    return set(given.drawable or given.ends) if given else {getattr(task.parameters, argument)}
+
+
+def _models_of(task: TaskConfig, role: str) -> set[str]:
+    return {str(model) for model in task.objects[role].models.drawable}
+
+
+def _other_things(task: TaskConfig) -> Iterator[set[str]]:
+    """Yield the models that each thing of a scene can have besides the objects that the task names."""
+    yield from ({entity.model} for entity in named("scenes", task.scene, SceneSpec).entities)
+    distractors = task.distractors
+    yield from ({model} for model in distractors.always)
+    drawn = {str(model) for model in distractors.models.drawable}
+    yield from [drawn] * (distractors.maximum - len(distractors.always))

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from roboxim_bringup.cli import group
 from roboxim_bringup.experiment_card import evaluation_folder
-from roboxim_bringup.experiment_provenance import file_sha256, folder_sha256
+from roboxim_bringup.experiment_provenance import attestation_template, file_sha256, folder_sha256
 from roboxim_bringup.runs import experiment_pack
 from roboxim_bringup.runs.evaluation_report import EvaluationRecord
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, run_experiment
@@ -150,6 +150,29 @@ def test_attestations_are_stated_and_wrong_ones_refused(tmp_path):
             folder_card(ExperimentFolder.of(tmp_path / "run"))
 
 
+def test_what_nobody_states_about_trainings_elsewhere_is_missed_not_filled_in(tmp_path):
+    command = 'command: "train {dataset} {out} {seed}", policy: bc, '
+    assert command in PLANTED_EXPERIMENT
+    external = PLANTED_EXPERIMENT.replace(command, "")
+    folder = planted_folder(tmp_path / "run", PLANTED_RATES, external)
+    attest, unstated = tmp_path / "run/attest.yaml", "The recipe of baseline and leave_out is not stated"
+    for text in (None, attestation_template(("leave_out.0",))):
+        if text is not None:
+            attest.write_text(text)
+        (tmp_path / "run/card.json").unlink(missing_ok=True)
+        card = folder_card(ExperimentFolder.of(folder.path))
+        first = card.trainings[0]
+        assert (first.attest.recipe, first.attest.dataset_sha256, first.steps) == ({}, "", 0)
+        assert any(warning.startswith(unstated) for warning in card.warnings)
+    said = card.datasets["leave_out.0"].sha256
+    attest.write_text(f"recipe: {{model: octo, steps: 9}}\ntrainings: {{leave_out.0: {{dataset_sha256: {said}}}}}\n")
+    (tmp_path / "run/card.json").unlink()
+    card = folder_card(ExperimentFolder.of(folder.path))
+    assert card.trainings[0].attest.recipe == {"model": "octo", "steps": 9}
+    assert [t.attest.dataset_sha256 for t in card.trainings if t.condition == "leave_out"][:2] == [said, ""]
+    assert not any("is not stated" in warning for warning in card.warnings)
+
+
 def test_stored_proofs_and_substitutions_are_part_of_the_card(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     (folder.path / "proofs.json").write_text(json.dumps({"camera pose": [599, 600]}))
@@ -282,8 +305,8 @@ def test_a_pack_has_finished_bc_checkpoints_without_the_optimisers_state(tmp_pat
 
     (tmp_path / "mine.yaml").write_text(PLANTED_EXPERIMENT)
     config = ExperimentRunConfig(experiment=str(tmp_path / "mine.yaml"), out=again.path, only=("train",))
-    with pytest.raises(ConfigError, match=rf"the training command cannot be started: train \S+ \S+/{re.escape(last)} "):
-        run_experiment(config)  # it begins with the training that is not finished
+    with pytest.raises(ConfigError, match=rf"stage 'train/{re.escape(last)}' needs export/\S+; run"):
+        run_experiment(config)  # it begins with the training that is not finished, and makes its dataset again
 
 
 def test_packs_that_are_too_large_or_damaged_are_refused(tmp_path):
@@ -343,6 +366,29 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     assert models.pairs[0].test == "these checkpoints, on different scenes", "a card alone has no scenes"
     with pytest.raises(ConfigError, match="two of the runs are named 'weak'"):
         compared([tmp_path / "weak", tmp_path / "weak"])
+
+
+def test_models_are_compared_by_the_condition_of_the_first_run(tmp_path):
+    one = PLANTED_EXPERIMENT.replace("count: 3", "count: 1")
+    other = one.replace("first: leave_out, second: baseline", "first: baseline, second: leave_out")
+    planted_folder(tmp_path / "weak", {**PLANTED_RATES, "leave_out": 0.2}, one)
+    planted_folder(tmp_path / "strong", {**PLANTED_RATES, "leave_out": 0.9, "baseline": 0.0}, other)
+    models, _ = compared([tmp_path / "weak", tmp_path / "strong"])
+    assert models.condition == "leave_out"
+    assert models.pairs[0].test == "these checkpoints, on 40 scenes that both met"
+    assert models.pairs[0].difference.value == pytest.approx(0.2 - 0.9), "not the baseline's scenes"
+
+
+def test_runs_whose_rollouts_were_asked_different_things_are_not_compared(tmp_path):
+    planted_folder(tmp_path / "plain", PLANTED_RATES)
+    planted_folder(tmp_path / "crowded", PLANTED_RATES, PLANTED_EXPERIMENT.replace("maximum: 0", "maximum: 3"))
+    planted_folder(tmp_path / "large", PLANTED_RATES, PLANTED_EXPERIMENT.replace("64x64", "128x128"))
+    words = ("experiment", "compare", str(tmp_path / "plain"), str(tmp_path / "crowded"))
+    with pytest.raises(ConfigError, match="set.distractors.maximum: 0 in plain, 3 in crowded"):
+        CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
+    words = (*words[:3], str(tmp_path / "large"))
+    said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
+    assert "The runs differ in image size, too: 64x64 (plain); 128x128 (large)." in said
 
 
 def test_pages_of_evaluations_are_written_on_demand(tmp_path):

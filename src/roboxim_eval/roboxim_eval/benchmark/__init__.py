@@ -8,6 +8,7 @@ from roboxim_eval.benchmark.card import (
     dimension_sentence,
     is_benchmark_card,
     percent_text,
+    points_text,
     rate_text,
 )
 from roboxim_eval.benchmark.config import BenchmarkConfig, Reference, benchmark_config, experiment_changes
@@ -26,5 +27,6 @@ __all__ = [
     "experiment_changes",
     "is_benchmark_card",
     "percent_text",
+    "points_text",
     "rate_text",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,11 +16,13 @@ from roboxim_eval.experiments.card import Card, sha256_of
 from roboxim_eval.experiments.card_checks import analysis_of, check_card
 from roboxim_eval.statistics.replicates import Interval
 
-SCHEMA = "benchmark-2"
+SCHEMA = "benchmark-3"
 """Version of the card's form; differs from that of an experiment's card."""
 
 Bounds = tuple[float, float, float]
 """An estimate, and the lower and upper bound of its 95 % interval."""
+OpenBounds = tuple[float, float | None, float | None]
+"""The same of a difference; null: one training of each condition has no bound."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +31,10 @@ class CardDimension:
 
     absolute: Bounds
     """Mean success rate in held-out cells, over the experiments that vary the dimension."""
+    baseline: Bounds
+    """Mean success rate of the baselines in the same cells."""
+    gap: OpenBounds
+    """Mean of what holding out costs: the baseline's success rate minus the absolute score."""
     relative: Bounds | None
     """Mean ratio to the baseline; null: refused in an experiment."""
     experiments: tuple[str, ...]
@@ -80,8 +87,9 @@ def dimension_sentence(name: str, score: CardDimension) -> str:
         ratio = f"no relative score, since the ratio of {' and '.join(score.refused)} is refused"
     else:
         ratio = f"{percent_text(score.relative)} of the baseline"
+    beside = f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}"
     among = f"mean of {' and '.join(score.experiments)}"
-    return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {among}."
+    return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {beside}; {among}."
 
 
 def rate_text(bounds: Bounds) -> str:
@@ -96,6 +104,13 @@ def percent_text(bounds: Bounds) -> str:
     return f"{value} % ({low} to {high} %)"
 
 
+def points_text(bounds: OpenBounds) -> str:
+    """Format a difference with its interval, e.g. ``+10 points (-2 to +22)``."""
+    value, low, high = (None if x is None else f"{round(100 * x) + 0:+d}" for x in bounds)
+    unbounded = low is None or high is None
+    return f"{value} points ({'no interval from one training' if unbounded else f'{low} to {high}'})"
+
+
 def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
     """Return a card with the dimensions and hash that follow from its experiments.
 
@@ -105,8 +120,9 @@ def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
     analyses = {name: (one.experiment.config, analysis_of(one)) for name, one in card.experiments.items()}
     dimensions = {
         name: CardDimension(
-            absolute=_bounds(score.absolute), relative=None if score.relative is None else _bounds(score.relative),
-            experiments=score.experiments, refused=score.refused,
+            absolute=_bounds(score.absolute), baseline=_bounds(score.baseline), gap=_open_bounds(score.gap),
+            relative=None if score.relative is None else _bounds(score.relative), experiments=score.experiments,
+            refused=score.refused,
         )
         for name, score in benchmark_scores(analyses).items()
     }  # fmt: skip
@@ -117,6 +133,11 @@ def concluded_benchmark(card: BenchmarkCard) -> BenchmarkCard:
 
 def _bounds(interval: Interval) -> Bounds:
     return round(interval.value, 6), round(interval.low, 6), round(interval.high, 6)
+
+
+def _open_bounds(interval: Interval) -> OpenBounds:
+    value, low, high = _bounds(interval)
+    return value, low if math.isfinite(low) else None, high if math.isfinite(high) else None
 
 
 def is_benchmark_card(data: Any) -> bool:

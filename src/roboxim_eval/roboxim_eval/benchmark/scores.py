@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import Analysis, ExperimentConfig
-from roboxim_eval.statistics.scores import DimensionScore, dimension_scores
+from roboxim_eval.statistics.scores import DimensionScore, ExperimentScore, dimension_scores
 
 
 def benchmark_scores(experiments: Mapping[str, tuple[ExperimentConfig, Analysis]]) -> dict[str, DimensionScore]:
@@ -22,5 +22,9 @@ def benchmark_scores(experiments: Mapping[str, tuple[ExperimentConfig, Analysis]
     for name, (config, analysis) in experiments.items():
         if analysis.scores is None:
             raise ConfigError(f"experiment '{name}' has no scores: it needs held-out cells and a baseline")
-        found[name] = tuple(config.dimensions.values()), analysis.scores.absolute, analysis.scores.relative.ratio
+        own = analysis.scores
+        found[name] = ExperimentScore(
+            dimensions=tuple(config.dimensions.values()), absolute=own.absolute, baseline=own.baseline,
+            gap=own.gap.interval(), relative=own.relative.ratio,
+        )  # fmt: skip
     return dimension_scores(found)

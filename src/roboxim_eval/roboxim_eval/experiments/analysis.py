@@ -44,7 +44,8 @@ class Comparison:
     config: CompareConfig
     """The comparison."""
     verdict: Verdict
-    """The verdict; its p value is adjusted for all comparisons of the file (Holm)."""
+    """The verdict; its p values are adjusted for all comparisons of the file (Holm), that of a difference and that of
+    a difference within the margin each by itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +80,10 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
     compares = sorted(enumerate(design.config.compare), key=lambda item: item[1] is not design.config.primary)
     found = [(compare, _differences(design, arms, compare, outcomes.pairs.get(n, ()))) for n, compare in compares]
     adjusted = holm([_p_value(difference) for _, difference in found])
+    as_good = holm([_p_as_good(difference, design.config.decide.margin) for _, difference in found])
     comparisons = tuple(
-        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value))
-        for (compare, difference), p_value in zip(found, adjusted, strict=True)
+        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value, equal))
+        for (compare, difference), p_value, equal in zip(found, adjusted, as_good, strict=True)
     )
     own = _scores(design, arms, outcomes)
     warnings = (*(own.warnings if own else ()), *_errors(arms))
@@ -120,23 +122,38 @@ def _p_value(difference: ConditionDifference) -> float:
     return independent_difference(*difference.rollouts).p_value
 
 
+def _p_as_good(difference: ConditionDifference, margin: float) -> float:
+    """Return the p value of a difference within the margin by itself; 1 where none can be shown."""
+    if difference.replicates >= LEAST_REPLICATES:
+        return difference.p_as_good(margin)
+    if difference.replicates == 1 and difference.pairs is not None and difference.pairs.scenes:
+        return paired_difference(difference.pairs).p_as_good(margin)
+    return 1.0
+
+
 def _verdict(
-    config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float
+    config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float, p_as_good: float
 ) -> Verdict:
     first, second = compare.first, compare.second
-    margin, alpha = config.decide.margin, config.decide.alpha
+    margin, alpha, comparisons = config.decide.margin, config.decide.alpha, len(config.compare)
     if compare.against:
         first, second = f"{first} in {compare.where} cells", f"{second} in {compare.against} cells"
     elif compare.where != "all":
         first, second = f"{first} in {compare.where} cells", f"{second} there"
     if difference.replicates > 1:
-        return condition_verdict(first, second, difference, margin=margin, alpha=alpha, p_value=p_value)
+        return condition_verdict(
+            first, second, difference, margin=margin, alpha=alpha, p_value=p_value, p_as_good=p_as_good,
+            comparisons=comparisons,
+        )  # fmt: skip
     if difference.pairs is not None and difference.pairs.scenes:
-        return checkpoint_verdict(first, second, difference.pairs, margin=margin, alpha=alpha, p_value=p_value)
+        return checkpoint_verdict(
+            first, second, difference.pairs, margin=margin, alpha=alpha, p_value=p_value, p_as_good=p_as_good,
+            comparisons=comparisons,
+        )  # fmt: skip
     apart = independent_difference(*difference.rollouts)
     verdict = condition_verdict(first, second, difference, margin=margin, alpha=alpha)
     which = "These rates of one checkpoint" if compare.first == compare.second else "These two checkpoints"
-    adjusted = " after adjustment" if len(config.compare) > 1 else ""
+    adjusted = " after adjustment" if comparisons > 1 else ""
     return replace(
         verdict,
         sentence=f"{verdict.sentence} {which} differ by {apart} on different scenes (p {p_value:.2g}{adjusted}).",

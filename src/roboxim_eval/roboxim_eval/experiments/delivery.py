@@ -63,6 +63,13 @@ class Allowed:
         axes = list(zip(self.lower, numbers, self.upper, strict=False))
         return _largest([end for a, x, b in axes for end in (a - x, x - b, 0.0)]) if axes else math.inf
 
+    @property
+    def boxes(self) -> tuple[tuple[Value, Value], ...]:
+        """The least and the largest of each value, or of the range, for each axis."""
+        if self.values:
+            return tuple((value, value) for value in self.values)
+        return ((self.lower, self.upper),) if self.lower else ()
+
     def __str__(self) -> str:
         """Format the values, or the range."""
         if self.values:
@@ -77,11 +84,32 @@ def plain_value(value: Any) -> Value:
     return value if isinstance(value, str) else float(value)
 
 
+def gap(first: Allowed, second: Allowed) -> float:
+    """Return by how much the values that one allows differ at least from those that another allows.
+
+    Returns:
+        The difference, at most over the axes; infinity for other words, or where nothing is allowed; 0 for a value that
+        both allow.
+    """
+    return min((_between(one, other) for one in first.boxes for other in second.boxes), default=math.inf)
+
+
+def _between(first: tuple[Value, Value], second: tuple[Value, Value]) -> float:
+    (low, high), (other_low, other_high) = first, second
+    if isinstance(low, str) or isinstance(high, str) or isinstance(other_low, str) or isinstance(other_high, str):
+        return _apart(low, other_low)
+    axes = zip(*map(_axes, (low, high, other_low, other_high)), strict=False)
+    return max((max(c - b, a - d, 0.0) for a, b, c, d in axes), default=math.inf)
+
+
+def _axes(value: float | tuple[float, ...]) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
 def _apart(value: Value, allowed: Value) -> float:
     if isinstance(value, str) or isinstance(allowed, str):
         return 0.0 if value == allowed else math.inf
-    first = value if isinstance(value, tuple) else (value,)
-    second = allowed if isinstance(allowed, tuple) else (allowed,)
+    first, second = _axes(value), _axes(allowed)
     if len(first) != len(second):
         return math.inf
     return _largest([abs(a - b) for a, b in zip(first, second, strict=True)])
@@ -141,8 +169,8 @@ class Demand:
     turned: tuple[str, ...] = ()
     """Cameras whose orientation is drawn."""
     look: dict[str, Allowed] = field(default_factory=dict)
-    """Property of light, surfaces or pictures to its values, e.g. ``light.intensity``, ``table.texture``,
-    ``background``, ``exposure.workspace``, ``noise.workspace``."""
+    """Property of light, surfaces or pictures to its values, e.g. ``light.intensity``, ``light.number`` (of lights),
+    ``table.texture``, ``background``, ``exposure.workspace``, ``noise.workspace``."""
     templates: tuple[str, ...] = ()
     """Templates of the task's instruction, with roles in braces; empty: any instruction."""
     words: str | None = None
@@ -205,6 +233,8 @@ class Shown:
     """Camera to the CRC-32 of its picture at tick 0."""
     sizes: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Camera to the shape of its picture."""
+    not_compared: str = ""
+    """Why its pictures were not compared with drawings of its state, e.g. ``renderer photo``; empty: they were."""
     thumbnails: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Camera to its picture at tick 0, reduced to 8 x 8 grey values, for comparisons of looks."""
     instruction: str = ""
@@ -341,8 +371,13 @@ def _within(demand: Demand, shown: Shown, kinds: tuple[str, ...]) -> Iterator[st
             yield f"{name} is {_text(shown.look.get(name, ''))}, the condition demands {allowed}"
 
 
+LIGHT = ("light", "exposure", "noise")
+TEXTURE = ("table", "floor", "wall", "background")
+"""First words of properties in `Shown.look`, by the check that reads them."""
+
+
 def _light(demand: Demand, shown: Shown) -> Iterator[str]:
-    yield from _within(demand, shown, ("light", "exposure", "noise"))
+    yield from _within(demand, shown, LIGHT)
     for name, difference in shown.brightness.items():
         if not abs(difference) <= BRIGHTNESS:
             yield (
@@ -352,7 +387,7 @@ def _light(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def _texture(demand: Demand, shown: Shown) -> Iterator[str]:
-    yield from _within(demand, shown, ("table", "floor", "wall", "background"))
+    yield from _within(demand, shown, TEXTURE)
     if not shown.colors.get("table", 0.0) <= COLOR_DIFFERENCE:
         yield (
             f"the table's median colour is {shown.colors['table']:.1f} (CIEDE2000) from that of its material, at most "
@@ -401,20 +436,9 @@ CHECKS: Mapping[str, Check] = {
 """Checks by name. Each yields what is wrong, with figures; nothing: the episode passes."""
 WORDS = "words"
 """The check of what the policy received; only bags that say it are checked."""
-OF_CELLS = ("skill", "object", "area", "camera")
-"""Checks that tell one cell from another."""
 
 
 def faults_of(demand: Demand, shown: Shown) -> dict[str, str]:
     """Return what is wrong with an episode: check to the fault, with figures; empty: nothing is known to be wrong."""
     found = {name: "; ".join(check(demand, shown)) for name, check in CHECKS.items()}
     return {name: text for name, text in found.items() if text}
-
-
-def belongs_to(demand: Demand, shown: Shown) -> bool:
-    """Return whether an episode is one of a cell by its content, whatever cell it claims. Pictures do not count."""
-    plain = Shown(
-        bag=shown.bag, cell=shown.cell, number=shown.number, skill=shown.skill, arguments=shown.arguments,
-        models=shown.models, modifiers=shown.modifiers, positions=shown.positions, cameras=shown.cameras,
-    )  # fmt: skip
-    return not any(any(CHECKS[name](demand, plain)) for name in OF_CELLS)

@@ -31,6 +31,8 @@ class Training:
     """The dataset, see `Design.datasets`."""
     steps: int
     """Training steps; 0: unknown, since the trainer does not state them."""
+    seed: int
+    """Seed that the trainer's command receives; 0 for all replicates unless ``replicates.vary`` has ``training``."""
     arguments: str
     """What its condition adds to the trainer's command; empty: nothing."""
     checkpoints: tuple[int, ...]
@@ -116,9 +118,10 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
         trainer: Name of a trainer of the file; empty: the first one.
 
     Raises:
-        ConfigError: When a dataset has no cell, a comparison needs cells that a condition is not evaluated in, or a
-            condition has arguments for other trainers alone.
+        ConfigError: When a dataset has no cell, a comparison or the scores need cells that a condition is not evaluated
+            in, trainings of a condition would be equal, or a condition has arguments for other trainers alone.
     """
+    _check_replicates(config)
     cells = cells_of(config)
     trainer = trainer or next(iter(config.trainers), "")
     chosen_trainer = _trainer(config, trainer)
@@ -147,7 +150,17 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
         evaluations=tuple(_evaluations(config, cells, chosen_trainer)),
     )
     _check_comparisons(design)
+    _check_scores(design)
     return design
+
+
+def _check_replicates(config: ExperimentConfig) -> None:
+    """Check that trainings of a condition differ: equal ones would be one training that counts several times."""
+    if not config.replicates.vary and any(condition.train for condition in config.conditions.values()):
+        raise ConfigError(
+            "replicates.vary: is empty, so that all trainings of a condition would have the same seed and the same "
+            "demonstrations, and be equal; expected training, data or both, e.g. vary: [training]"
+        )
 
 
 def _trainer(config: ExperimentConfig, name: str) -> TrainerConfig:
@@ -179,6 +192,7 @@ def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: s
                 steps = condition.steps or trainer.steps
                 yield Training(
                     condition=name, replicate=replicate, dataset=condition.train, steps=steps,
+                    seed=replicate if "training" in config.replicates.vary else 0,
                     arguments=condition.arguments.get(trainer_name, ""),
                     checkpoints=_checkpoints(config, trainer, steps, replicate),
                 )  # fmt: skip
@@ -224,6 +238,24 @@ def _check_comparisons(design: Design) -> None:
                     f"compare.{number}: '{condition}' is not evaluated in "
                     f"{'any cell: none is ' + repr(where) if not needed else ', '.join(missing)}; change evaluate.cells"
                 )
+
+
+def _check_scores(design: Design) -> None:
+    """Check that the condition without words is evaluated in all held-out cells, if the experiment has their scores.
+
+    The scores need two other conditions there, those of the primary comparison: `_check_comparisons` checks them.
+    """
+    primary, blind = design.config.primary, design.config.blind
+    if primary is None or primary.where != "unseen" or primary.against or not blind:
+        return
+    met = next(e.counts for e in design.evaluations if e.condition == blind and not e.checkpoint)
+    missing = [cell.key for cell in chosen(design.cells, "unseen") if cell.key not in met]
+    if missing:
+        raise ConfigError(
+            f"evaluate.cells.{blind}: '{blind}' evaluates '{primary.first}' without words, and the scores compare both "
+            f"in all held-out cells, but '{blind}' is not evaluated in {', '.join(missing)}; expected {blind}: unseen "
+            "or all"
+        )
 
 
 # ------------------------------------------------------------------ stages
@@ -299,7 +331,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             "train", f"{training.condition}.{training.replicate}",
             (f"export/{training.dataset}.{data}", f"prove/training.{data}"),
             command=f"{design.trainer.command} {training.arguments}".strip(), steps=training.steps,
-            seed=training.replicate,
+            seed=training.seed,
             checkpoints=list(training.checkpoints), until=design.trainer.until if training.checkpoints else "",
         )  # fmt: skip
     for evaluation in design.evaluations:

@@ -7,7 +7,9 @@ the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models w
 more than two models did not all meet the same scenes, their strengths say who solved what another one did not
 (Bradley-Terry).
 
-Errors count as failures. A model with many of them is named, since its rate says little about the model.
+Errors count as failures. A model with many of them is named, since its rate says little about the model. Runs whose
+rollouts were asked different things are refused; other circumstances that differ are named, see
+`roboxim_eval.experiments.comparable`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from roboxim_eval.experiments.analysis import MOST_ERRORS
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.experiments.comparable import circumstances, require_same_rollouts
+from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.multiple import bradley_terry, compact_letters, holm
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
@@ -100,10 +104,12 @@ class Models:
     strengths: Mapping[str, float]
     """Model to the log-odds that it, not an average model, solved a scene that one of two solved; the strongest first.
     Empty where all met the same scenes, or too few scenes connect them."""
+    circumstances: tuple[str, ...]
+    """What else than the models differs between the runs, a sentence each, e.g. their scales."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The result in words: models with many errors, the pairs, cells left out, and the warnings of the cards."""
+        """The result in words: models with many errors, the verdicts, and the warnings of the cards."""
         own = [f"The card of {name} warns: {said}" for name, warnings in self.warnings.items() for said in warnings]
         return (*self.errors, *self.verdicts, *own)
 
@@ -119,7 +125,7 @@ class Models:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """A sentence for each pair, those that differ first, then the cells that are left out."""
+        """A sentence for each pair, those that differ first, then cells that are left out, and what else differs."""
         differing = [pair for pair in self.pairs if pair.p <= 0.05]
         found = [
             f"{best} is better than {worse} by {100 * abs(pair.difference.value):.0f} points "
@@ -140,7 +146,7 @@ class Models:
             )
         if self.left_out:
             found.append(f"Left out, since not all models met them: {', '.join(self.left_out)}.")
-        return tuple(found)
+        return (*found, *self.circumstances)
 
     def _basis(self, pair: PairOfModels) -> str:
         """Return what a pair's sentence rests on: the test, and whose errors count as failures."""
@@ -169,18 +175,20 @@ def compare_models(
         scenes: Model to the outcomes of each replicate by scene; models that met the same scenes are compared on them.
 
     Raises:
-        ConfigError: When there are fewer than two cards, a card lacks the condition, or no cell is common to all.
+        ConfigError: When there are fewer than two cards, a card lacks the condition, no cell is common to all, or the
+            rollouts of two runs were asked different things.
     """
     if len(cards) < 2:
         raise ConfigError(f"a comparison needs at least two runs, got {len(cards)}")
     first = next(iter(cards.values())).experiment.config
-    condition = condition or (first.primary.first if first.primary else next(iter(first.conditions)))
+    condition = condition or compared_condition(first)
     where = where or (first.primary.where if first.primary else "all")
     arms = {name: _arm(name, card, condition) for name, card in cards.items()}
     keys = {name: _keys(cards[name], where) & set(arm.cells) for name, arm in arms.items()}
     common = set.intersection(*keys.values())
     if not common:
         raise ConfigError(f"the runs have no {where} cell in common; compare runs of one experiment")
+    require_same_rollouts(cards, condition, common)
     order = [cell for cell in next(iter(arms.values())).cells if cell in common]
     arms = {name: arm.within(order) for name, arm in arms.items()}
     found = [
@@ -199,7 +207,13 @@ def compare_models(
         left_out=tuple(sorted(set.union(*keys.values()) - common)), pairs=pairs,
         models={name: _model(arms[name], letters[name]) for name in letters},
         warnings={name: cards[name].warnings for name in letters}, strengths=_strengths(scenes or {}, set(order)),
+        circumstances=tuple(circumstances(cards, condition)),
     )  # fmt: skip
+
+
+def compared_condition(config: ExperimentConfig) -> str:
+    """Return the condition by which runs are compared unless another one is named: the primary comparison's first."""
+    return config.primary.first if config.primary else next(iter(config.conditions))
 
 
 def _arm(name: str, card: Card, condition: str) -> Arm:

@@ -28,13 +28,15 @@ from roboxim_eval.experiments.delivery import (
     WORDS,
     Demand,
     Shown,
-    belongs_to,
     faults_of,
     hidden_distractors,
 )
+from roboxim_eval.experiments.telling import belongs_to, telling_checks
 
 PROOF_OF_TRAINING = "trained_on"
 """Check of a training, not of an episode: it read the export that the experiment gave it."""
+PICTURES = "pictures"
+"""Count of the episodes whose pictures were compared with drawings; without them, checks are of what bags state."""
 MOST_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
 NAMED = 5
@@ -112,7 +114,8 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
     """Check episodes against what their cells demand.
 
     What the policy received is checked where the bag says it; a statement says how many bags do not. Another statement
-    says how many distractors are hidden, which is no fault.
+    says how many distractors are hidden, which is no fault. The count `PICTURES` says whose pictures were compared, and
+    a statement why others were not; that is no fault either.
 
     Args:
         demands: Cell to what it demands.
@@ -123,9 +126,15 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
     counts: Counter[str] = Counter()
     checked: Counter[str] = Counter()
     faults: list[Fault] = []
+    reasons: dict[str, None] = {}
     number = hidden = distractors = 0
     for shown in episodes:
         number += 1
+        if shown.pictures:
+            checked[PICTURES] += 1
+            counts[PICTURES] += not shown.not_compared
+        if shown.not_compared:
+            reasons[shown.not_compared] = None
         hidden += hidden_distractors(shown)
         distractors += len(shown.others)
         asked = [name for name in names if name != WORDS or shown.received]
@@ -148,8 +157,13 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
             f"{hidden} of {distractors} distractors are hidden or out of the picture: fewer than {VISIBLE_PX} visible "
             "pixels in the best fixed camera"
         )
+    if reasons:
+        statements.append(
+            f"pictures were not compared ({', '.join(reasons)}): where '{PICTURES}' did not pass, camera, light, "
+            "texture, object and distractors are proven by what the bags state alone"
+        )
     return Tally(
-        checks={name: (counts[name], checked[name]) for name in names if checked[name]},
+        checks={name: (counts[name], checked[name]) for name in (*names, PICTURES) if checked[name]},
         faults=tuple(faults),
         statements=tuple(statements),
     )
@@ -305,6 +319,8 @@ def training_tally(
 ) -> Tally:
     """Check a training dataset against the cells that it may have.
 
+    An episode that is one of a held-out cell by its content is a fault, whatever cell it claims, see `telling_checks`.
+
     Args:
         demands: All cells of the experiment with what they demand.
         unseen: Held-out cells.
@@ -312,10 +328,12 @@ def training_tally(
         episodes: Episodes of the dataset.
     """
     closed = [cell for cell in unseen if cell not in counts]
+    others = [demand for cell, demand in demands.items() if cell not in closed]
+    telling = {cell: telling_checks(demands[cell], others) for cell in closed}
     faults: list[Fault] = []
     leaks = 0
     for episode in episodes:
-        if text := _leak(episode, demands, closed):
+        if text := _leak(episode, demands, telling):
             leaks += 1
             faults.append(Fault(check="unseen", bag=episode.shown.bag, text=text))
     found = Counter(episode.shown.cell for episode in episodes)
@@ -333,9 +351,10 @@ def training_tally(
     )
 
 
-def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Sequence[str]) -> str:
-    for cell in closed:
-        if belongs_to(demands[cell], episode.shown):
+def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Mapping[str, Sequence[str]]) -> str:
+    """Return of which held-out cell an episode is; empty: of none. ``closed`` has the checks that tell each of them."""
+    for cell, checks in closed.items():
+        if belongs_to(demands[cell], episode.shown, checks):
             claims = "" if episode.shown.cell == cell else f", although it claims '{episode.shown.cell}'"
             return f"it is of the held-out cell '{cell}'{claims}"
     if episode.shown.cell in closed:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text, rate_text
-from roboxim_eval.benchmark.card import Bounds
+from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text, points_text, rate_text
+from roboxim_eval.benchmark.card import Bounds, OpenBounds
 from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
@@ -30,6 +30,10 @@ class BenchmarkRow:
     """Whether it is a dimension."""
     absolute: Bounds
     """Success rate in held-out cells."""
+    baseline: Bounds
+    """That of the baseline there."""
+    gap: OpenBounds
+    """The baseline's success rate minus the absolute score."""
     relative: Bounds | None
     """Ratio to the baseline; none: refused."""
     published: ReferenceScore | None = None
@@ -39,6 +43,16 @@ class BenchmarkRow:
     def absolute_text(self) -> str:
         """The success rate with its interval."""
         return rate_text(self.absolute)
+
+    @property
+    def baseline_text(self) -> str:
+        """The baseline's success rate with its interval."""
+        return rate_text(self.baseline)
+
+    @property
+    def gap_text(self) -> str:
+        """The gap with its interval."""
+        return points_text(self.gap)
 
     @property
     def relative_text(self) -> str:
@@ -60,13 +74,14 @@ def benchmark_rows(card: BenchmarkCard) -> Iterator[BenchmarkRow]:
     for name, score in card.dimensions.items():
         yield BenchmarkRow(
             name=name, about=f"mean of {', '.join(score.experiments)}", dimension=True, absolute=score.absolute,
-            relative=score.relative, published=reference.dimensions.get(name),
+            baseline=score.baseline, gap=score.gap, relative=score.relative, published=reference.dimensions.get(name),
         )  # fmt: skip
     for name, one in card.experiments.items():
         assert one.scores is not None, "a benchmark's card has no dimensions otherwise"
         relative = one.scores["relative"]
         yield BenchmarkRow(
             name=name, about=f"varies {_varies(one)}", dimension=False, absolute=tuple(one.scores["absolute"]),
+            baseline=tuple(one.scores["baseline"]), gap=tuple(one.scores["gap"]),
             relative=None if relative is None else tuple(relative), published=reference.experiments.get(name),
         )  # fmt: skip
 

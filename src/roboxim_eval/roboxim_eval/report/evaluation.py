@@ -46,7 +46,7 @@ from roboxim_eval.statistics import (
 )
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, paired_difference
-from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict
+from roboxim_eval.statistics.verdicts import MARGIN, Verdict, checkpoint_verdict
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,10 +145,13 @@ def comparisons(runs: Sequence[PolicyRun], *, undecided: bool = False) -> list[V
     first, *others = measured
     found = [(other, pairs) for other in others if (pairs := pairs_of(first, other)).scenes]
     adjusted = holm([1.0 if undecided else paired_difference(pairs).p_value for _, pairs in found])
+    as_good = holm([paired_difference(pairs).p_as_good(MARGIN) for _, pairs in found])
     verdicts = [
-        checkpoint_verdict(first.policy, other.policy, pairs, p_value=p_value)
-        for (other, pairs), p_value in zip(found, adjusted, strict=True)
-    ]
+        checkpoint_verdict(
+            first.policy, other.policy, pairs, p_value=p_value, p_as_good=equal, comparisons=len(found)
+        )
+        for (other, pairs), p_value, equal in zip(found, adjusted, as_good, strict=True)
+    ]  # fmt: skip
     if not undecided:
         return verdicts
     return [

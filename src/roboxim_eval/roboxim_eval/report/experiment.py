@@ -55,7 +55,7 @@ SCORES = {
     "competence": ("competence", "leave-out minus baseline in cells that both have seen; far from 0, the gap is "
                    "not due to the held-out cells alone"),
     "substitution": ("substitution", "share of failed held-out episodes that satisfied another instruction of the "
-                     "training"),
+                     "training; 0 says nothing where no scene allows one"),
 }  # fmt: skip
 """Score of a card to its name and what it says."""
 POINTS = ("gap", "words", "competence")
@@ -173,6 +173,8 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
         elif key == "substitution" and value is not None:
             if value["failed"]:
                 shown, interval = _score(value["rate"], points=False)
+                if not value["rate"][0]:  # the task files tell, which a card does not hold
+                    interval += ", if scenes allow another instruction"
             else:
                 interval = "no held-out episode failed"
         elif value is not None:

@@ -14,35 +14,40 @@ from roboxim_eval.statistics.replicates import condition_rate
 from roboxim_eval.statistics.tables import Arm
 
 
-def experiment_markdown(card: Card, *, level: int = 1) -> str:
+def experiment_markdown(card: Card, *, level: int = 1, warnings: Sequence[str] = ()) -> str:
     """Return sentences, scores, rates by condition and by cell, deviations and provenance of an experiment.
 
     Args:
         card: A card whose scores follow from its counts.
         level: Level of its heading.
+        warnings: What weakens its results besides its card's warnings.
 
     Raises:
         ConfigError: When the card lacks counts of a condition or a cell.
     """
-    return "\n".join(_experiment(card, level)) + "\n"
+    return "\n".join(_experiment(card, level, warnings)) + "\n"
 
 
-def benchmark_markdown(card: BenchmarkCard) -> str:
+def benchmark_markdown(card: BenchmarkCard, *, warnings: Mapping[str, Sequence[str]] | None = None) -> str:
     """Return the scores of a benchmark beside the published ones, then its experiments.
+
+    Args:
+        card: A card whose scores follow from its experiments.
+        warnings: Experiment to what weakens its results besides its card's warnings.
 
     Raises:
         ConfigError: When an experiment's card lacks counts of a condition or a cell.
     """
-    return "\n".join(_benchmark(card)) + "\n"
+    return "\n".join(_benchmark(card, warnings or {})) + "\n"
 
 
-def _experiment(card: Card, level: int) -> Iterator[str]:
+def _experiment(card: Card, level: int, warnings: Sequence[str]) -> Iterator[str]:
     config, design = card.experiment.config, design_of_card(card)
     arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
     yield f"{'#' * level} {card.experiment.name}, scale {card.experiment.scale}\n"
     yield f"{config.about}\n"
     yield from (f"- **{one.sentence}**" if one.primary else f"- {one.sentence}" for one in card.verdicts)
-    yield from (f"- Warning: {warning}" for warning in card.warnings)
+    yield from (f"- Warning: {warning}" for warning in (*card.warnings, *warnings))
     if card.scores:
         yield "\n" + _table(
             ("score", "value", "95 % interval"), ((r["name"], r["value"], r["interval"]) for r in score_rows(card))
@@ -56,21 +61,25 @@ def _experiment(card: Card, level: int) -> Iterator[str]:
     yield "\n" + _provenance(provenance_of(card))
 
 
-def _benchmark(card: BenchmarkCard) -> Iterator[str]:
+def _benchmark(card: BenchmarkCard, warnings: Mapping[str, Sequence[str]]) -> Iterator[str]:
     yield f"# {card.name}, scale {card.scale}\n"
     yield f"{card.about}\n"
     yield from (f"- {sentence}" for sentence in card.sentences)
     reference = card.reference
-    head = ("dimension or experiment", "absolute", "relative", "published absolute", "published relative")
-    rows = [(row.name, row.absolute_text, row.relative_text, *row.published_texts) for row in benchmark_rows(card)]
-    width = len(head) if reference else 3
+    scores = ("absolute, u", "baseline, s", "gap, s - u", "relative, u / s")
+    head = ("dimension or experiment", *scores, "published absolute", "published relative")
+    rows = [
+        (row.name, row.absolute_text, row.baseline_text, row.gap_text, row.relative_text, *row.published_texts)
+        for row in benchmark_rows(card)
+    ]
+    width = len(head) if reference else 1 + len(scores)
     yield "\n" + _table(head[:width], (row[:width] for row in rows))
     if reference:
         yield f"\nPublished: {reference.name}.\n"
         yield from (f"- {sentence}" for sentence in reference.differences)
-    for one in card.experiments.values():
+    for name, one in card.experiments.items():
         yield ""
-        yield from _experiment(one, 2)
+        yield from _experiment(one, 2, warnings.get(name, ()))
     yield f"\nHash of the benchmark's card: `{card.sha256}`."
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.statistics.equivalence import p_within
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 
 
@@ -26,6 +27,14 @@ class Difference:
     """Upper bound."""
     p_value: float
     """Probability of a difference at least as large if both were equal, two-sided."""
+
+    def p_as_good(self, margin: float) -> float:
+        """Return the p value of two one-sided tests of a difference within a margin.
+
+        Args:
+            margin: Largest difference that counts as equally good, 0..1.
+        """
+        return p_within(self.value, self.value - self.low, self.high - self.value, margin)
 
     def __str__(self) -> str:
         """Format in points, e.g. ``-7.4 points (-15.0 to +0.2)``."""

@@ -19,14 +19,13 @@ from functools import lru_cache
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.statistics.equivalence import NORMAL, p_within, two_one_sided
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.tables import Arm, require_same_replicates
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
-NORMAL = 1.959963984540054
-"""The 97.5 % quantile of the normal distribution."""
 LEAST_REPLICATES = 3
 """Number of trainings below which nothing is said about a training condition."""
 
@@ -120,6 +119,23 @@ class ConditionDifference:
         half = self._rollouts_alone(0.95)[0 if self.value > 0 else 1]
         by_rollouts = 2 * norm.sf(abs(self.value) / half * NORMAL) if half else 0.0
         return float(max(by_trainings, by_rollouts))
+
+    def p_as_good(self, margin: float) -> float:
+        """Return the p value of two one-sided tests of a mean difference within a margin; 1 for one replicate.
+
+        It is the smallest ``alpha`` at which the interval at the confidence ``1 - 2 alpha`` is within the margin: the
+        larger one of the t tests over replicates and of the rollouts' tests.
+
+        Args:
+            margin: Largest difference that counts as equally good, 0..1.
+        """
+        from scipy.stats import t as student
+
+        if self.replicates < 2:
+            return 1.0
+        error, freedom = self.spread / math.sqrt(self.replicates), self.replicates - 1
+        by_trainings = two_one_sided(self.value, error, error, margin, tail=lambda x: student.sf(x, freedom))
+        return max(by_trainings, p_within(self.value, *self._rollouts_alone(0.95), margin))
 
 
 def condition_difference(

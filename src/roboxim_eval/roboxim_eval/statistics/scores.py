@@ -14,7 +14,8 @@ substitution  see below          memorised pairs
 competence    u_seen - s_seen    different numbers of demonstrations a cell; a weakened baseline
 ============  =================  ===============================================================================
 
-Substitution is the share of failed held-out episodes that satisfied another instruction of the training.
+Substitution is the share of failed held-out episodes that satisfied another instruction of the training. Where no scene
+allows one it is always 0; `roboxim_bringup.runs.told_by_scene` says so, by the task files.
 """
 
 from __future__ import annotations
@@ -218,11 +219,31 @@ def _points(interval: Interval) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExperimentScore:
+    """What a benchmark takes from an experiment."""
+
+    dimensions: tuple[str, ...]
+    """The dimensions that it varies."""
+    absolute: Interval
+    """u, the success rate in held-out cells."""
+    baseline: Interval
+    """s, that of the baseline there."""
+    gap: Interval
+    """s - u."""
+    relative: Interval | None
+    """u / s; none: refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class DimensionScore:
     """Score of a dimension, e.g. ``object``: the mean over the experiments that vary it."""
 
     absolute: Interval
     """Mean success rate in held-out cells."""
+    baseline: Interval
+    """Mean success rate of the baselines there."""
+    gap: Interval
+    """Mean of what holding out costs, s - u."""
     relative: Interval | None
     """Mean ratio to the baseline; none: refused in an experiment."""
     experiments: tuple[str, ...]
@@ -231,27 +252,23 @@ class DimensionScore:
     """Experiments whose ratio was refused, so that there is no mean."""
 
 
-def dimension_scores(
-    experiments: Mapping[str, tuple[Collection[str], Interval, Interval | None]],
-) -> dict[str, DimensionScore]:
+def dimension_scores(experiments: Mapping[str, ExperimentScore]) -> dict[str, DimensionScore]:
     """Return the benchmark's scores by dimension, as section 6.3 of the thesis defines them.
 
     Their intervals take the experiments as independent: each has demonstrations and trainings of its own.
 
     Args:
-        experiments: Name to the dimensions that it varies, its absolute score, and its relative one; none: refused.
+        experiments: Name of an experiment to its scores.
     """
     found = {}
-    for dimension in dict.fromkeys(name for names, _, _ in experiments.values() for name in names):
-        mine = {
-            name: (absolute, relative)
-            for name, (names, absolute, relative) in experiments.items()
-            if dimension in names
-        }
-        refused = tuple(name for name, (_, relative) in mine.items() if relative is None)
-        ratios = [relative for _, relative in mine.values() if relative is not None]
+    for dimension in dict.fromkeys(name for one in experiments.values() for name in one.dimensions):
+        mine = {name: one for name, one in experiments.items() if dimension in one.dimensions}
+        ratios = [one.relative for one in mine.values() if one.relative is not None]
+        refused = tuple(name for name, one in mine.items() if one.relative is None)
         found[dimension] = DimensionScore(
-            absolute=mean_interval([absolute for absolute, _ in mine.values()]),
+            absolute=mean_interval([one.absolute for one in mine.values()]),
+            baseline=mean_interval([one.baseline for one in mine.values()]),
+            gap=mean_interval([one.gap for one in mine.values()]),
             relative=None if refused else mean_interval(ratios),
             experiments=tuple(mine),
             refused=refused,

@@ -1,9 +1,12 @@
 """Verdicts of comparisons: one of four, with its sentence.
 
-``lower`` and ``higher``: p is at most alpha (0.05), and the 95 % interval excludes 0. ``as_good``: two one-sided tests
-at 5 % each show a difference within the margin. ``cannot_tell``: none of these; the sentence says what is compatible
-with the data, and how many more trainings would decide the margin. An absence of evidence is never called "no
-difference".
+``lower`` and ``higher``: p is at most alpha (0.05), and the 95 % interval excludes 0. ``as_good``: the p value of two
+one-sided tests of a difference within the margin is at most alpha. ``cannot_tell``: none of these; the sentence says
+what is compatible with the data, and how many more trainings would decide the margin. An absence of evidence is never
+called "no difference".
+
+Where several comparisons are made, callers adjust both kinds of p values: that any "lower" or "higher" is false has a
+probability of at most alpha, and so has it that any "as good" is.
 """
 
 from __future__ import annotations
@@ -11,11 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from roboxim_eval.statistics.equivalence import NORMAL
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, Interval, more_trainings
 
 Kind = Literal["lower", "higher", "as_good", "cannot_tell"]
 Question = Literal["checkpoint", "condition"]
+MARGIN = 0.10
+"""Largest difference that counts as equally good where nobody chooses another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +36,8 @@ class Verdict:
     """Difference of the success rates, first minus second, with its 95 % interval."""
     p_value: float
     """Two-sided probability of such a difference if both were equal; adjusted where several comparisons are made."""
+    p_as_good: float
+    """p value of two one-sided tests of a difference within the margin; adjusted where several comparisons are made."""
     sentence: str
     """The verdict in one sentence."""
 
@@ -39,8 +47,10 @@ def condition_verdict(
     second: str,
     difference: ConditionDifference,
     *,
-    margin: float = 0.10,
+    margin: float = MARGIN,
     p_value: float | None = None,
+    p_as_good: float | None = None,
+    comparisons: int = 1,
     alpha: float = 0.05,
 ) -> Verdict:
     """Compare two training conditions (Q2).
@@ -51,7 +61,9 @@ def condition_verdict(
         difference: Difference over at least three replicates.
         margin: Largest difference that counts as equally good, 0..1.
         p_value: Adjusted p value, where several comparisons are made; none: the difference's own.
-        alpha: Largest p value that shows a difference, at most 0.05.
+        p_as_good: Adjusted p value of a difference within the margin, likewise.
+        comparisons: Number of comparisons that the p values are adjusted for.
+        alpha: Largest p value that shows a difference, or one within the margin; at most 0.05.
     """
     interval = difference.interval()
     own = difference.p_value if p_value is None else p_value
@@ -62,38 +74,75 @@ def condition_verdict(
             f"Cannot tell whether {first} is better or worse than {second} as a way to train: {many} do{'es' * one} "
             f"not show how much trainings differ; at least {LEAST_REPLICATES} are needed."
         )
-        return Verdict(kind="cannot_tell", question="condition", difference=interval, p_value=1.0, sentence=sentence)
-    narrow = difference.interval(confidence=0.90)
-    within = -margin < narrow.low and narrow.high < margin
+        return Verdict(
+            kind="cannot_tell", question="condition", difference=interval, p_value=1.0, p_as_good=1.0, sentence=sentence
+        )  # fmt: skip
+    alone = difference.p_as_good(margin)
+    equal = alone if p_as_good is None else p_as_good
+    narrow = difference.interval(confidence=1 - 2 * alpha)
     if own <= alpha and (interval.low > 0 or interval.high < 0):
         kind: Kind = "lower" if interval.high < 0 else "higher"
-        points = _points(interval)
-        sentence = f"{first} is {kind} than {second} by {points}, over {many}"
-        sentence += f"; the difference is within the margin of {100 * margin:.0f} points." if within else "."
-    elif within:
+        sentence = f"{first} is {kind} than {second} by {_points(interval)}, over {many}"
+        sentence += f"; the difference is within the margin of {100 * margin:.0f} points." if equal <= alpha else "."
+    elif equal <= alpha:
         kind = "as_good"
+        adjusted = _adjusted(equal, comparisons)
         sentence = (
             f"{first} is as good as {second} within {100 * margin:.0f} points: the difference is "
-            f"{_signed(narrow)}, over {many}."
+            f"{_signed(narrow, alpha)}, over {many}{adjusted}."
         )
     else:
         kind = "cannot_tell"
-        adjustment = max(1.0, own / difference.p_value) if difference.p_value else 1.0
-        more = more_trainings(difference, margin, alpha=alpha / adjustment)
-        needed = {None: "", 0: "; more scenes for each training would decide"}.get(
-            more, f"; about {more} more training{'' if more == 1 else 's'} each would decide {100 * margin:.0f} points"
+        sentence = _undecided(
+            first, second, difference, margin=margin, own=own, equal=equal, comparisons=comparisons, alpha=alpha
         )
+    return Verdict(
+        kind=kind, question="condition", difference=interval, p_value=own, p_as_good=equal, sentence=sentence
+    )  # fmt: skip
+
+
+def _undecided(
+    first: str,
+    second: str,
+    difference: ConditionDifference,
+    *,
+    margin: float,
+    own: float,
+    equal: float,
+    comparisons: int,
+    alpha: float,
+) -> str:
+    """Return the sentence of two conditions between which nothing is decided: why, and what would decide."""
+    interval, alone, points = difference.interval(), difference.p_as_good(margin), f"{100 * margin:.0f} points"
+    many, limit = f"{difference.replicates} trainings each", "" if alpha == 0.05 else f" (limit {alpha:g})"
+    asked, adjustment = f"differs from {second}", _raised(own, difference.p_value)
+    if alone <= alpha:  # adjustment for several comparisons decides
+        asked, adjustment = f"is as good as {second} within {points}", _raised(equal, alone)
+        narrow = _signed(difference.interval(confidence=1 - 2 * alpha), alpha)
+        adjusted = f"{_p(equal, 'is ')}{limit} after adjustment for {comparisons} comparisons"
+        unclear = f"the difference is {narrow}, but {adjusted}, over {many}"
+    elif interval.low > 0 or interval.high < 0:  # likewise
+        adjusted = f"p is {own:.2g}{limit} after adjustment for several comparisons"
+        unclear = f"the difference is {_number(interval.value)} points, but {adjusted}, over {many}"
+    else:
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible with {many}"
-        if interval.low > 0 or interval.high < 0:  # adjustment for several comparisons decides
-            limit = "" if alpha == 0.05 else f" (limit {alpha:g})"
-            adjusted = f"p is {own:.2g}{limit} after adjustment for several comparisons"
-            unclear = f"the difference is {_number(interval.value)} points, but {adjusted}, over {many}"
-        sentence = f"Cannot tell whether {first} differs from {second}: {unclear}{needed}."
-    return Verdict(kind=kind, question="condition", difference=interval, p_value=own, sentence=sentence)
+    more = more_trainings(difference, margin, alpha=alpha / adjustment)
+    needed = {None: "", 0: "; more scenes for each training would decide"}.get(
+        more, f"; about {more} more training{'' if more == 1 else 's'} each would decide {points}"
+    )
+    return f"Cannot tell whether {first} {asked}: {unclear}{needed}."
 
 
 def checkpoint_verdict(
-    first: str, second: str, pairs: Pairs, *, margin: float = 0.10, p_value: float | None = None, alpha: float = 0.05
+    first: str,
+    second: str,
+    pairs: Pairs,
+    *,
+    margin: float = MARGIN,
+    p_value: float | None = None,
+    p_as_good: float | None = None,
+    comparisons: int = 1,
+    alpha: float = 0.05,
 ) -> Verdict:
     """Compare two checkpoints on the same scenes (Q1).
 
@@ -103,7 +152,9 @@ def checkpoint_verdict(
         pairs: Outcomes of both on each scene.
         margin: Largest difference that counts as equally good, 0..1.
         p_value: Adjusted p value, where several comparisons are made; none: that of the exact McNemar test.
-        alpha: Largest p value that shows a difference, at most 0.05.
+        p_as_good: Adjusted p value of a difference within the margin; none: by the scaled interval of the difference.
+        comparisons: Number of comparisons that the p values are adjusted for.
+        alpha: Largest p value that shows a difference, or one within the margin; at most 0.05.
 
     Raises:
         InvalidRequestError: If there are no scenes.
@@ -111,37 +162,64 @@ def checkpoint_verdict(
     found = paired_difference(pairs)
     own = found.p_value if p_value is None else p_value
     interval = Interval(value=found.value, low=found.low, high=found.high)
-    scale = 1.6449 / 1.9600  # of the 90 % interval, by which two one-sided tests at 5 % decide
-    narrow = Interval(
-        value=found.value,
-        low=found.value - scale * (found.value - found.low),
-        high=found.value + scale * (found.high - found.value),
-    )
-    within = -margin < narrow.low and narrow.high < margin
+    alone = found.p_as_good(margin)
+    equal = alone if p_as_good is None else p_as_good
+    narrow = _narrowed(interval, alpha)
     where = "on the one scene that both met" if pairs.scenes == 1 else f"on {pairs.scenes} scenes that both met"
     kind: Kind
     if own <= alpha:
         kind = "lower" if found.value < 0 else "higher"
         sentence = f"This checkpoint of {first} is {kind} than this one of {second} by {_points(interval)}, {where}."
-    elif within:
+    elif equal <= alpha:
         kind = "as_good"
+        adjusted = _adjusted(equal, comparisons)
         sentence = (
             f"This checkpoint of {first} is as good as this one of {second} within {100 * margin:.0f} points: the "
-            f"difference is {_signed(narrow)}, {where}."
+            f"difference is {_signed(narrow, alpha)}, {where}{adjusted}."
         )
     else:
         kind = "cannot_tell"
+        asked = f"differs from this one of {second}"
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible"
-        if interval.low > 0 or interval.high < 0:  # the exact test is stricter, or adjustment decides
+        if alone <= alpha:  # adjustment for several comparisons decides
+            asked = f"is as good as this one of {second} within {100 * margin:.0f} points"
+            adjusted = f"{_p(equal, 'is ')} after adjustment for {comparisons} comparisons"
+            unclear = f"the difference is {_signed(narrow, alpha)}, but {adjusted}"
+        elif interval.low > 0 or interval.high < 0:  # the exact test is stricter, or adjustment decides
             adjusted = " after adjustment for several comparisons" if own > found.p_value else ""
             unclear = f"the difference is {_number(interval.value)} points, but p is {own:.2g}{adjusted}"
-        sentence = (
-            f"Cannot tell whether this checkpoint of {first} differs from this one of {second}: {unclear}, {where}."
-        )
+        sentence = f"Cannot tell whether this checkpoint of {first} {asked}: {unclear}, {where}."
     return Verdict(
-        kind=kind, question="checkpoint", difference=interval, p_value=own,
+        kind=kind, question="checkpoint", difference=interval, p_value=own, p_as_good=equal,
         sentence=f"{sentence} One training says nothing about the way to train.",
     )  # fmt: skip
+
+
+def _raised(adjusted: float, alone: float) -> float:
+    """Return by how much an adjustment raised a p value."""
+    return max(1.0, adjusted / alone) if alone else 1.0
+
+
+def _narrowed(interval: Interval, alpha: float) -> Interval:
+    """Return the interval by which two one-sided tests decide, from that of 95 %."""
+    from scipy.stats import norm
+
+    scale = float(norm.isf(alpha)) / NORMAL
+    return Interval(
+        value=interval.value,
+        low=interval.value - scale * (interval.value - interval.low),
+        high=interval.value + scale * (interval.high - interval.value),
+    )
+
+
+def _adjusted(p: float, comparisons: int) -> str:
+    """Return what a sentence adds where its p value is adjusted."""
+    return f" ({_p(p)} after adjustment for {comparisons} comparisons)" if comparisons > 1 else ""
+
+
+def _p(p: float, verb: str = "") -> str:
+    """Format a p value, e.g. ``p 0.012``, or with a verb ``p is 0.012``."""
+    return f"p {verb}{p:.2g}" if p >= 0.001 else f"p {verb}below 0.001"
 
 
 def _points(interval: Interval) -> str:
@@ -149,9 +227,10 @@ def _points(interval: Interval) -> str:
     return f"{100 * abs(interval.value):.0f} points ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})"
 
 
-def _signed(narrow: Interval) -> str:
-    """Format a difference with its 90 % interval, which lies within the margin."""
-    return f"{_number(narrow.value)} points (90 % interval {_number(narrow.low)} to {_number(narrow.high)})"
+def _signed(narrow: Interval, alpha: float) -> str:
+    """Format a difference with the interval of two one-sided tests, which lies within the margin."""
+    confidence = f"{100 * (1 - 2 * alpha):g} % interval"
+    return f"{_number(narrow.value)} points ({confidence} {_number(narrow.low)} to {_number(narrow.high)})"
 
 
 def _number(difference: float) -> str:

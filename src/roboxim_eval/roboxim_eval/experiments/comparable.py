@@ -1,0 +1,146 @@
+"""Whether runs can be compared as models: their rollouts must have been asked the same; what else differs is said.
+
+Equal names of cells do not show that rollouts were alike: `skill_object` and `skill_object_worded` have the same cells,
+the one with no distractors, the other with three. What a cell's rollouts are asked follows from the factors, from
+``set``, ``evaluate.max_steps`` and the condition. Factors are looked at in the compared cells alone, since a scale may
+have fewer levels.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import PurePath
+from typing import Any
+
+from roboxim_core.differences import differences
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.card_checks import design_of_card
+from roboxim_eval.experiments.cells import cells_of
+from roboxim_eval.experiments.config import TASK, ExperimentConfig
+
+SHOWN_HASH = 8
+"""Length to which hashes are cut in sentences [characters]."""
+
+
+def require_same_rollouts(cards: Mapping[str, Card], condition: str, cells: Collection[str]) -> None:
+    """Check that the rollouts of a condition were asked the same in all runs.
+
+    Args:
+        cards: Name of a model to its card.
+        condition: The compared condition; all runs have it.
+        cells: The compared cells; all runs have them.
+
+    Raises:
+        ConfigError: When a run's rollouts were asked something else than those of the first one; names the keys.
+    """
+    (first, reference), *others = ((name, _asked(card.experiment.config, condition, cells)) for name, card in
+                                   cards.items())  # fmt: skip
+    for name, asked in others:
+        if changed := differences(reference, asked, words=(f"in {first}", f"in {name}")):
+            raise ConfigError(
+                f"{first} and {name} cannot be compared, since their rollouts of condition '{condition}' were asked "
+                f"different things ({changed}); expected equal factors, set, evaluate.max_steps and condition. Compare "
+                "runs of one experiment, or name another condition (--condition)"
+            )
+
+
+def _asked(config: ExperimentConfig, condition: str, cells: Collection[str]) -> dict[str, Any]:
+    """Return what the rollouts of a condition were asked in some cells, as plain data, by the keys of the file."""
+    met = [cell.levels for cell in cells_of(config) if cell.key in cells]
+    factors: dict[str, dict[str, Any]] = {}
+    for factor, level in dict.fromkeys(item for levels in met for item in levels.items()):
+        if told := _told(config, factor, level):
+            factors.setdefault(factor, {})[level] = told
+    own = config.conditions[condition]
+    words = {"instruction": own.instruction, "latency_ticks": own.latency_ticks}
+    asked = {
+        "factors": factors,
+        "set": _named_nulls(config.set),
+        "conditions": {condition: words | ({"set": _named_nulls(own.set)} if own.set else {})},
+        "evaluate": {"max_steps": config.evaluate.max_steps},
+    }
+    plain: dict[str, Any] = json.loads(json.dumps({key: value for key, value in asked.items() if value}))
+    return plain
+
+
+def _told(config: ExperimentConfig, factor: str, level: str) -> Any:
+    """Return what a level sets: keys of the task, an object model, or a task's file; empty: nothing but its name."""
+    levels = config.factors[factor]
+    if isinstance(levels, Mapping) and levels[level]:
+        return _named_nulls(levels[level])
+    named = PurePath(level).stem == level if factor == TASK else isinstance(levels, Mapping)
+    return "" if named else level
+
+
+def _named_nulls(changes: Any) -> Any:
+    """Return changes of a task with ``null``, which removes a key, as a word: in messages it differs from no change."""
+    if isinstance(changes, Mapping):
+        return {key: _named_nulls(value) for key, value in changes.items()}
+    return "null" if changes is None else changes
+
+
+# ------------------------------------------------------------------ what else differs
+
+
+def circumstances(cards: Mapping[str, Card], condition: str) -> Iterator[str]:
+    """Yield a sentence for each circumstance that differs between runs, beside their policies.
+
+    What a card does not state is not compared.
+
+    Args:
+        cards: Name of a model to its card.
+        condition: The compared condition.
+    """
+    facts: dict[str, Callable[[Card], str]] = {
+        "scale": lambda card: card.experiment.scale,
+        "image size": lambda card: card.experiment.config.image_size,
+        "renderer": lambda card: card.environment.renderer,
+        "installed packages (by hash)": lambda card: card.environment.packages_sha256[:SHOWN_HASH],
+    }
+    found = {what: {name: fact(card) for name, card in cards.items()} for what, fact in facts.items()}
+    found["training datasets (by hash)"] = _datasets(cards, condition)
+    for what, by_model in found.items():
+        groups: dict[str, list[str]] = {}
+        for name, value in by_model.items():
+            if value:
+                groups.setdefault(value, []).append(name)
+        if len(groups) > 1:
+            said = "; ".join(f"{value} ({_listed(names)})" for value, names in groups.items())
+            yield f"The runs differ in {what}, too: {said}. A difference of the models may be due to that."
+
+
+def _datasets(cards: Mapping[str, Card], condition: str) -> dict[str, str]:
+    """Return the datasets of each model's trainings, of as many replicates as all models have.
+
+    Returns:
+        Model to its datasets in words, e.g. ``324 demonstrations as rlds, 7036c27a``; models whose card has no hash of
+        them, e.g. since their policies were given, are left out.
+    """
+    keys = {name: _datasets_of(card, condition) for name, card in cards.items()}
+    known = {
+        name: mine for name, mine in keys.items()
+        if mine and all(key in cards[name].datasets and cards[name].datasets[key].sha256 for key in mine)
+    }  # fmt: skip
+    replicates = min(map(len, known.values()), default=0)
+    found = {}
+    for name, mine in known.items():
+        used = [cards[name].datasets[key] for key in dict.fromkeys(mine[:replicates])]
+        hashes = ", ".join(dataset.sha256[:SHOWN_HASH] for dataset in used)
+        trainer = design_of_card(cards[name]).trainer
+        found[name] = f"{sum(used[0].by_cell.values())} demonstrations as {trainer.format}, {hashes}"
+    return found
+
+
+def _datasets_of(card: Card, condition: str) -> list[str]:
+    """Return the dataset of each training whose policy a condition evaluates, by replicate; empty: not trained."""
+    trained = card.experiment.config.conditions[condition].checkpoint_of or condition
+    mine = sorted((t for t in card.trainings if t.condition == trained), key=lambda t: t.replicate)
+    return [training.dataset for training in mine]
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return names as a list in words, e.g. ``a, b and c``."""
+    *rest, last = names
+    return f"{', '.join(rest)} and {last}" if rest else last
