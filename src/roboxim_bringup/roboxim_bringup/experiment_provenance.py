@@ -18,7 +18,7 @@ import yaml
 from roboxim_core.config import from_plain, load_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments import Design
-from roboxim_eval.experiments.card import Attestation, CardCode, sha256_of
+from roboxim_eval.experiments.card import ARGUMENTS, Attestation, CardCode, sha256_of
 
 ATTEST_FILE = "attest.yaml"
 BLOCK = 1 << 20
@@ -212,7 +212,7 @@ class Attestations:
             return found
         trainer, own = design.trainer, design.trainer.is_own
         differing = {t.condition: t.arguments for t in design.trainings} if trainer.command else {}
-        recipes = {n: {"recipe": {"arguments": text or "none"}} for n, text in differing.items()}
+        recipes = {n: {"recipe": {ARGUMENTS: text or "none"}} for n, text in differing.items()}
         return Attestations(
             recipe={"command": trainer.command} if trainer.command else {}, pretraining="none" if own else "",
             exposure="no" if own else "unknown", trainings=recipes if any(differing.values()) else {},

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roboxim_eval.benchmark import BenchmarkCard, concluded_benchmark
-from roboxim_eval.experiments.card import Card, CardEvaluation, CardExperiment
-from roboxim_eval.experiments.card_checks import analysis_of, concluded
+from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining
+from roboxim_eval.experiments.card_checks import analysis_of, attestation_warnings, concluded
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.replicates import condition_difference, condition_ratio
 from roboxim_eval.statistics.tables import Arm, Count
@@ -100,6 +100,24 @@ def test_a_shorter_recipe_of_the_baseline_is_flagged_and_its_competence_differs(
     assert any(warning.startswith("Competence differs") for warning in card.warnings)
     fair = planted_card(shipped(), listens)
     assert fair.warnings == ()
+
+
+def test_arguments_of_conditions_are_one_sentence_and_other_differences_another():
+    def training(name, arguments, steps=9):
+        recipe = {"steps": steps, "arguments": arguments}
+        return CardTraining(
+            condition=name, replicate=0, dataset="all", attest=Attestation(recipe=recipe, exposure="no")
+        )
+
+    said = tuple(
+        attestation_warnings([training("base", "none"), training("deep", "--depth 2"), training("long", "-x", 7)])
+    )
+    assert said == (
+        "Conditions differ in the arguments of their trainings, not in the dataset alone (base: none; deep: --depth 2; "
+        "long: -x).",
+        "Recipes of base and long differ in more than the dataset: steps 9 and 7.",
+    )
+    assert not [*attestation_warnings([training("base", "-x"), training("deep", "-x")])]
 
 
 def test_exposure_and_failed_proofs_are_said():

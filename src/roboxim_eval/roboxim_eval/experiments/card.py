@@ -83,6 +83,10 @@ class CardDataset:
     """Number of demonstrations with the planted fault."""
 
 
+ARGUMENTS = "arguments"
+"""Key of a recipe with what a condition adds to its trainer's command."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Attestation:
     """What is said about a training that cannot be seen in its data."""

@@ -10,7 +10,7 @@ from typing import Any
 from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.analysis import Analysis, Comparison, Outcomes, analyse
-from roboxim_eval.experiments.card import Card, CardTraining, CardVerdict, parse_card, sealed
+from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, parse_card, sealed
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.statistics.paired import Pairs
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval
@@ -148,10 +148,14 @@ def attestation_warnings(trainings: Iterable[CardTraining]) -> Iterable[str]:
                 f"Trainings of {training.condition} have different recipes: replicate {training.replicate} differs "
                 f"from {first.replicate} in {_differing(first, training)}."
             )
+    own = {name: training.attest.recipe.get(ARGUMENTS) for name, training in by_condition.items()}
+    if len(set(map(str, own.values()))) > 1:
+        said = "; ".join(f"{name}: {text}" for name, text in own.items())
+        yield f"Conditions differ in the arguments of their trainings, not in the dataset alone ({said})."
     names = list(by_condition)
     for name in names[1:]:
         one, two = by_condition[names[0]], by_condition[name]
-        if said := _differing(one, two):
+        if said := _differing(one, two, without=ARGUMENTS):
             yield f"Recipes of {one.condition} and {two.condition} differ in more than the dataset: {said}."
         if one.attest.pretraining != two.attest.pretraining:
             yield (
@@ -166,13 +170,13 @@ def attestation_warnings(trainings: Iterable[CardTraining]) -> Iterable[str]:
         yield f"It is not known whether the pre-training of {' and '.join(unknown)} contained held-out combinations."
 
 
-def _differing(one: CardTraining, two: CardTraining) -> str:
+def _differing(one: CardTraining, two: CardTraining, *, without: str = "") -> str:
     """Return the recipe's keys that differ, with both values, e.g. ``steps 4000 and 2000``; empty: none."""
     first, second = to_plain(one.attest.recipe), to_plain(two.attest.recipe)
     return ", ".join(
         f"{key} {first.get(key, 'not said')} and {second.get(key, 'not said')}"
         for key in dict.fromkeys((*first, *second))
-        if first.get(key) != second.get(key)
+        if first.get(key) != second.get(key) and key != without
     )
 
 

@@ -24,8 +24,6 @@ class BenchmarkRow:
 
     name: str
     """Its name."""
-    about: str
-    """The experiments that a dimension's scores are the mean of, or the dimensions that an experiment varies."""
     dimension: bool
     """Whether it is a dimension."""
     absolute: Bounds
@@ -73,14 +71,14 @@ def benchmark_rows(card: BenchmarkCard) -> Iterator[BenchmarkRow]:
     reference = card.reference or Reference(name="")
     for name, score in card.dimensions.items():
         yield BenchmarkRow(
-            name=name, about=f"mean of {', '.join(score.experiments)}", dimension=True, absolute=score.absolute,
+            name=name, dimension=True, absolute=score.absolute,
             baseline=score.baseline, gap=score.gap, relative=score.relative, published=reference.dimensions.get(name),
         )  # fmt: skip
     for name, one in card.experiments.items():
         assert one.scores is not None, "a benchmark's card has no dimensions otherwise"
         relative = one.scores["relative"]
         yield BenchmarkRow(
-            name=name, about=f"varies {_varies(one)}", dimension=False, absolute=tuple(one.scores["absolute"]),
+            name=name, dimension=False, absolute=tuple(one.scores["absolute"]),
             baseline=tuple(one.scores["baseline"]), gap=tuple(one.scores["gap"]),
             relative=None if relative is None else tuple(relative), published=reference.experiments.get(name),
         )  # fmt: skip
@@ -142,10 +140,6 @@ def _chart(
         for row in rows
         if (bounds := found(row)) is not None
     ]
-
-
-def _varies(card: Card) -> str:
-    return ", ".join(card.experiment.config.dimensions.values())
 
 
 def _experiment(name: str, card: Card, page: str, warnings: Sequence[str]) -> dict[str, Any]:
