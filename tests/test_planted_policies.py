@@ -41,6 +41,13 @@ image_size: 64x64
 """
 PICK, TURN = "Pick up the soda can", "Rotate the cube clockwise by 90 degrees"
 """Instructions of the seen cells."""
+ALL = [PICK, TURN, "Pick up the cube", "Rotate the soda can clockwise by 90 degrees"]
+WORDED = TEXT.replace("per_cell: 4", "per_cell: 8").replace(
+    "distractors: {minimum: 0, maximum: 0}",
+    "distractors: {minimum: 1, maximum: 1, models: {values: [cube, soda_can]}}, "
+    "reset: {distractors: {near: null, area: {lower: [0.32, -0.25], upper: [0.72, 0.25]}}}",
+)
+"""The same among both objects."""
 
 
 @pytest.mark.parametrize(
@@ -71,14 +78,24 @@ def planted(**options):
     return PolicySpec(spec="roboxim_bringup.planted_policy:PlantedPolicy", options=options)
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """An experiment with its training data and no evaluation."""
-    folder = tmp_path_factory.mktemp("planted")
-    (folder / "mine.yaml").write_text(TEXT)
+def with_data(folder, text):
+    """Return the folder of an experiment with its training data and no evaluation."""
+    (folder / "mine.yaml").write_text(text)
     half = run_experiment(ExperimentRunConfig(experiment=str(folder / "mine.yaml"), out=folder / "data"))
     assert len(half.waiting) == 9
     return folder
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Scenes with the named object alone: they tell which one is meant."""
+    return with_data(tmp_path_factory.mktemp("planted"), TEXT)
+
+
+@pytest.fixture(scope="module")
+def worded(tmp_path_factory):
+    """Scenes with both objects, where each of the four instructions can be carried out."""
+    return with_data(tmp_path_factory.mktemp("worded"), WORDED)
 
 
 def result_of(data, name, leave_out, baseline):
@@ -102,13 +119,31 @@ def test_a_memoriser_is_named(data):
             ("rotate target=soda_can", ("pick_up target=soda_can",))} <= pairs  # fmt: skip
 
 
-def test_equal_policies_are_not_called_lower(data):
+def test_equal_policies_are_not_called_lower_and_a_weaker_one_is(data):
     card = result_of(data, "equal", planted(rate=0.7, salt=1), planted(rate=0.7, salt=2))
     assert card.verdicts[0].kind in ("as_good", "cannot_tell")
+    weaker = result_of(data, "weaker", planted(rate=0.1, salt=1), planted(rate=0.9, salt=2))
+    assert weaker.verdicts[0].kind == "lower"
+    assert weaker.scores["absolute"][0] == pytest.approx(0.1, abs=0.15)
+    assert weaker.scores["baseline"][0] == pytest.approx(0.9, abs=0.15)
 
 
-def test_a_policy_that_ignores_words_gets_the_warning(data):
-    looker = planted(words=False, known=[PICK, TURN, "Pick up the cube", "Rotate the soda can clockwise by 90 degrees"])
-    card = result_of(data, "looker", looker, looker)
+def test_a_policy_that_ignores_words_gets_the_warning_where_scenes_suffice(data):
+    card = result_of(data, "looker", planted(words=False, known=ALL), planted(words=False, known=ALL))
+    assert card.scores["absolute"][0] == pytest.approx(1 / 2, abs=0.2), "one of the two tasks with the only object"
     assert card.scores["words"][0] == pytest.approx(0.0, abs=0.3)
     assert any("needs no words here" in text for text in card.warnings)
+
+
+def test_a_policy_that_ignores_words_guesses_where_only_words_tell(worded):
+    guesser = planted(words=False, known=ALL)
+    card = result_of(worded, "guesser", guesser, guesser)
+    assert card.scores["absolute"][0] == pytest.approx(1 / 4, abs=0.15), "one of four instructions"
+    assert card.scores["words"][0] == pytest.approx(0.0, abs=0.2)
+    substitution = card.scores["substitution"]["rate"][0]
+    assert substitution == pytest.approx(2 / 3, abs=0.2), "two of the three other instructions are of the training"
+    assert not any("needs no words here" in text for text in card.warnings)
+    listener = result_of(worded, "listener", planted(known=ALL), planted(known=ALL))
+    assert listener.scores["absolute"][0] > 0.9
+    assert listener.scores["words"][0] == pytest.approx(3 / 4, abs=0.2)
+    assert not any("not shown to use its words" in text for text in listener.warnings)

@@ -78,7 +78,7 @@ class Fakes:
         return self.training
 
     def prove_evaluation(self, arms, reading):
-        self.calls.append(f"prove {' '.join(arm.condition for arm in arms)}")
+        self.calls.append(f"prove rollouts {' '.join(arm.folder.parent.name for arm in arms)}")
         return self.evaluation, self.excluded
 
     def judge_again(self, failed, dataset, mix, reading):
@@ -145,6 +145,7 @@ def test_all_stages_run_once_and_the_card_has_the_planted_result(fakes, config, 
     assert result.card.pairs["0"] == ((6, 0, 10, 4),) * 3
     before = list(fakes.calls)
     assert before.index("prove leave_out.0 baseline.0") == 3, "before any training"
+    assert before.index("prove rollouts leave_out.0 baseline.0 blind.0") < before.index("evaluate leave_out.1 bc")
     again = run_experiment(config())
     assert fakes.calls == before, "nothing runs twice"
     assert again.card.sha256 == result.card.sha256
@@ -219,7 +220,9 @@ def test_what_a_pack_leaves_out_runs_again_if_it_is_read(fakes, config, tmp_path
         bags.unlink()
     card = run_experiment(config()).card
     assert card is not None
-    assert {call for call in before if call not in fakes.calls} == {"prove leave_out.0 baseline.0"}
+    left = {call.removesuffix(" bc").removesuffix(" reworded") for call in before if call not in fakes.calls}
+    rollouts = {"evaluate leave_out.0", "evaluate baseline.0", "evaluate blind.0"}
+    assert left == {"prove leave_out.0 baseline.0", "prove rollouts leave_out.0 baseline.0 blind.0", *rollouts}
     assert (out / "evaluate/.leave_out.1-without-bags").is_dir(), "results are set apart, not removed"
     fakes.calls = []
     shutil.rmtree(out / "export")

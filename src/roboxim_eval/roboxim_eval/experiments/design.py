@@ -334,27 +334,26 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             seed=training.seed,
             checkpoints=list(training.checkpoints), until=design.trainer.until if training.checkpoints else "",
         )  # fmt: skip
-    for evaluation in design.evaluations:
-        condition = config.conditions[evaluation.condition]
-        trained = condition.checkpoint_of or (evaluation.condition if condition.train else "")
-        needs = (f"train/{trained}.{evaluation.replicate}",) if trained in config.conditions else ()
-        seed = (CURVE_SEED if evaluation.checkpoint else EVALUATION_SEED) + evaluation.replicate
-        at = f"@{evaluation.checkpoint}" if evaluation.checkpoint else ""
-        add(
-            "evaluate", f"{evaluation.condition}.{evaluation.replicate}{at}",
-            tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
-            episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
-            instruction=condition.instruction, latency_ticks=condition.latency_ticks,
-            max_steps=config.evaluate.max_steps, **_asked(design.trainer, bool(needs)),
-        )  # fmt: skip
-    for replicate in range(config.replicates.count):
-        finals = (e.condition for e in design.evaluations if e.replicate == replicate and not e.checkpoint)
-        once = mix_of(config, {cell.key: 1 for cell in design.cells})
-        add("prove", f"evaluation.{replicate}", tuple(f"evaluate/{name}.{replicate}" for name in finals), mix=once)
-        curve = [e for e in design.evaluations if e.replicate == replicate and e.checkpoint]
-        if curve:
-            points = tuple(f"evaluate/{e.condition}.{replicate}@{e.checkpoint}" for e in curve)
-            add("prove", f"curve.{replicate}", points, mix=once)
+    once = mix_of(config, {cell.key: 1 for cell in design.cells})
+    for replicate in range(config.replicates.count):  # each is proved before the next one begins
+        evaluations = [evaluation for evaluation in design.evaluations if evaluation.replicate == replicate]
+        points: dict[str, list[str]] = {"evaluation": [], "curve": []}
+        for evaluation in evaluations:
+            condition = config.conditions[evaluation.condition]
+            trained = condition.checkpoint_of or (evaluation.condition if condition.train else "")
+            needs = (f"train/{trained}.{replicate}",) if trained in config.conditions else ()
+            seed = (CURVE_SEED if evaluation.checkpoint else EVALUATION_SEED) + replicate
+            at = f"@{evaluation.checkpoint}" if evaluation.checkpoint else ""
+            points["curve" if at else "evaluation"].append(add(
+                "evaluate", f"{evaluation.condition}.{replicate}{at}",
+                tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
+                episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
+                instruction=condition.instruction, latency_ticks=condition.latency_ticks,
+                max_steps=config.evaluate.max_steps, **_asked(design.trainer, bool(needs)),
+            ))  # fmt: skip
+        for of, names in points.items():
+            if names or of == "evaluation":
+                add("prove", f"{of}.{replicate}", tuple(names), mix=once)
     return tuple(found.values())
 
 
