@@ -82,10 +82,16 @@ def main() -> None:
     def options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--policy", default="zero", help="policy, e.g. bc with --checkpoint")
         parser.add_argument("--checkpoint", default="", help="checkpoint of the policy")
+        parser.add_argument(
+            "--answer-ms", type=float, default=0.0, metavar="MS",
+            help="let each answer last that much longer without using a processor, as on a GPU or a server",
+        )  # fmt: skip
         parser.add_argument("--size", type=int, default=128, help="side of the images [px]")
 
     bench = Bench("worker_share", __doc__, options)
     counted = Counted()
+    if bench.options.answer_ms:
+        _answer_later(bench.options.answer_ms / 1000)
     for owner, name, part in (
         (World, "load", "simulator"), (World, "tick", "simulator"), (roboxim_sim.node, "render_world", "simulator"),
         (CameraRig, "load", "simulator"), (CameraRig, "capture", "simulator"),
@@ -120,6 +126,17 @@ def main() -> None:
     bench.finish(
         "share of a worker's processor time beside policy and simulator", round(100 * own / total, 1), "%", at_most=10
     )
+
+
+def _answer_later(seconds: float) -> None:
+    """Let every policy's answer last longer."""
+    act = GuardedPolicy.act
+
+    def later(*given: Any, **named: Any) -> Any:
+        time.sleep(seconds)
+        return act(*given, **named)
+
+    setattr(GuardedPolicy, "act", later)  # noqa: B010 (a method is replaced on purpose)
 
 
 def _worker(bench: Bench, out: str) -> EpisodeWorker:

@@ -126,8 +126,9 @@ class RasterRenderer:
             for i, ((camera, pose), target) in enumerate(zip(cameras, targets, strict=True)):
                 self._views.bind_to_uniform_block(SAMPLERS["View"], offset=i * VIEW_BYTES, size=VIEW_BYTES)
                 self._shade(world, frame, target, camera, pose)
+            # Smooth and read last: the driver rasterises one image while the next one's vertices are processed.
+            for target in targets:
                 self._smooth(target)
-            # Read last: the driver rasterises one image while the next one's vertices are processed.
             for (camera, _), target in zip(cameras, targets, strict=True):
                 images[camera.name] = _read(camera, target)
         return images
