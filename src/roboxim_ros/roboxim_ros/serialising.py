@@ -94,12 +94,6 @@ def pose_message(pose: Pose) -> Any:
     return message("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
 
-def transform_message(pose: Pose) -> Any:
-    """Return a ``geometry_msgs/Transform``."""
-    translation, rotation = vector_message(pose.position), quaternion_message(pose.quat_xyzw)
-    return message("geometry_msgs/msg/Transform", translation=translation, rotation=rotation)
-
-
 def doubles(values: Sequence[float]) -> npt.NDArray[np.float64]:
     """Return the value of a field of type ``float64[]``."""
     return np.array(values, np.float64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -20,10 +22,22 @@ from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
 from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
-from roboxim_ros.serialising import doubles, header_message, message, serialise, time_message, transform_message
+from roboxim_ros.serialising import (
+    doubles,
+    header_message,
+    message,
+    quaternion_message,
+    serialise,
+    time_message,
+    vector_message,
+)
 
 ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
 """Message encoding by image kind."""
+STAMP, POSE = struct.Struct("<iI"), struct.Struct("<7d")
+"""``builtin_interfaces/Time`` and ``geometry_msgs/Transform`` in serialised messages."""
+MARK_NS, MARKS = 1_234_567_891_987_654_321, (1e201, 2e202, 3e203, 4e204, 5e205, 6e206, 7e207)
+"""A stamp and a pose that no message has, to find the places of both in a serialised one."""
 
 
 def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
@@ -81,19 +95,33 @@ def joint_state_cdr(record: StateRecord, model: RobotModel) -> memoryview:
 
 def tf_cdr(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> memoryview:
     """Return the serialised transforms from ``world`` to frames, by frame."""
-    header = header_message(stamp_ns, "world")
-    return serialise(
-        "tf2_msgs/msg/TFMessage",
-        transforms=[
-            message(
-                "geometry_msgs/msg/TransformStamped",
-                header=header,
-                child_frame_id=frame,
-                transform=transform_message(pose),
-            )
-            for frame, pose in poses_in_world.items()
-        ],
+    content, places = _transforms(tuple(poses_in_world))
+    found, stamp = bytearray(content), divmod(stamp_ns, 1_000_000_000)
+    for (stamp_at, pose_at), pose in zip(places, poses_in_world.values(), strict=True):
+        STAMP.pack_into(found, stamp_at, *stamp)
+        POSE.pack_into(found, pose_at, *pose.position, *pose.quat_xyzw)
+    return memoryview(found)
+
+
+@lru_cache(maxsize=64)
+def _transforms(frames: tuple[str, ...]) -> tuple[bytes, tuple[tuple[int, int], ...]]:
+    """Return serialised transforms, and for each frame where its stamp and its pose are: all that ticks change."""
+    header = header_message(MARK_NS, "world")
+    transform = message(
+        "geometry_msgs/msg/Transform", translation=vector_message(MARKS[:3]), rotation=quaternion_message(MARKS[3:])
     )
+    transforms = [
+        message("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=frame, transform=transform)
+        for frame in frames
+    ]
+    content = bytes(serialise("tf2_msgs/msg/TFMessage", transforms=transforms))
+    stamps, poses = _places(content, STAMP.pack(*divmod(MARK_NS, 1_000_000_000))), _places(content, POSE.pack(*MARKS))
+    return content, tuple(zip(stamps, poses, strict=True))
+
+
+def _places(content: bytes, mark: bytes) -> list[int]:
+    """Return where some bytes are in a serialised message."""
+    return [found.start() for found in re.finditer(re.escape(mark), content)]
 
 
 def camera_cdrs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict[str, memoryview]:
@@ -118,16 +146,21 @@ def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encodi
 
 def camera_info_cdr(stamp_ns: int, camera: CameraSpec) -> memoryview:
     """Return a camera's serialised intrinsics."""
-    header = header_message(stamp_ns, optical_frame(camera.name))
-    return serialise("sensor_msgs/msg/CameraInfo", header=header, **_intrinsics(camera))
+    content, stamp_at = _intrinsics(camera)
+    found = bytearray(content)
+    STAMP.pack_into(found, stamp_at, *divmod(stamp_ns, 1_000_000_000))
+    return memoryview(found)
 
 
 @lru_cache(maxsize=64)
-def _intrinsics(camera: CameraSpec) -> dict[str, Any]:
-    """Return the fields of `camera_info_msg` that no tick changes."""
+def _intrinsics(camera: CameraSpec) -> tuple[bytes, int]:
+    """Return `camera_info_msg`, serialised, and where its stamp is, which alone changes from tick to tick."""
     msg = camera_info_msg(0, camera)
     fields = {name: getattr(msg, name) for name in msg.get_fields_and_field_types() if name != "header"}
-    return {**fields, "d": doubles(msg.d)}
+    header = header_message(MARK_NS, optical_frame(camera.name))
+    content = bytes(serialise("sensor_msgs/msg/CameraInfo", header=header, **{**fields, "d": doubles(msg.d)}))
+    (stamp_at,) = _places(content, STAMP.pack(*divmod(MARK_NS, 1_000_000_000)))
+    return content, stamp_at
 
 
 def camera_kind(topic: str) -> Any:

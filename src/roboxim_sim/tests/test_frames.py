@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_share_directory
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
 from roboxim_interfaces.srv import LoadScene
 from roboxim_interfaces.srv import Tick as TickSrv
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -25,8 +26,9 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import stamp_to_ns, to_msg
+from roboxim_ros.conversions import fill_stamp, stamp_to_ns, to_msg
 from roboxim_ros.testing import PATIENCE_S, graph_host  # noqa: F401
+from roboxim_sim.conversions import camera_info_cdr, camera_info_msg, tf_cdr
 from roboxim_sim.node import SimNode
 from roboxim_sim.robot_description import robot_description
 from roboxim_sim.tick_messages import TickMessages
@@ -44,6 +46,29 @@ def frames(cdr: memoryview) -> dict[str, tuple[float, float, float]]:
         position = transform.transform.translation
         found[transform.child_frame_id] = (position.x, position.y, position.z)
     return found
+
+
+@pytest.mark.parametrize("names", [("tcp",), ("panda_link0", "b", "a long name/with parts"), ()])
+def test_transforms_are_serialised_as_rclpy_does(names: tuple[str, ...]) -> None:
+    for stamp_ns in (0, 1_234_567_890, 99_999_999_999):
+        poses = {
+            name: Pose(position=(0.1 * k, -2.0, stamp_ns * 1e-9), quat_xyzw=(0.0, 0.6, 0.0, 0.8))
+            for k, name in enumerate(names)
+        }
+        msg = TFMessage()
+        for name, pose in poses.items():
+            one = TransformStamped(child_frame_id=name)
+            one.header.frame_id = "world"
+            fill_stamp(one.header.stamp, stamp_ns)
+            x, y, z = pose.position
+            one.transform.translation = Vector3(x=x, y=y, z=z)
+            x, y, z, w = pose.quat_xyzw
+            one.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+            msg.transforms.append(one)
+        assert deserialize_message(bytes(tf_cdr(stamp_ns, poses)), TFMessage) == msg
+        camera = CameraSpec(name="wrist" * (1 + len(names)), width=64, height=48)
+        found = deserialize_message(bytes(camera_info_cdr(stamp_ns, camera)), CameraInfo)
+        assert found == camera_info_msg(stamp_ns, camera)
 
 
 def test_a_drawers_frame_moves_with_it() -> None:
