@@ -82,7 +82,7 @@ def make_experiments() -> Catalog:
         try:
             benchmark = load_benchmark(name)
             first = load_experiment(benchmark.experiments[0])
-            scales = dict.fromkeys((*benchmark.scales, *scale_names(first)))
+            scales = dict.fromkeys((*scale_names(first), *benchmark.scales))
             times = {scale: _time(benchmark_experiments(benchmark, scale)) for scale in scales}
         except ConfigError as error:
             made["broken"][name] = str(error)

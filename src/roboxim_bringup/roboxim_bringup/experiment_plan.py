@@ -113,7 +113,8 @@ def _power_lines(design: Design) -> Iterator[str]:
         return
     drop = detectable_drop(design)
     seen = "no drop" if drop is None else f"a drop from 80 to {100 * (0.8 - drop):.0f} %"
-    yield f"  finds           {seen} with a chance of 80 % ({replicates} trainings, {scenes} rollouts each)"
+    trainings = "1 training" if replicates == 1 else f"{replicates} trainings"
+    yield f"  finds           {seen} with a chance of 80 % ({trainings}, {scenes} rollouts each)"
     many, worst = len(design.config.compare), detectable_drop(design, alone=True)
     if many > 1:
         least = "no drop" if worst is None else f"one to {100 * (0.8 - worst):.0f} %"
