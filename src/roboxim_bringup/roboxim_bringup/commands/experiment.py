@@ -329,7 +329,8 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: 
     \b
     roboxim experiment compare runs/octo runs/bc runs/mine --html models.html
 
-    A model is named by its folder. Models without a common letter differ after Holm's adjustment for all pairs.
+    Cards alone (card.json) can be compared, too. A model is named by its folder. Models without a common letter differ
+    after Holm's adjustment for all pairs.
     """
     from roboxim_bringup.runs.experiment_models import compared
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from roboxim_bringup.experiment_card import results_of, stage_name
+from roboxim_bringup.experiment_card import CARD_FILE, results_of, stage_name
 from roboxim_bringup.runs.experiment_report import ExperimentFolder, folder_card, stored_card
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card
@@ -30,9 +30,9 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
     cards: dict[str, Card] = {}
     runs: dict[str, ExperimentFolder] = {}
     for path in folders:
-        name = path.stem if path.is_file() else path.resolve().name
+        name = _name_of(path)
         if name in cards:
-            raise ConfigError(f"two of the runs are named '{name}'; rename a folder")
+            raise ConfigError(f"two of the runs are named '{name}'; rename a folder or a card")
         if path.is_file():
             cards[name] = stored_card(path)
             continue
@@ -42,6 +42,13 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         condition = compared_condition(next(iter(cards.values())).experiment.config)
     scenes = {name: _wins(folder, condition) for name, folder in runs.items() if _same_seeds(cards, name, condition)}
     return compare_models(cards, condition=condition, where=where, scenes=scenes), cards
+
+
+def _name_of(path: Path) -> str:
+    """Return the name of a model: that of its run's folder, also for a card in it, or that of another card's file."""
+    if path.is_file() and path.name != CARD_FILE:
+        return path.stem
+    return (path if path.is_dir() else path.parent).resolve().name
 
 
 def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:

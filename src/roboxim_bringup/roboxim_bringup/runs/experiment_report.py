@@ -73,7 +73,9 @@ class ExperimentFolder:
         """
         state = path / STATE_FILE
         if not state.exists():
-            raise ConfigError(f"{path} is not the folder of an experiment: it has no {STATE_FILE}")
+            card = path / CARD_FILE
+            hint = f"; its card can be read alone: experiment report --from {card}" if card.exists() else ""
+            raise ConfigError(f"{path} is not the folder of an experiment: it has no {STATE_FILE}{hint}")
         stored = parse_json(read_text(state), source=str(state))
         try:
             config: ExperimentConfig = from_plain(stored["config"], ExperimentConfig, source=str(state))

@@ -366,6 +366,12 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     assert models.pairs[0].test == "these checkpoints, on different scenes", "a card alone has no scenes"
     with pytest.raises(ConfigError, match="two of the runs are named 'weak'"):
         compared([tmp_path / "weak", tmp_path / "weak"])
+    models, _ = compared([tmp_path / "weak/card.json", tmp_path / "strong/card.json"])
+    assert models.models.keys() == {"weak", "strong"}, "a card is named by its folder"
+    (tmp_path / "alone").mkdir()
+    shutil.copy(tmp_path / "weak/card.json", tmp_path / "alone/card.json")
+    with pytest.raises(ConfigError, match=r"its card can be read alone.*--from .*alone/card.json"):
+        ExperimentFolder.of(tmp_path / "alone")
 
 
 def test_models_are_compared_by_the_condition_of_the_first_run(tmp_path):
