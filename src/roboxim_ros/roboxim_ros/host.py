@@ -130,12 +130,18 @@ def _executor(node: Node, context: Context) -> Executor:
     return MultiThreadedExecutor(threads, context=context)
 
 
-def wait_for_stop(should_stop: Callable[[], bool] = lambda: False, *, period_s: float = 0.2) -> int:
+def wait_for_stop(
+    should_stop: Callable[[], bool] = lambda: False,
+    *,
+    period_s: float = 0.2,
+    on_waiting: Callable[[], None] = lambda: None,
+) -> int:
     """Block until SIGINT, SIGTERM or ``should_stop``.
 
     Args:
         should_stop: Called every period; true ends the wait.
         period_s: The period [s].
+        on_waiting: Called once when signals are waited for, e.g. to tell that the process is ready for them.
 
     Returns:
         The signal's number, or 0.
@@ -149,6 +155,7 @@ def wait_for_stop(should_stop: Callable[[], bool] = lambda: False, *, period_s: 
 
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
+        on_waiting()
         while not stop.wait(period_s) and not should_stop():
             pass
     finally:

@@ -72,18 +72,16 @@ def command(
         start = _in_processes if processes else _in_process
         with start(nodes or tuple(NODES), policies, namespace, parameters) as (node_names, supervise):
             extend_run(run.id, nodes=node_names)
-            click.echo(
-                f"run {run.id} is up in domain {run.domain}"
-                + (
-                    ": every host and user that reaches this machine can control it"
-                    if open_network
-                    else "; only you can reach it"
-                )
-                + "\ntry in another terminal: roboxim service list; Ctrl-C ends the run"
+            reach = (
+                ": every host and user that reaches this machine can control it"
+                if open_network
+                else "; only you can reach it"
             )
+            text = f"run {run.id} is up in domain {run.domain}{reach}\n"
+            text += "try in another terminal: roboxim service list; Ctrl-C ends the run"
             from roboxim_ros.host import wait_for_stop
 
-            wait_for_stop(supervise)
+            wait_for_stop(supervise, on_waiting=lambda: click.echo(text))  # whoever reads it may end the run at once
             click.echo("ending the run")
 
 
