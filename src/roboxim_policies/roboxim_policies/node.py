@@ -76,5 +76,5 @@ def serve(
         PolicyError: When it does not describe itself.
     """
     with NodeHost(domain_id=domain_id) as host:
-        on_ready(host.add(lambda context: PolicyNode(policy, context=context, namespace=namespace, **options)))
-        return wait_for_stop(lambda: should_stop() or not host.alive())
+        node = host.add(lambda context: PolicyNode(policy, context=context, namespace=namespace, **options))
+        return wait_for_stop(lambda: should_stop() or not host.alive(), on_waiting=lambda: on_ready(node))

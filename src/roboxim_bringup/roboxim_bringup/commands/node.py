@@ -119,8 +119,8 @@ def run_node(
         )
         names = graph.node_names()
         member.announce(names)
-        click.echo(f"{', '.join(names)} serves in {member.where}; Ctrl-C ends it")
-        wait_for_stop(lambda: not host.alive())
+        text = f"{', '.join(names)} serves in {member.where}; Ctrl-C ends it"
+        wait_for_stop(lambda: not host.alive(), on_waiting=lambda: click.echo(text))
         if not host.alive():
             raise RoboximError(f"node '{label}' has died; see the traceback above")
 
