@@ -122,7 +122,7 @@ class PlannerNode(RoboximNode):
             (CheckState, "check_state", self._on_check_state),
             (CheckTrajectory, "check_trajectory", self._on_check_trajectory),
         ):
-            self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests)
+            self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests, inline=True)
         self._actions = [
             self.serve_action(kind, f"planner/{name}", execute, callback_group=ReentrantCallbackGroup())
             for kind, name, execute in (

@@ -1,7 +1,8 @@
 """Blocking service calls from any thread, callbacks included.
 
-`Clients.call` takes answers from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` hands the
-calls of a tick to a node of the same process (`roboxim_ros.local_calls`). Everything else on the clients' node needs an
+`Clients.call` hands the request to a node of the same process (`roboxim_ros.local_calls`), or else takes the answer
+from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` calls a function of the core's values that
+a node of the same process offers. Everything else on the clients' node needs an
 executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own executor, it
 would wait forever. A separate thread therefore spins this node.
 """
@@ -25,7 +26,7 @@ from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, Unavai
 from roboxim_ros import local_calls
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
-from roboxim_ros.local_calls import LocalCall, LocalService
+from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
@@ -114,7 +115,7 @@ class Clients:
         wait_s: float | None = None,
         check: bool = True,
     ) -> Any:
-        """Call a service and return its response.
+        """Call a service and return its response. Request and response may be shared with a node of this process.
 
         Args:
             srv_type: Service class.
@@ -130,7 +131,11 @@ class Clients:
             RoboximError: As the response's ``error_code`` and ``error_msg`` state, when it has them.
         """
         local = local_calls.find_service(self.node.context, self._full_name(name))
-        response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, local)
+        sent = None if local is None else local.send(srv_type, request)
+        if sent is not None:
+            response = self.value_of(sent, name, timeout_s)
+        else:
+            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s)
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
@@ -163,11 +168,11 @@ class Clients:
         return None if function is None else function.send(*arguments)
 
     def value_of(self, call: LocalCall, name: str, timeout_s: float) -> Any:
-        """Wait for the value of a function of this process, and return it.
+        """Wait for the value of a function or the response of a service of this process, and return it.
 
         Args:
             call: From `send_local`.
-            name: Name of the function, for errors.
+            name: Name of the function or service, for errors.
             timeout_s: Longest wait [s].
 
         Raises:
@@ -189,12 +194,12 @@ class Clients:
         return call.value
 
     def _answer_of_middleware(
-        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None, local: LocalService | None
+        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None
     ) -> Any:
-        """Return the answer of any server; ``local`` if it is in this process."""
+        """Return the answer of any server."""
         direct = self._borrow(srv_type, name)
         try:
-            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s, local)
+            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
         except rclpy_implementation.InvalidHandle:
             raise self._closed_during(name) from None
         finally:
@@ -214,9 +219,7 @@ class Clients:
             except InvalidServiceNameException as error:
                 raise InvalidRequestError(str(error)) from None
 
-    def _answer(
-        self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float, local: LocalService | None
-    ) -> Any:
+    def _answer(self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float) -> Any:
         """Send a request and return its answer."""
         client = direct.client
         if not wait_until(client.service_is_ready, wait_s):
@@ -224,8 +227,6 @@ class Clients:
                 f"service '{client.service_name}' is not available after {wait_s:g} s; is its node running?"
             )
         number = direct.send(request)
-        if local is not None:
-            local.look()
         deadline = time.monotonic() + timeout_s
         while (answer := direct.receive(number, min(1.0, deadline - time.monotonic()))) is None:
             if time.monotonic() >= deadline:

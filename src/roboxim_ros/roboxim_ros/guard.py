@@ -205,30 +205,38 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         srv_name: str,
         callback: Callable[[Any, Any], Any],
         *args: Any,
+        inline: bool = False,
         **kwargs: Any,
     ) -> Any:
         """Offer a service as rclpy does; an exception of its callback becomes the answer.
+
+        Callers of this process hand the request over without the middleware, unless the callback is a coroutine
+        function (`roboxim_ros.local_calls`).
 
         Args:
             srv_type: Service class.
             srv_name: Name, relative to the namespace.
             callback: The handler.
             *args: Passed to rclpy.
+            inline: Whether callers of this process run the handler in their own thread; it must be safe to call from
+                several threads.
             **kwargs: Passed to rclpy.
         """
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
         service = super().create_service(srv_type, srv_name, guarded, *args, **kwargs)
         guard_sending(self.get_logger(), service, srv_type.Response)
-        local_calls.register_service(self, service.service_name)
+        if not inspect.iscoroutinefunction(guarded):
+            local_calls.register_service(self, service.service_name, srv_type, guarded, inline=inline)
         return service
 
-    def offer(self, name: str, function: Callable[..., Any]) -> None:
+    def offer(self, name: str, function: Callable[..., Any], *, inline: bool = False) -> None:
         """Offer a function to callers of this process, which call it with values; see `roboxim_ros.local_calls`.
 
         Args:
             name: Name, relative to the namespace; a service of the same name serves other processes.
             function: Called in the node's thread; not a coroutine function. An exception is raised at the caller, with
                 the same code and message as from a service.
+            inline: Whether callers run it in their own thread; it must be safe to call from several threads.
         """
 
         def described(error: BaseException) -> tuple[ErrorCode, str] | None:
@@ -237,7 +245,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
             report(self.get_logger(), error, name)
             return describe(error, name)
 
-        local_calls.offer(self, self.resolve_service_name(name), function, described)
+        local_calls.offer(self, self.resolve_service_name(name), function, described, inline=inline)
 
     def destroy_node(self) -> None:
         """Destroy the node and end its offers to this process."""

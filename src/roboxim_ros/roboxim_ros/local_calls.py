@@ -1,12 +1,15 @@
-"""Calls between nodes of one process, without messages and without the middleware.
+"""Calls between nodes of one process, without the middleware.
 
 A node offers a function of the core's values to its process (`LocalFunction`). A caller of the same process hands the
 arguments to the thread that spins the node, and gets the returned value. Nothing is converted or serialised, and no
 wait set is built. Values are shared, so neither side may change what it has handed over: frozen dataclasses, and arrays
-that are read-only or given away. The node needs a `LockstepExecutor`.
+that are read-only or given away.
 
-Services are registered here too: their node may be waiting for the next call of a function, so a caller of the same
-process makes it look at the middleware.
+Services are offered in the same way (`LocalService`): the handler gets the caller's request, and the caller the
+handler's response. Neither may be used again by who has handed it over.
+
+The node needs a `LockstepExecutor`. What is offered *inline* runs in the caller's thread instead, which saves two
+changes of threads and works with any executor: the function or handler must then be safe to call from several threads.
 """
 
 from __future__ import annotations
@@ -29,8 +32,12 @@ Describe = Callable[[BaseException], tuple[ErrorCode, str] | None]
 class _Offer:
     """What a node of this process offers."""
 
-    def __init__(self, node: Node) -> None:
+    lockstep = True
+    """Whether a call is one of a series, for which the node's executor leaves the middleware for a while."""
+
+    def __init__(self, node: Node, *, inline: bool) -> None:
         self._node = weakref.ref(node)
+        self._inline = inline
         self.open = True
         """Whether the node still serves."""
 
@@ -38,43 +45,80 @@ class _Offer:
         """Tell whether a node offers it."""
         return self._node() is node
 
-    def _executor(self) -> LockstepExecutor | None:
+    def answer(self, call: LocalCall, arguments: tuple[Any, ...]) -> None:
+        """Call what is offered, and keep its value or its error in the call."""
+        raise NotImplementedError
+
+    def _sent(self, *arguments: Any) -> LocalCall | None:
+        """Hand a call over, or run it if it is inline; None when the node does not serve or cannot take it."""
         node = self._node()
-        executor = node.executor if self.open and node is not None else None
-        return executor if isinstance(executor, LockstepExecutor) else None
+        if not self.open or node is None or node.executor is None:
+            return None
+        if self._inline:
+            call = LocalCall(self, arguments)
+            call()
+            return call
+        executor = node.executor
+        if not isinstance(executor, LockstepExecutor):
+            return None
+        call = LocalCall(self, arguments)
+        return call if executor.post(call) else None
 
 
 class LocalService(_Offer):
-    """A service of a node of this process, which is called through the middleware."""
+    """A service of a node of this process."""
 
-    def look(self) -> None:
-        """Make the server look at the middleware, where a request has been sent to."""
-        executor = self._executor()
-        if executor is not None:
-            executor.look()
+    lockstep = False
+
+    def __init__(self, node: Node, srv_type: Any, handler: Callable[[Any, Any], Any], *, inline: bool) -> None:
+        """Describe it.
+
+        Args:
+            node: The node that serves.
+            srv_type: Service class.
+            handler: Called with a request and an empty response; returns the response and raises nothing of `CAUGHT`.
+            inline: See the module.
+        """
+        super().__init__(node, inline=inline)
+        self._srv_type, self._handler = srv_type, handler
+
+    def send(self, srv_type: Any, request: Any) -> LocalCall | None:
+        """Hand a request over; None when it must go through the middleware.
+
+        Raises:
+            TypeError: If the request belongs to another service.
+        """
+        if srv_type is not self._srv_type:
+            return None
+        if not isinstance(request, srv_type.Request):
+            raise TypeError(f"{srv_type.__name__} takes a {srv_type.Request}, got a {type(request)}")
+        return self._sent(request)
+
+    def answer(self, call: LocalCall, arguments: tuple[Any, ...]) -> None:
+        """Call the handler and keep its response."""
+        (request,) = arguments
+        call.value = self._handler(request, self._srv_type.Response())
+        call.served = True
 
 
 class LocalFunction(_Offer):
     """A function of a node of this process."""
 
-    def __init__(self, node: Node, function: Callable[..., Any], describe: Describe) -> None:
+    def __init__(self, node: Node, function: Callable[..., Any], describe: Describe, *, inline: bool) -> None:
         """Describe it.
 
         Args:
             node: The node that offers it.
             function: Called in the node's thread.
             describe: Called with what the function raises.
+            inline: See the module.
         """
-        super().__init__(node)
+        super().__init__(node, inline=inline)
         self._function, self._describe = function, describe
 
     def send(self, *arguments: Any) -> LocalCall | None:
         """Hand a call over; None when the node does not serve."""
-        executor = self._executor()
-        if executor is None:
-            return None
-        call = LocalCall(self, arguments)
-        return call if executor.post(call) else None
+        return self._sent(*arguments)
 
     def answer(self, call: LocalCall, arguments: tuple[Any, ...]) -> None:
         """Call the function and keep its value or its error."""
@@ -91,11 +135,11 @@ class LocalFunction(_Offer):
 class LocalCall:
     """A call that waits in an executor's queue, is being served, or has ended."""
 
-    __slots__ = ("_arguments", "_ended", "_function", "error_code", "error_msg", "served", "value")
+    __slots__ = ("_arguments", "_ended", "_offer", "error_code", "error_msg", "served", "value")
 
-    def __init__(self, function: LocalFunction, arguments: tuple[Any, ...]) -> None:
+    def __init__(self, offer: _Offer, arguments: tuple[Any, ...]) -> None:
         """Keep the arguments."""
-        self._function, self._arguments = function, arguments
+        self._offer, self._arguments = offer, arguments
         self._ended = threading.Lock()
         self._ended.acquire()
         self.served = False
@@ -105,9 +149,9 @@ class LocalCall:
         self.error_code, self.error_msg = ErrorCode.OK, ""
 
     def __call__(self) -> None:
-        """Call the function; the executor does this."""
+        """Call what is offered; the executor does this, or the caller if it is inline."""
         try:
-            self._function.answer(self, self._arguments)
+            self._offer.answer(self, self._arguments)
         finally:
             self._ended.release()
 
@@ -120,9 +164,14 @@ class LocalCall:
         return self._ended.acquire(timeout=max(0.0, timeout_s))
 
     @property
+    def lockstep(self) -> bool:
+        """See `Posted.lockstep`."""
+        return self._offer.lockstep
+
+    @property
     def possible(self) -> bool:
         """Whether the node can still answer."""
-        return self._function.open
+        return self._offer.open
 
 
 _services: weakref.WeakKeyDictionary[Context, dict[str, LocalService]] = weakref.WeakKeyDictionary()
@@ -130,13 +179,21 @@ _functions: weakref.WeakKeyDictionary[Context, dict[str, LocalFunction]] = weakr
 _lock = threading.Lock()
 
 
-def register_service(node: Node, name: str) -> None:
-    """Register a service, by its full name, for the callers of this process."""
+def register_service(node: Node, name: str, srv_type: Any, handler: Callable[[Any, Any], Any], *, inline: bool) -> None:
+    """Register a service for the callers of this process.
+
+    Args:
+        node: The node that serves.
+        name: Full name.
+        srv_type: See `LocalService`.
+        handler: See `LocalService`.
+        inline: See the module.
+    """
     with _lock:
-        _services.setdefault(node.context, {})[name] = LocalService(node)
+        _services.setdefault(node.context, {})[name] = LocalService(node, srv_type, handler, inline=inline)
 
 
-def offer(node: Node, name: str, function: Callable[..., Any], describe: Describe) -> None:
+def offer(node: Node, name: str, function: Callable[..., Any], describe: Describe, *, inline: bool) -> None:
     """Offer a function to this process.
 
     Args:
@@ -144,9 +201,10 @@ def offer(node: Node, name: str, function: Callable[..., Any], describe: Describ
         name: Full name, e.g. that of the service that does the same for other processes.
         function: See `LocalFunction`.
         describe: See `LocalFunction`.
+        inline: See the module.
     """
     with _lock:
-        _functions.setdefault(node.context, {})[name] = LocalFunction(node, function, describe)
+        _functions.setdefault(node.context, {})[name] = LocalFunction(node, function, describe, inline=inline)
 
 
 def withdraw(node: Node) -> None:

@@ -24,6 +24,10 @@ LOOK_S = 0.5
 class Posted(Protocol):
     """What a thread hands to an executor."""
 
+    @property
+    def lockstep(self) -> bool:
+        """Whether others follow soon, so that the executor waits for them instead of at the middleware."""
+
     def __call__(self) -> None:
         """Run it, in the executor's thread."""
 
@@ -38,8 +42,8 @@ class LockstepExecutor(SingleThreadedExecutor):
     callback's group is free again. A single thread looks at the groups again anyway. The trigger would make it build
     its wait set a second time, while it keeps the interpreter from the node whose turn it is.
 
-    After a post the executor waits for the next one, which costs a lock instead of a wait set, and looks at the
-    middleware every `LOOK_S` only.
+    After a post in lockstep the executor waits for the next one, which costs a lock instead of a wait set, and looks at
+    the middleware every `LOOK_S` only.
     """
 
     def __init__(self, *, context: Context) -> None:
@@ -120,8 +124,9 @@ class LockstepExecutor(SingleThreadedExecutor):
                 if left <= 0 or not self._changed.wait(left):
                     break
             if self._posts and time.monotonic() < self._look_by:
-                self._expects_post = True
-                return self._posts.popleft()
+                call = self._posts.popleft()
+                self._expects_post = self._expects_post or call.lockstep
+                return call
             self._expects_post = False
             self._at_middleware = not self._posts
             return None

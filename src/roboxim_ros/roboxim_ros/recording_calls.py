@@ -7,7 +7,9 @@ from __future__ import annotations
 
 RECORD_STEP = "recorder/record_step"
 """Name, relative to the graph's namespace, of the function that takes a `roboxim_core.episode.EpisodeStep`
-(`roboxim_ros.local_calls`)."""
+(`roboxim_ros.local_calls`) and returns whether the tick was taken; it may be called from any thread."""
+RECORD_ARRIVING = "recorder/record_arriving"
+"""Name of the function that takes the step of a tick whose messages come from the middleware."""
 RECORD_RECEIVED = "recorder/record_received"
 """Name of the function that takes an episode's id and the instructions that its policy was given, before the bag is
 closed. There is no message for them: the bag of a recorder in another process does not tell them."""

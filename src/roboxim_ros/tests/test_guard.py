@@ -25,8 +25,10 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_ros import qos
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.bounds import check_message
-from roboxim_ros.clients import Clients
+from roboxim_ros.clients import Clients, wait_until
+from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -105,7 +107,9 @@ def test_every_exception_of_a_service_is_an_answer(faulty):
 
 
 def test_an_answer_that_cannot_be_sent_is_an_error(faulty):
-    answer = faulty[1].call(Trigger, "surrogate", Trigger.Request())
+    client = DirectClient(faulty[1].node, Trigger, "surrogate")  # as from another process
+    assert wait_until(client.client.service_is_ready, PATIENCE_S)
+    answer = client.receive(client.send(Trigger.Request()), PATIENCE_S)
     assert not answer.success
     assert "INTERNAL" in answer.message
 

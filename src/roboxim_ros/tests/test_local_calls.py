@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 
 import pytest
-from std_srvs.srv import Trigger
+from std_srvs.srv import Empty, Trigger
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RequestTimeoutError, RoboximError, UnavailableError
-from roboxim_ros.clients import Clients
+from roboxim_ros.clients import Clients, wait_until
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.host import NodeHost
 from roboxim_ros.node import RoboximNode
@@ -28,7 +28,10 @@ class _Server(RoboximNode):
         self.busy, self.may_answer = threading.Event(), threading.Event()
         self.offer("tick", self._tick)
         self.offer("slow", self._slow)
-        self.serve(Trigger, "other", lambda _, response: setattr(response, "message", "other"))
+        self.serve(Trigger, "other", self._other)
+        self.serve(Trigger, "faulty", lambda *_: 1 / 0)
+        self.serve(Trigger, "here", self._other, inline=True)
+        self.offer("here", self._tick, inline=True)
 
     def _tick(self, value) -> list:
         self.received.append(value)
@@ -36,6 +39,11 @@ class _Server(RoboximNode):
         if not value:
             raise InvalidRequestError("no data")
         return [*value, "done"]
+
+    def _other(self, request, response) -> None:
+        self.received.append(request)
+        self.threads.add(threading.get_ident())
+        response.message = "other"
 
     def _slow(self) -> None:
         self.busy.set()
@@ -72,6 +80,29 @@ def test_an_error_is_raised_at_the_caller(server, clients):
         call(clients, "tick", 1)
     assert raised.value.code == ErrorCode.INTERNAL
     assert call(clients, "tick", [2]) == [2, "done"]
+
+
+def test_a_service_of_this_process_gets_the_callers_request(server, clients):
+    """Only callers of other processes use the middleware; errors are answers all the same."""
+    request = Trigger.Request()
+    assert clients.call(Trigger, "other", request, timeout_s=PATIENCE_S).message == "other"
+    assert server.received[-1] is request
+    assert threading.get_ident() not in server.threads
+    assert "ZeroDivisionError" in clients.call(Trigger, "faulty", Trigger.Request(), timeout_s=PATIENCE_S).message
+    with pytest.raises(TypeError, match="Trigger takes"):
+        clients.call(Trigger, "other", Empty.Request())
+    foreign = DirectClient(clients.node, Trigger, "other")
+    assert wait_until(foreign.client.service_is_ready, PATIENCE_S)
+    assert foreign.receive(foreign.send(request), PATIENCE_S).message == "other"
+    assert server.received[-1] is not request
+
+
+def test_what_is_offered_inline_runs_in_the_callers_thread(server, clients):
+    assert call(clients, "here", [1]) == [1, "done"]
+    assert clients.call(Trigger, "here", Trigger.Request()).message == "other"
+    assert server.threads == {threading.get_ident()}
+    with pytest.raises(InvalidRequestError, match="no data"):
+        call(clients, "here", [])
 
 
 def test_other_processes_functions_are_not_called(clients):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -94,6 +95,7 @@ class TaskNode(RoboximNode):
         self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._library = ModelLibrary()
         self._judges: OrderedDict[str, TaskJudge] = OrderedDict()
+        self._judging = threading.Lock()
         speeds = SpeedConfig(
             max_tcp_speed_m_s=self.config.max_tcp_speed_m_s,
             max_tcp_rot_speed_rad_s=self.config.max_tcp_rot_speed_rad_s,
@@ -109,7 +111,7 @@ class TaskNode(RoboximNode):
         self._expert = Expert(self._library, planner, speeds, direct=self.config.direct, solvability=solvability)
         self.serve(GenerateEpisode, "tasks/generate_episode", self._on_generate)
         self.serve(Judge, "tasks/judge", self._on_judge)
-        self.offer("tasks/judge", self.judge)
+        self.offer("tasks/judge", self.judge, inline=True)
         guard = GuardedPolicy(
             self._expert, log=lambda text: self.get_logger().error(text), named_errors=(RoboximError,)
         )
@@ -137,7 +139,7 @@ class TaskNode(RoboximNode):
         response.verdict = to_msg(verdict, VerdictMsg)
 
     def judge(self, episode_id: str, state: StateRecord, task: TaskSpec | None = None) -> Verdict:
-        """Judge the next tick of an episode.
+        """Judge the next tick of an episode; may be called from any thread.
 
         Args:
             episode_id: The episode.
@@ -148,6 +150,10 @@ class TaskNode(RoboximNode):
             InvalidRequestError: When the state belongs to another episode.
             TaskError: ``UNKNOWN_EPISODE`` when the episode was not started.
         """
+        with self._judging:
+            return self._judge(episode_id, state, task)
+
+    def _judge(self, episode_id: str, state: StateRecord, task: TaskSpec | None) -> Verdict:
         if state.episode_id != episode_id:
             raise InvalidRequestError(f"the state belongs to episode '{state.episode_id}', not '{episode_id}'")
         if task is not None:
