@@ -55,7 +55,7 @@ from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.policy_service import PolicyClient
-from roboxim_ros.recording_calls import RECORD_RECEIVED, RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
@@ -275,9 +275,14 @@ class RecorderClient:
 
         A recorder of this process gets it by a call. It is then published only if others than the recorder listen.
         """
-        self._sent = step.episode_id, step.seq
-        self._call = self._clients.send_local(RECORD_STEP, step)
-        if self._call is None or self._publisher.get_subscription_count() > 1:
+        self._sent, self._call = (step.episode_id, step.seq), None
+        taken = self._clients.send_local(RECORD_STEP, step)
+        if taken is not None:
+            if self._clients.value_of(taken, RECORD_STEP, MESSAGE_TIMEOUT_S):
+                self._sent = None
+            else:
+                self._call = self._clients.send_local(RECORD_ARRIVING, step)
+        if taken is None or self._publisher.get_subscription_count() > 1:
             self._publisher.publish(to_msg(step, EpisodeStepMsg))
 
     def wait_written(self) -> None:
@@ -290,7 +295,7 @@ class RecorderClient:
             return
         (episode_id, seq), self._sent = self._sent, None
         if self._call is not None:
-            self._clients.value_of(self._call, RECORD_STEP, MESSAGE_TIMEOUT_S)
+            self._clients.value_of(self._call, RECORD_ARRIVING, MESSAGE_TIMEOUT_S)
             return
         with self._acknowledged:
             done = self._acknowledged.wait_for(

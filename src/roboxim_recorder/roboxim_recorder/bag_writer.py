@@ -22,6 +22,8 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, o
 from roboxim_recorder.topics import OF_SCENE
 from roboxim_ros.schemas import MessageSchema
 
+Cdr = bytes | bytearray | memoryview
+"""A serialised message."""
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 """How an episode is kept to the folder that it is kept in."""
 PARTIAL = ".partial"
@@ -114,9 +116,9 @@ class McapFile:
         self._schemas[topic] = schema
         self.counts[topic] = 0
 
-    def write(self, topic: str, cdr: bytes | bytearray, stamp_ns: int) -> None:
+    def write(self, topic: str, cdr: Cdr, stamp_ns: int) -> None:
         """Append a serialised message."""
-        data = cast(bytes, cdr)  # a bytearray does as well, without a copy
+        data = cast(bytes, cdr)  # any buffer does as well, without a copy
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self.counts[topic])
         first, last = self._span if any(self.counts.values()) else (stamp_ns, stamp_ns)
         self._span = (min(first, stamp_ns), max(last, stamp_ns))
@@ -238,7 +240,7 @@ class BagWriter:
         """Announce a topic; its messages may follow."""
         self._mcap.add_topic(topic, schema)
 
-    def write(self, topic: str, cdr: bytes | bytearray, stamp_ns: int) -> None:
+    def write(self, topic: str, cdr: Cdr, stamp_ns: int) -> None:
         """Append a serialised message.
 
         Args:

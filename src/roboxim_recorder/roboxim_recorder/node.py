@@ -9,12 +9,15 @@ An evaluator of the same process hands the step over by a call (`roboxim_ros.rec
 the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
 
 A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local_ticks`). The recorder then
-does not subscribe to its topics; it keeps the values and makes a chunk's messages together.
+does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The values are taken in the
+evaluator's thread; the recorder's thread makes, compresses and stores the messages while the episode goes on. At the
+end of a chunk the evaluator waits until the chunk before is stored, so that at most two are kept.
 """
 
 from __future__ import annotations
 
 import importlib
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -45,9 +48,11 @@ from roboxim_ros.conversions import from_msg
 from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
-from roboxim_ros.recording_calls import RECORD_RECEIVED, RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP
 from roboxim_ros.serialising import to_cdr
 
+STORE_S = 60.0
+"""Longest wait for a chunk to be stored [s]."""
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005
@@ -76,6 +81,7 @@ class RecorderNode(RoboximNode):
         self._failed = ""
         self._opened_ns = 0
         self._called = False  # the open episode's steps come by calls
+        self._storing = _Storing()
         self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
@@ -86,7 +92,8 @@ class RecorderNode(RoboximNode):
         self._subscribe_ticks(topics.ALWAYS)
         self.serve(OpenEpisode, "recorder/open_episode", self._on_open)
         self.serve(CloseEpisode, "recorder/close_episode", self._on_close)
-        self.offer(RECORD_STEP, self._on_step_call)
+        self.offer(RECORD_STEP, self._on_step_call, inline=True)
+        self.offer(RECORD_ARRIVING, self._on_arriving_call)
         self.offer(RECORD_RECEIVED, self._on_received_call)
 
     def destroy_node(self) -> None:
@@ -218,23 +225,46 @@ class RecorderNode(RoboximNode):
         self._fault, self._failed = error, recording.info.episode_id
         self._abort(str(error))
 
-    def _on_step_call(self, step: EpisodeStep) -> None:
-        """Record the tick that a step ends; the answer does not wait for the messages and their compression."""
+    def _on_step_call(self, step: EpisodeStep) -> bool:
+        """Take the values of the tick that a step ends, in the thread of the evaluator; the node's thread stores them.
+
+        Returns:
+            Whether it was taken. If not, its messages come from the middleware: call `_on_arriving_call`.
+        """
+        recording = self._open_recording(step)
+        tick = local_ticks.shown(self.context, self._notices, step.episode_id, step.seq)
+        if tick is None or recording.next_seq != step.seq:
+            return False
+        try:
+            if recording.add_tick(step.stamp_ns, lambda: _content(tick, step)):
+                self._storing.wait()
+                recording.end_chunk()
+                self._store(recording)
+        except RoboximError as error:
+            self._drop_faulty(recording, error)
+            raise
+        return True
+
+    def _on_arriving_call(self, step: EpisodeStep) -> None:
+        """Record the tick that a step ends, whose messages come from the middleware."""
+        recording = self._open_recording(step)
+        self._record_arriving(recording, step)
+        if self._fault is not None:
+            raise self._fault
+        self._store(recording)
+
+    def _open_recording(self, step: EpisodeStep) -> EpisodeRecording:
         recording = self._recording
         if recording is None or recording.info.episode_id != step.episode_id:
             raise self._not_open(step.episode_id)
         self._called, self._fault = True, None
-        tick = local_ticks.shown(self.context, self._notices, step.episode_id, step.seq)
-        if tick is not None and recording.next_seq == step.seq:
-            try:
-                recording.add_tick(step.stamp_ns, lambda: _content(tick, step))
-            except RoboximError as error:
-                self._drop_faulty(recording, error)
-        else:
-            self._record_arriving(recording, step)
-        if self._fault is not None:
-            raise self._fault
-        self.executor.post(_Flush(self, recording))
+        return recording
+
+    def _store(self, recording: EpisodeRecording) -> None:
+        """Let the node's thread make, compress and store the messages of the last chunk."""
+        self._storing = _Storing(self, recording)
+        if not self.executor.post(self._storing):
+            self._storing.abandon()
 
     def _record_arriving(self, recording: EpisodeRecording, step: EpisodeStep) -> None:
         """Record the tick whose messages come from the middleware."""
@@ -253,7 +283,7 @@ class RecorderNode(RoboximNode):
             self._of_ticks.take()
 
     def flush(self, recording: EpisodeRecording) -> None:
-        """Compress a recording's last ticks, unless it is closed."""
+        """Store a recording's last chunk, unless it is closed."""
         if self._recording is recording:
             recording.flush()
 
@@ -284,17 +314,39 @@ class RecorderNode(RoboximNode):
         )
 
 
-class _Flush:
-    """What the recorder's executor does after it has answered a call."""
+class _Storing:
+    """The end of a chunk, for the recorder's executor."""
 
-    def __init__(self, node: RecorderNode, recording: EpisodeRecording) -> None:
+    lockstep = True
+
+    def __init__(self, node: RecorderNode | None = None, recording: EpisodeRecording | None = None) -> None:
+        """Store a recording's last chunk; without arguments: nothing is left to store."""
         self._node, self._recording = node, recording
+        self._done = threading.Event()
+        if node is None:
+            self._done.set()
 
     def __call__(self) -> None:
-        self._node.flush(self._recording)
+        try:
+            if self._node is not None and self._recording is not None:
+                self._node.flush(self._recording)
+        finally:
+            self._done.set()
 
     def abandon(self) -> None:
-        """Do nothing: the node's end removes the bag."""
+        """Store nothing: the node's end removes the bag."""
+        self._done.set()
+
+    def wait(self) -> None:
+        """Wait for the end.
+
+        Raises:
+            RecorderError: When it takes too long.
+        """
+        if not self._done.wait(STORE_S):
+            raise RecorderError(
+                f"a chunk of the bag is not stored after {STORE_S:g} s; does the disk answer?", ErrorCode.DISK
+            )
 
 
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:

@@ -9,7 +9,9 @@ Nothing here knows rclpy.
 from __future__ import annotations
 
 import json
+import math
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
@@ -21,14 +23,16 @@ from rosbags.serde import SerdeError
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
-from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter
+from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter, Cdr
 from roboxim_recorder.cdr import CleanMessage, message_layout
 from roboxim_ros.conversions import stamp_to_ns
 from roboxim_ros.schemas import message_schema, typestore
 
 FLUSH_TICKS = 4
-"""Ticks per chunk, what a SIGKILL can lose. Two 256 x 256 cameras, 53 ticks, measured: 7.2 MiB with one tick per chunk,
-4.6 with four, 4.3 with eight; at zstd's levels 1, 3 and 4: 6.8, 4.5, 4.4 MiB in 49, 72, 88 ms."""
+"""Ticks per chunk. Two 256 x 256 cameras, 53 ticks, measured: 7.2 MiB with one tick per chunk, 4.6 with four, 4.3 with
+eight; at zstd's levels 1, 3 and 4: 6.8, 4.5, 4.4 MiB in 49, 72, 88 ms."""
+NOTHING_DUE = -1
+"""The last tick of a chunk that does not exist."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +52,8 @@ class TickContent:
     """The messages of a whole tick, serialised."""
 
     messages: Mapping[str, memoryview]
-    """The sim's messages by their topics in the bag, the notice among them."""
+    """The sim's messages by their topics in the bag, the notice among them, without undefined bytes (`CleanMessage`),
+    as `roboxim_ros.serialising` makes them."""
     step: memoryview
     """The loop's step."""
 
@@ -96,8 +101,8 @@ class EpisodeRecording:
         self._arrived: dict[tuple[str, int], CleanMessage] = {}
         self._stampless: dict[str, CleanMessage] = {}
         self._extras: list[tuple[str, CleanMessage]] = []
-        self._due: list[tuple[int, int, Callable[[], TickContent]]] = []
-        self._flush_due = False
+        self._due: deque[tuple[int, int, Callable[[], TickContent]]] = deque()
+        self._flush_until = NOTHING_DUE
         self._flush_error: RecorderError | None = None
         self._writer = BagWriter(output_dir, info.episode_id)
         for topic, schema in schemas.items():
@@ -198,36 +203,40 @@ class EpisodeRecording:
                 ErrorCode.EPISODE_GAP,
             )
 
-    def add_tick(self, stamp_ns: int, content: Callable[[], TickContent]) -> None:
-        """Add the next tick, whose messages can be made at any time. Call `flush` afterwards.
+    def add_tick(self, stamp_ns: int, content: Callable[[], TickContent]) -> bool:
+        """Add the next tick, whose messages can be made at any time.
 
-        The messages of several ticks are made together, when their chunk is due: at once they cost less than half.
+        The messages of several ticks are made together, when their chunk ends: at once they cost less than half. Ticks
+        may be added while another thread is in `flush`.
 
         Args:
             stamp_ns: Its stamp [ns].
-            content: Returns the tick's messages; called by `flush` or `close`.
+            content: Returns the tick's messages, without undefined bytes; called by `flush` or `close`.
+
+        Returns:
+            Whether the tick ends a chunk: call `end_chunk` and then `flush`.
 
         Raises:
             RecorderError: What an earlier `flush` met with.
         """
         self._raise_flush_error()
         self._due.append((self._next, stamp_ns, content))
-        self._flush_due |= self._next % FLUSH_TICKS == 0
         self._next += 1
+        return (self._next - 1) % FLUSH_TICKS == 0
 
-    def _write_due(self) -> None:
-        """Write the added ticks."""
-        due, self._due = self._due, []
-        for seq, stamp_ns, content in due:
+    def end_chunk(self) -> None:
+        """Let the next `flush` store the ticks so far, and none that are added later; no thread may be in `flush`."""
+        self._flush_until = self._next - 1
+
+    def _write_due(self, until: float = math.inf) -> None:
+        """Write the added ticks up to one."""
+        while self._due and self._due[0][0] <= until:
+            seq, stamp_ns, content = self._due.popleft()
             made = content()
             self._require_expected(f"tick {seq} of '{self.info.episode_id}'", made.messages)
-            others = {
-                topic: self._clean(topic, made.messages[topic])
-                for topic in sorted(made.messages)
-                if topic != topics.NOTICE
-            }
-            notice = self._clean(topics.NOTICE, made.messages[topics.NOTICE])
-            self._write(stamp_ns, notice, others, self._clean(topics.STEP, made.step))
+            notice = made.messages[topics.NOTICE]
+            others = [(topic, made.messages[topic]) for topic in sorted(made.messages) if topic != topics.NOTICE]
+            self._write(stamp_ns, notice, others, self._clean(topics.STEP, made.step).data)
 
     def missing(self, seq: int) -> list[str]:
         """Return the names of what tick ``seq`` lacks."""
@@ -268,11 +277,11 @@ class EpisodeRecording:
 
         An error is raised by the next `message` or `close`, which somebody waits for.
         """
-        if not self._flush_due:
+        if self._flush_until == NOTHING_DUE:
             return
-        self._flush_due = False
+        until, self._flush_until = self._flush_until, NOTHING_DUE
         try:
-            self._write_due()
+            self._write_due(until)
             self._writer.flush()
         except RecorderError as error:
             self._flush_error = error
@@ -301,17 +310,16 @@ class EpisodeRecording:
         self.flush()
         self._raise_flush_error()
         self._write_due()
-        self._write(stamp_ns, notice, others, step)
-        self._flush_due = seq % FLUSH_TICKS == 0
+        self._write(stamp_ns, notice.data, [(topic, message.data) for topic, message in others.items()], step.data)
+        if seq % FLUSH_TICKS == 0:
+            self._flush_until = seq
 
-    def _write(
-        self, stamp_ns: int, notice: CleanMessage, others: Mapping[str, CleanMessage], step: CleanMessage
-    ) -> None:
+    def _write(self, stamp_ns: int, notice: Cdr, others: Iterable[tuple[str, Cdr]], step: Cdr) -> None:
         self._last_stamp_ns = stamp_ns
-        self._writer.write(topics.NOTICE, notice.data, stamp_ns)
-        for topic, message in others.items():
-            self._writer.write(topic, message.data, stamp_ns)
-        self._writer.write(topics.STEP, step.data, stamp_ns)
+        self._writer.write(topics.NOTICE, notice, stamp_ns)
+        for topic, message in others:
+            self._writer.write(topic, message, stamp_ns)
+        self._writer.write(topics.STEP, step, stamp_ns)
         self._write_extras()
 
     def _write_extras(self) -> None:

@@ -13,15 +13,19 @@ from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 from std_msgs.msg import String
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError
+from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import McapFile
+from roboxim_recorder.cdr import message_layout
 from roboxim_recorder.check import check_bag
 from roboxim_recorder.node import RecorderNode
+from roboxim_recorder.recording import FLUSH_TICKS
 from roboxim_ros import local_ticks, qos
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import to_msg
 from roboxim_ros.local_ticks import LocalTick
-from roboxim_ros.recording_calls import RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_STEP
+from roboxim_ros.schemas import message_schema
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros
@@ -154,10 +158,11 @@ def test_a_tick_whose_step_is_handed_over_is_recorded(graph, tmp_path, fake):
     episode = fake()
     graph.open(episode, tmp_path)
     for seq in range(episode.last_seq + 1):
-        call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
+        assert not step(graph, episode, seq)
+        call = graph.clients.send_local(RECORD_ARRIVING, episode.step(seq))
         for topic, message in episode.tick(seq).items():
             graph.publish(topic, message)
-        graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
+        graph.clients.value_of(call, RECORD_ARRIVING, PATIENCE_S)
     bag = graph.close(episode)
     report = check_bag(tmp_path / bag)
     assert report.ok, report.problems
@@ -189,15 +194,47 @@ def show(graph, episode, seq):
     """Show a tick as a sim of the same process does."""
     tick = {topic[1:]: message for topic, message in episode.tick(seq).items()}
     del tick["evaluator/step"]
-    messages = {topic: serialize_message(message) for topic, message in tick.items()}
+    kinds = topics.scene_topics(episode.info.scene)
+    layouts = {topic: message_layout(message_schema(kinds[topics.absolute(topic)])) for topic in tick}
+    messages = {
+        topic: memoryview(layouts[topic].clean(serialize_message(message)).data) for topic, message in tick.items()
+    }
     shown = LocalTick(state=episode.state(seq), images={}, messages=lambda: messages)
     local_ticks.show(graph.node.context, "/w1/sim/ticks", shown)
 
 
+def step(graph, episode, seq):
+    """Hand a step over; return whether the recorder has taken the whole tick."""
+    return graph.clients.value_of(graph.clients.send_local(RECORD_STEP, episode.step(seq)), RECORD_STEP, PATIENCE_S)
+
+
 def show_and_step(graph, episode, seq):
     show(graph, episode, seq)
-    call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
-    graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
+    assert step(graph, episode, seq)
+
+
+def test_a_disk_that_fills_up_ends_an_episode_whose_ticks_are_taken(graph, tmp_path, fake, monkeypatch):
+    """The chunk is stored while the episode goes on, which ends in the next chunk at the latest."""
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    episode = fake(steps=2 * FLUSH_TICKS)
+    graph.open(episode, tmp_path)
+    monkeypatch.setattr(McapFile, "flush", full)
+
+    def play():
+        for seq in range(2 * FLUSH_TICKS):
+            show_and_step(graph, episode, seq)
+
+    with pytest.raises(RoboximError, match="No space left") as raised:
+        play()
+    assert raised.value.code == ErrorCode.DISK
+    assert graph.close(episode, keep="drop") == ""
+    assert not list(tmp_path.rglob("*.mcap"))
+    with pytest.raises(RoboximError, match="no bag") as raised:
+        step(graph, episode, 1)
+    assert raised.value.code == ErrorCode.EPISODE_NOT_OPEN
 
 
 def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkeypatch):
@@ -206,9 +243,10 @@ def test_a_step_that_cannot_be_recorded_is_refused(graph, tmp_path, fake, monkey
 
     def hand_over(seq):
         graph.tick(episode, seq, without=("/evaluator/step",))
-        call = graph.clients.send_local(RECORD_STEP, episode.step(seq))
         try:
-            graph.clients.value_of(call, RECORD_STEP, PATIENCE_S)
+            if not step(graph, episode, seq):
+                call = graph.clients.send_local(RECORD_ARRIVING, episode.step(seq))
+                graph.clients.value_of(call, RECORD_ARRIVING, PATIENCE_S)
         except RoboximError as error:
             return error.code, str(error)
         return ErrorCode.OK, ""
