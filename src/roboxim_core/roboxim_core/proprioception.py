@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import IDENTITY, Pose, Vec3
+from roboxim_core.quaternions import axes_of_quat
 from roboxim_core.rotations import RotationRepresentation, decode, encode, gripper_down
 from roboxim_core.state import StateRecord
 
@@ -105,10 +106,9 @@ class Proprioception:
         tcp = robot.pose_tcp_measured
         if pose_base_in_world != IDENTITY:
             tcp = pose_base_in_world.inverse() @ tcp
-        a, b, c, d, e, f = encode(tcp.rotation, RotationRepresentation.ROTATION_6D).tolist()
         return Proprioception(
             tcp_position=tcp.position,
-            tcp_rotation_6d=(a, b, c, d, e, f),
+            tcp_rotation_6d=axes_of_quat(tcp.quat_xyzw),
             joint_names=robot.joint_names,
             joint_positions=robot.joint_positions,
             joint_velocities=robot.joint_velocities,

@@ -71,6 +71,21 @@ def quat_from_axes(x_axis: Iterable[float], y_axis: Iterable[float], z_axis: Ite
     return _positive(x / norm, y / norm, z / norm, w / norm)
 
 
+def axes_of_quat(quat: Quat) -> tuple[float, float, float, float, float, float]:
+    """Return the first two columns of the rotation's matrix, x axis and y axis: the same bits as scipy's ``as_matrix``.
+
+    Args:
+        quat: Quaternion, which need not be of unit norm.
+    """
+    norm = math.sqrt(sum(value * value for value in quat))
+    x, y, z, w = (value / norm for value in quat)
+    x2, y2, z2, w2 = x * x, y * y, z * z, w * w
+    return (
+        x2 - y2 - z2 + w2, 2 * (x * y + z * w), 2 * (x * z - y * w),
+        2 * (x * y - z * w), -x2 + y2 - z2 + w2, 2 * (y * z + x * w),
+    )  # fmt: skip
+
+
 def euler_from_quat(quat: Quat) -> tuple[float, float, float]:
     """Return the angles about the fixed axes x, then y, then z [rad].
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.poses import look_at
 from roboxim_core.quaternions import (
+    axes_of_quat,
     euler_from_quat,
     quat_about,
     quat_from_axes,
@@ -48,6 +49,12 @@ def test_a_pitch_of_a_right_angle_has_angles_too(pitch):
 
 def bits(quat):
     return [float(value).hex() for value in quat]
+
+
+@given(angles=ANGLES, scale=st.floats(0.999, 1.001))
+def test_the_axes_of_a_quaternion_have_the_bits_of_scipys(angles, scale):
+    quat = tuple(scale * value for value in quat_from_euler(*angles))
+    assert bits(axes_of_quat(quat)) == bits(Rotation.from_quat(quat).as_matrix().T[:2].ravel())
 
 
 @given(axis=st.sampled_from("xyz"), angle=st.floats(-7.0, 7.0))

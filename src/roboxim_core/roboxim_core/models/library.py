@@ -182,11 +182,7 @@ class ModelLibrary:
         files = [path, *sorted(p for p in path.with_suffix("").rglob("*") if p.suffix in _ASSETS)]
         if kind == "objects":
             files += sorted(set(_named_files(path, path.stat().st_mtime_ns)) - set(files))
-        hashed = hashlib.blake2b(digest_size=8)
-        for file in files:
-            hashed.update(json.dumps([os.path.relpath(file, path.parent), file.stat().st_size]).encode())
-            hashed.update(file.read_bytes())
-        return hashed.hexdigest()
+        return _digest(path.parent, tuple((file, (at := file.stat()).st_size, at.st_mtime_ns) for file in files))
 
     def hashes(self, scene: SceneSpec) -> dict[str, str]:
         """Return the hashes of a scene's robot and objects, model id to `digest`, as an episode records them.
@@ -252,6 +248,16 @@ _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".
 def _named_files(path: Path, _: int) -> tuple[Path, ...]:
     """Return the files that an object's YAML file names, directly or indirectly; the time is only a cache key."""
     return load_config(path, ObjectConfig).files(path.parent)
+
+
+@lru_cache(maxsize=256)
+def _digest(folder: Path, files: tuple[tuple[Path, int, int], ...]) -> str:
+    """Return the hash of files, given with their sizes and times; the times are only a cache key."""
+    hashed = hashlib.blake2b(digest_size=8)
+    for file, size, _ in files:
+        hashed.update(json.dumps([os.path.relpath(file, folder), size]).encode())
+        hashed.update(file.read_bytes())
+    return hashed.hexdigest()
 
 
 @lru_cache(maxsize=8)

@@ -139,6 +139,7 @@ class ScenePoses:
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         self._last: tuple[RobotState, dict[str, Pose]] | None = None
         self._last_objects: tuple[StateRecord, dict[str, Pose]] | None = None
+        self._last_cameras: tuple[RobotState, dict[str, Pose]] | None = None
         for camera in scene.cameras:
             camera_parent(camera, self._arm)
 
@@ -180,10 +181,13 @@ class ScenePoses:
         Raises:
             ConfigError: When a camera's parent is neither ``world``, ``gripper`` nor a link.
         """
-        chosen = self._scene.cameras if cameras is None else cameras
-        links = self.link_poses(robot) if any(camera.parent != "world" for camera in chosen) else {}
+        if cameras is None:
+            if self._last_cameras is None or self._last_cameras[0] is not robot:
+                self._last_cameras = (robot, self.camera_poses(robot, self._scene.cameras))
+            return self._last_cameras[1]
+        links = self.link_poses(robot) if any(camera.parent != "world" for camera in cameras) else {}
         poses = {}
-        for camera in chosen:
+        for camera in cameras:
             parent = camera_parent(camera, self._arm)
             poses[camera.name] = camera.pose if parent == "world" else links[parent] @ camera.pose
         return poses
