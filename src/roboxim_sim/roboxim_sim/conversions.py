@@ -130,6 +130,12 @@ def camera_cdrs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict
     return {**messages, "camera_info": camera_info_cdr(stamp_ns, camera)}
 
 
+def camera_topics(camera: CameraSpec) -> list[str]:
+    """Return the topics of a camera's messages, see `camera_msgs`, relative to the graph's namespace."""
+    kinds = {"image": True, "depth": camera.depth, "segmentation": camera.segmentation, "camera_info": True}
+    return [f"camera/{camera.name}/{kind}" for kind, there in kinds.items() if there]
+
+
 def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encoding: str) -> memoryview:
     """Return a camera's serialised image; the array is C-contiguous and of the encoding's type."""
     return serialise(

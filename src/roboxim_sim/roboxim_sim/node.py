@@ -6,6 +6,7 @@ coroutine that yields to the executor after every control period, so that it can
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -36,18 +37,20 @@ from roboxim_core.state import StateRecord
 from roboxim_ros import local_ticks, qos
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.local_ticks import LocalTick
-from roboxim_sim.conversions import camera_kind, camera_msgs
+from roboxim_sim.conversions import camera_kind, camera_msgs, camera_topics
 from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.ros import MotionActions, StandardServices
 from roboxim_sim.snapshots import Snapshot
-from roboxim_sim.tick_messages import KINDS, NOTICE, OF_SCENE, TickMessages
+from roboxim_sim.tick_messages import KINDS, NOTICE, OF_SCENE, PreparedTick, TickMessages
 from roboxim_sim.world import World
 
 PROFILES = {topic: qos.LATCHED if topic in OF_SCENE else qos.STATE for topic in KINDS}
 """QoS by topic; camera topics use `qos.SENSOR`."""
+LISTENERS_S = 0.1
+"""Time between two looks whether somebody listens, for a sim that otherwise publishes nothing [s]."""
 
 
 class SimNode(SimServer):
@@ -70,6 +73,8 @@ class SimNode(SimServer):
         self._states: dict[str, StateRenderer] = {}
         self._holder = ""
         self._tick_messages: TickMessages | None = None
+        self._unpublished: PreparedTick | None = None  # the tick that holds the scene's messages
+        self._heard, self._look_by = False, 0.0
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self._outputs: dict[str, Publisher] = {}
         self._notices = self.resolve_topic_name(NOTICE)
@@ -151,14 +156,29 @@ class SimNode(SimServer):
         assert self._tick_messages is not None
         images = self._capture(record)
         tick = self._tick_messages.prepare(record, images)
-        if tick.first or self.config.publish_unheard or self._is_heard():
-            for topic, cdr in tick.messages().items():
-                self._publisher(topic).publish(bytes(cdr))
+        if tick.first:
+            self._unpublished = tick
+        if self.config.publish_unheard or self._is_heard():
+            self._publish(tick)
         shown = LocalTick(state=record, images=images, messages=tick.messages)
         local_ticks.show(self.context, self._notices, shown)
 
+    def _publish(self, tick: PreparedTick) -> None:
+        """Publish a tick; before it, the messages of its scene if they have not been published."""
+        scene, self._unpublished = self._unpublished, None
+        if scene is not None and scene is not tick:
+            for topic in OF_SCENE:
+                self._publisher(topic).publish(bytes(scene.messages()[topic]))
+        for topic, cdr in tick.messages().items():
+            self._publisher(topic).publish(bytes(cdr))
+
     def _is_heard(self) -> bool:
-        return any(publisher.get_subscription_count() for publisher in self._outputs.values())
+        """Tell whether somebody listens to a topic, as it was at most `LISTENERS_S` ago."""
+        now = time.monotonic()
+        if now >= self._look_by:
+            self._heard = any(publisher.get_subscription_count() for publisher in self._outputs.values())
+            self._look_by = now + LISTENERS_S
+        return self._heard
 
     def _publish_or_release(self, record: StateRecord) -> None:
         try:
@@ -172,6 +192,9 @@ class SimNode(SimServer):
         scene = self.world.scene
         self._scene_out.publish(to_msg(scene, SceneSpecMsg))
         self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)
+        for camera in scene.cameras:
+            for topic in camera_topics(camera):
+                self._publisher(topic)  # before its first message, so that somebody can listen to it
         if scene.cameras:
             self._rig = CameraRig(self._renderer(self._renderer_name, "live"))
             self._rig.load(render_world(scene, self.library), scene)

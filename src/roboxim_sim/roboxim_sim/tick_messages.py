@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ class TickMessages:
             images: Images by camera name.
         """
         first, self._fresh = self._fresh or record.seq == 0, False
-        return PreparedTick(self, record, images, self._moving_frames(record), first=first)
+        return PreparedTick(self, record, images, TickFrames.of(record, self._poses), first=first)
 
     def make(self, record: StateRecord, images: Mapping[str, CameraImages]) -> Mapping[str, memoryview]:
         """Return all messages of a tick by topic, the notice last; see `prepare`."""
@@ -112,7 +113,7 @@ class TickMessages:
     def seen_by(self, tick: PreparedTick) -> dict[str, memoryview]:
         """Return the messages of a tick that depend on the scene's cameras, without the notice."""
         stamp_ns = tick.record.stamp_ns
-        messages = {"tf": tf_cdr(stamp_ns, tick.moving)}
+        messages = {"tf": tf_cdr(stamp_ns, self._moving(tick))}
         if tick.first:
             messages["tf_static"] = tf_cdr(stamp_ns, self._fixed)
             messages["robot_description"] = text_cdr(robot_description(self._robot.urdf))
@@ -122,15 +123,34 @@ class TickMessages:
                 messages[f"camera/{camera.name}/{kind}"] = message
         return messages
 
-    def _moving_frames(self, record: StateRecord) -> dict[str, Pose]:
+    def _moving(self, tick: PreparedTick) -> dict[str, Pose]:
         """Return the world poses of all moving frames: links, tcp, objects and their links, cameras."""
-        frames = dict(self._poses.link_poses(record.robot))
-        frames["tcp"] = record.robot.pose_tcp_measured
-        frames |= {entity.name: entity.pose for entity in record.entities}
-        frames |= self._poses.object_poses(record)
-        for name, pose in self._poses.camera_poses(record.robot).items():
-            frames[optical_frame(name)] = pose
+        frames = dict(tick.frames.links)
+        frames["tcp"] = tick.record.robot.pose_tcp_measured
+        frames |= {entity.name: entity.pose for entity in tick.record.entities}
+        frames |= tick.frames.objects
+        frames |= {optical_frame(name): pose for name, pose in tick.frames.cameras.items()}
         return {name: pose for name, pose in frames.items() if name not in self._fixed}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TickFrames:
+    """World poses of a tick that are not in its state."""
+
+    links: Mapping[str, Pose]
+    """Of the robot's links, by name."""
+    objects: Mapping[str, Pose]
+    """Of the links of the objects, by `body_key`."""
+    cameras: Mapping[str, Pose]
+    """Of the cameras' optical frames, by camera name."""
+
+    @staticmethod
+    def of(record: StateRecord, poses: ScenePoses) -> TickFrames:
+        """Return those of a state, in the thread of ``poses``."""
+        robot = record.robot
+        return TickFrames(
+            links=poses.link_poses(robot), objects=poses.object_poses(record), cameras=poses.camera_poses(robot)
+        )
 
 
 class PreparedTick:
@@ -141,7 +161,7 @@ class PreparedTick:
         maker: TickMessages,
         record: StateRecord,
         images: Mapping[str, CameraImages],
-        moving: Mapping[str, Pose],
+        frames: TickFrames,
         *,
         first: bool,
     ) -> None:
@@ -151,11 +171,11 @@ class PreparedTick:
             maker: Makes the messages.
             record: The tick's state.
             images: Images by camera name.
-            moving: World poses of the moving frames, by name.
+            frames: World poses that are not in the state.
             first: Whether the messages of `OF_SCENE` belong to the tick.
         """
         self._maker = maker
-        self.record, self.images, self.moving, self.first = record, images, moving, first
+        self.record, self.images, self.frames, self.first = record, images, frames, first
         self._messages: dict[str, memoryview] = {}
 
     def messages(self) -> Mapping[str, memoryview]:

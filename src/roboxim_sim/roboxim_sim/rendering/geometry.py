@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +43,8 @@ COARSE_FACES = 500
 """Faces of the coarse shape of robot links and of bodies with many faces, for shadows and for small images of them."""
 MANY_FACES = 3000
 """Number of faces above which other bodies get a coarse shape."""
+KEPT_SHAPES = 256
+"""Number of bodies whose packed shapes are kept for later worlds."""
 
 Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[npt.NDArray[np.uint8]]]
 """Computes the openness (0..255) of vertices, given a body's meshes and the meshes that hold these vertices."""
@@ -147,69 +151,117 @@ def check_world(world: RenderWorld) -> None:
             check_mesh(part.mesh, body.key)
 
 
-def pack(world: RenderWorld, textures: Sequence[str], openness: Openness) -> PackedWorld:
-    """Pack a world that has passed `check_world`.
+class Packer:
+    """Packs worlds. Keeps the shapes of bodies, since the robot and most objects are in the next world again."""
 
-    Args:
-        world: The world.
-        textures: Texture names by number, including all that the world uses; number 0 means no texture.
-        openness: Computes the openness of the vertices of a body's meshes (see `occlusion`).
-    """
-    entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
-    arrays, bodies = _Arrays(), list[PackedBody]()
-    for body in world.bodies:
-        alone = body.entity in SURROUNDINGS
-        for parts in [(part,) for part in body.parts] if alone else [body.parts] if body.parts else []:
-            ids = (len(bodies), entities[body.entity])
-            bodies.append(_packed(body, parts, textures, ids, arrays, openness))
-    return PackedWorld(
-        vertices=np.concatenate(arrays.vertices),
-        indices=np.concatenate(arrays.indices),
-        bodies=tuple(bodies),
-        keys=tuple(body.key for body in world.bodies),
-    )
+    def __init__(self, openness: Openness) -> None:
+        """Start without shapes.
+
+        Args:
+            openness: Computes the openness of the vertices of a body's meshes (see `occlusion`).
+        """
+        self._openness = openness
+        self._kept: OrderedDict[tuple[Any, ...], _Shape] = OrderedDict()
+
+    def pack(self, world: RenderWorld, textures: Sequence[str]) -> PackedWorld:
+        """Pack a world that has passed `check_world`.
+
+        Args:
+            world: The world.
+            textures: Texture names by number, including all that the world uses; number 0 means no texture.
+        """
+        entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
+        vertices, indices = [np.zeros(0, VERTEX)], [np.zeros(0, np.uint32)]
+        bodies = list[PackedBody]()
+        first_vertex = first_index = 0
+        for body in world.bodies:
+            alone = body.entity in SURROUNDINGS
+            for parts in [(part,) for part in body.parts] if alone else [body.parts] if body.parts else []:
+                shape = self._shape(body.entity, parts, textures)
+                own = shape.vertices.copy()
+                own["ids"] = len(bodies), entities[body.entity]
+                vertices.append(own)
+                indices.append(shape.indices + np.uint32(first_vertex))
+                bodies.append(shape.placed(body, first_index))
+                first_vertex += len(own)
+                first_index += len(shape.indices)
+        return PackedWorld(
+            vertices=np.concatenate(vertices),
+            indices=np.concatenate(indices),
+            bodies=tuple(bodies),
+            keys=tuple(body.key for body in world.bodies),
+        )
+
+    def _shape(self, entity: str, parts: Sequence[VisualPart], textures: Sequence[str]) -> _Shape:
+        kind = entity if entity in (*SURROUNDINGS, "table", "robot") else ""
+        layers = tuple(textures.index(part.material.texture) for part in parts)
+        key = (kind, layers, *map(id, parts))  # a kept shape keeps its parts, so that their ids stay theirs
+        shape = self._kept.get(key)
+        if shape is None:
+            shape = self._kept[key] = _shape_of(kind, parts, layers, self._openness)
+            while len(self._kept) > KEPT_SHAPES:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return shape
 
 
-def _packed(
-    body: RenderBody,
-    parts: Sequence[VisualPart],
-    textures: Sequence[str],
-    ids: tuple[int, int],
-    arrays: _Arrays,
-    openness: Openness,
-) -> PackedBody:
-    """Add a body's parts to the arrays: untextured, textured, then all coarse ones (untextured first)."""
-    parts = sorted(parts, key=lambda part: bool(part.material.texture))
-    fine = [part.mesh for part in parts]
-    room = body.entity in SURROUNDINGS
+@dataclass(frozen=True, kw_only=True)
+class _Shape:
+    """A body's arrays, whatever its place in a world."""
+
+    parts: tuple[VisualPart, ...]
+    vertices: npt.NDArray[np.void]
+    indices: npt.NDArray[np.uint32]
+    ranges: tuple[range, range, range, range]
+    """Indices of the untextured and the textured faces, and of the same two with fewer faces."""
+    shadow: range
+    center: Array
+    half: Array
+    radius: float
+
+    def placed(self, body: RenderBody, first_index: int) -> PackedBody:
+        """Return the body whose indices begin at a place."""
+        plain, textured, plain_coarse, textured_coarse, shadow = (
+            range(part.start + first_index, part.stop + first_index) for part in (*self.ranges, self.shadow)
+        )
+        return PackedBody(
+            key=body.key, entity=body.entity, plain=plain, textured=textured, plain_coarse=plain_coarse,
+            textured_coarse=textured_coarse, shadow=shadow, center=self.center, half=self.half, radius=self.radius,
+        )  # fmt: skip
+
+
+def _shape_of(kind: str, parts: Sequence[VisualPart], layers: Sequence[int], openness: Openness) -> _Shape:
+    """Return a body's shape: its untextured parts, the textured ones, then all coarse ones (untextured first)."""
+    order = sorted(range(len(parts)), key=lambda i: bool(parts[i].material.texture))
+    fine = [parts[i].mesh for i in order]
+    room = kind in SURROUNDINGS
     faces = sum(len(mesh.faces) for mesh in fine)
-    simplified = faces > MANY_FACES or (body.entity == "robot" and faces > 1.5 * COARSE_FACES)
+    simplified = faces > MANY_FACES or (kind == "robot" and faces > 1.5 * COARSE_FACES)
     coarse = coarse_meshes(fine, max(COARSE_FACES, faces // 6)) if simplified and not room else ()
-    if room or body.entity == "table":
+    if room or kind == "table":
         shades: Sequence[npt.NDArray[np.uint8]] = [np.full(len(mesh.vertices), 255, np.uint8) for mesh in fine]
     else:
         shades = openness(fine, [*fine, *coarse])
-    ranges: list[range] = []
+    arrays, ranges = _Arrays(), list[range]()
     for meshes in (fine, coarse or fine):
         first = middle = arrays.count
-        for part, mesh, shade in zip(parts, meshes, shades[len(ranges) // 2 * len(fine) :], strict=False):
-            arrays.add(*_shaped(part, mesh, textures.index(part.material.texture), shade, ids))
-            middle = middle if part.material.texture else arrays.count
+        for i, mesh, shade in zip(order, meshes, shades[len(ranges) // 2 * len(fine) :], strict=False):
+            arrays.add(*_shaped(parts[i], mesh, layers[i], shade))
+            middle = middle if parts[i].material.texture else arrays.count
         ranges += [range(first, middle), range(middle, arrays.count)]
         if not coarse:
             ranges *= 2
             break
-    points = np.concatenate([part.mesh.vertices for part in parts]).astype(float)
+    points = np.concatenate([mesh.vertices for mesh in fine]).astype(float)
     low, high = points.min(axis=0), points.max(axis=0)
     center = (low + high) / 2
-    return PackedBody(
-        key=body.key,
-        entity=body.entity,
-        plain=ranges[0],
-        textured=ranges[1],
-        plain_coarse=ranges[2],
-        textured_coarse=ranges[3],
-        shadow=range(0) if room else range(ranges[2].start, ranges[3].stop),
+    plain, textured, plain_coarse, textured_coarse = ranges
+    return _Shape(
+        parts=tuple(parts),
+        vertices=np.concatenate(arrays.vertices),
+        indices=np.concatenate(arrays.indices),
+        ranges=(plain, textured, plain_coarse, textured_coarse),
+        shadow=range(0) if room else range(plain_coarse.start, textured_coarse.stop),
         center=center,
         half=(high - low) / 2,
         radius=float(np.linalg.norm(points - center, axis=1).max()),
@@ -281,7 +333,7 @@ def linear(color: RGB) -> npt.NDArray[np.float64]:
 
 
 def _shaped(
-    part: VisualPart, mesh: TriangleMesh, layer: int, shade: npt.NDArray[np.uint8], ids: tuple[int, int]
+    part: VisualPart, mesh: TriangleMesh, layer: int, shade: npt.NDArray[np.uint8]
 ) -> tuple[npt.NDArray[np.void], npt.NDArray[np.uint32]]:
     if layer and mesh.uv is None:
         shade = shade[mesh.faces].reshape(-1)
@@ -294,7 +346,6 @@ def _shaped(
     packed["color"] = np.rint(255 * np.clip(color, 0.0, 1.0))
     packed["surface"][:, :2] = round(255 * min(max(part.material.roughness, 0.08), 1.0)), layer
     packed["surface"][:, 2] = shade
-    packed["ids"] = ids
     return packed, np.asarray(mesh.faces, dtype=np.uint32)
 
 

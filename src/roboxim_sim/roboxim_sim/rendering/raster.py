@@ -31,7 +31,7 @@ from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.draw_lists import CONTACT_REACH_M, MAX_LIGHTS, Frame
-from roboxim_sim.rendering.geometry import check_request, check_world, pack, texture_names
+from roboxim_sim.rendering.geometry import Packer, check_request, check_world, texture_names
 from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context
 from roboxim_sim.rendering.occlusion import OcclusionBaker
 from roboxim_sim.rendering.owner import Owner
@@ -75,6 +75,7 @@ class RasterRenderer:
         self._cover = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(2, "f4")], smooth=False)
         self._contact = Buffer(ctx, (CONTACT_SIZE, CONTACT_SIZE), [(1, "f1")])
         self._occlusion, self._textures = OcclusionBaker(ctx), TextureStore(ctx)
+        self._packer = Packer(self._occlusion.openness)
         self._world: tuple[GpuWorld, LookSpec] | None = None
         self._targets: list[_Target] = []
 
@@ -90,7 +91,7 @@ class RasterRenderer:
         check_world(world)
         with self._context:
             self._textures.hold(texture_names(world))
-            packed = pack(world, self._textures.names, self._occlusion.openness)
+            packed = self._packer.pack(world, self._textures.names)
         if len(packed.bodies) > self._max_bodies or len(world.look.lights) > MAX_LIGHTS:
             raise InvalidRequestError(
                 f"renderer 'raster' draws at most {self._max_bodies} bodies and {MAX_LIGHTS} lights, got "
