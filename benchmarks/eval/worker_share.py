@@ -1,13 +1,15 @@
 """What an evaluation's worker spends on anything but the policy and the simulator, counted within the worker.
 
 One worker runs episodes in this process. The simulator is what building and settling the world, physics and drawing
-take, with the rasteriser's threads; the policy is what its reset and its answers take, with its library's threads. All
-other processor time is the evaluation's own: drawing and planning the scene, checking what is visible, the loop, the
-judge, messages, the recorder, the middleware. `overhead` compares workers with episodes in another process, so other
-jobs of the machine change it more than this share, which divides times of the same seconds.
+take, with the rasteriser's threads; drawing includes the poses of bodies and cameras, and the pictures of a scene that
+tell what is visible in it, which have a row of their own. The policy is what its reset and its answers take, with its
+library's threads. Everything else is the evaluation's own: choosing and planning the scene, the loop, the judge,
+messages, the recorder, the middleware. `overhead` compares workers with episodes in another process, so other jobs of
+the machine change it more than this share, which divides times of the same seconds.
 
 In wall time, an evaluation's own share is the time in which neither the simulator nor the policy works. What the
-recorder does while the next tick is simulated counts as processor time but not as wall time. Both are printed.
+recorder does while the next tick is simulated counts as processor time but not as wall time. Both are printed; the
+headline is the share of wall time.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ from roboxim_core.config import to_plain
 from roboxim_core.episode import RunConfig
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_ros.runs import free_domain
+from roboxim_sim.node import SimNode
 from roboxim_sim.rendering.camera_effects import CameraRig
+from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.world import World
 
 TASK = "pick_cube"
@@ -48,6 +52,7 @@ class Counted:
         """Start at zero."""
         self.spent: Counter[str] = Counter()
         self.spans: list[tuple[float, float]] = []
+        self.wall: Counter[str] = Counter()
         self._inside = threading.local()
 
     def count(self, owner: Any, name: str, part: str) -> None:
@@ -63,6 +68,7 @@ class Counted:
             finally:
                 self.spent[part] += time.thread_time() - began_s
                 self.spans.append((began, time.monotonic()))
+                self.wall[name] += time.monotonic() - began
                 self._inside.now = False
 
         setattr(owner, name, counted)
@@ -94,7 +100,7 @@ def main() -> None:
         _answer_later(bench.options.answer_ms / 1000)
     for owner, name, part in (
         (World, "load", "simulator"), (World, "tick", "simulator"), (roboxim_sim.node, "render_world", "simulator"),
-        (CameraRig, "load", "simulator"), (CameraRig, "capture", "simulator"),
+        (CameraRig, "load", "simulator"), (SimNode, "_capture", "simulator"), (StateRenderer, "draw", "simulator"),
         (GuardedPolicy, "reset", "policy"), (GuardedPolicy, "act", "policy"),
     ):  # fmt: skip
         counted.count(owner, name, part)
@@ -105,6 +111,7 @@ def main() -> None:
             worker.run(index, lambda _: None)
         counted.spent.clear()
         counted.spans.clear()
+        counted.wall.clear()
         before, began, began_wall = _threads(), time.process_time(), time.monotonic()
         episodes = range(WARM, WARM + (2 if bench.quick else 12))
         ticks = sum(worker.run(index, lambda _: None)["last_seq"] + 1 for index in episodes)
@@ -120,11 +127,16 @@ def main() -> None:
         part="wall time, neither policy nor simulator", ms_per_tick=round(1000 * own_wall / ticks, 2),
         percent=round(100 * own_wall / wall, 1),
     )  # fmt: skip
+    checks = counted.wall["draw"]
+    bench.row(
+        part="wall time, pictures that tell what is visible", ms_per_tick=round(1000 * checks / ticks, 2),
+        percent=round(100 * checks / wall, 1),
+    )  # fmt: skip
     for thread, seconds in threads.most_common(8):
         percent = round(100 * seconds / total, 1)
         bench.row(part=f"thread {thread}", ms_per_tick=round(1000 * seconds / ticks, 2), percent=percent)
     bench.finish(
-        "share of a worker's processor time beside policy and simulator", round(100 * own / total, 1), "%", at_most=10
+        "share of a worker's wall time beside policy and simulator", round(100 * own_wall / wall, 1), "%", at_most=10
     )
 
 

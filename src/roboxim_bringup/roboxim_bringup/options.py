@@ -53,6 +53,14 @@ def with_executor(command: Any) -> Any:
     return command
 
 
+def with_training_resources(command: Any) -> Any:
+    """Add the option that says what a training takes of a Ray node; a decorator, above `with_executor`."""
+    return click.option(
+        "--training-resources", default="", metavar="NAME=N,...",
+        help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",
+    )(command)  # fmt: skip
+
+
 def parse_resources(option: str, text: str) -> dict[str, float]:
     """Parse ``CPU=2,GPU=0.25``; ``cpu`` and ``gpu`` may be written in small letters.
 
@@ -114,6 +122,30 @@ def make_executor(executor: str, address: str, resources: str, workers: int) -> 
     from roboxim_bringup.executors.ray_cluster import RayExecutor
 
     return RayExecutor(workers, address=address, resources=parse_resources("--resources", resources) or None)
+
+
+def make_training_executor(executor: str, address: str, resources: str, trainings: int) -> Any:
+    """Return what runs the trainings of an experiment; none: processes of this machine.
+
+    Args:
+        executor: ``local`` or ``ray``.
+        address: Address of the Ray cluster; empty: one on this machine.
+        resources: What a training takes of a Ray node, ``NAME=N,...``; empty: one CPU.
+        trainings: Number of trainings at a time.
+
+    Raises:
+        ConfigError: When Ray is not installed, or an option does not fit.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if executor == "local":
+        if resources:
+            raise ConfigError("--training-resources is for --executor ray")
+        return None
+    from roboxim_bringup.executors.ray_cluster import RayExecutor
+
+    taken = parse_resources("--training-resources", resources)
+    return RayExecutor(trainings, address=address, resources=taken or None)
 
 
 def make_policy_servers(executor: str, address: str, resources: str, servers: int, out: Path) -> list[Any]:

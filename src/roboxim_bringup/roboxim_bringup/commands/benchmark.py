@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from roboxim_bringup.named import Named
-from roboxim_bringup.options import with_executor
+from roboxim_bringup.options import with_executor, with_training_resources
 
 REPORT = "report"
 
@@ -68,16 +68,17 @@ def _run_command(name: str) -> click.Command:
         help="Trainings of an experiment at a time; they share processors and GPUs. Results do not depend on it.",
     )  # fmt: skip
     @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
+    @with_training_resources
     @with_executor
     def run(
         out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
         experiments: tuple[str, ...], cards: tuple[Path, ...], only: str, workers: int | None, trainings: int,
-        renderer: str, executor: str, address: str, resources: str,
+        renderer: str, executor: str, address: str, resources: str, training_resources: str,
     ) -> None:  # fmt: skip
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from contextlib import nullcontext
 
-        from roboxim_bringup.options import make_executor
+        from roboxim_bringup.options import make_executor, make_training_executor
         from roboxim_bringup.printer import EventPrinter
         from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark
         from roboxim_bringup.runs.experiment import KINDS, named_policies
@@ -89,8 +90,9 @@ def _run_command(name: str) -> click.Command:
             **({} if workers is None else {"workers": workers}),
         )  # fmt: skip
         runs_on = make_executor(executor, address, resources, config.workers)
+        trains_on = make_training_executor(executor, address, training_resources, config.trainings)
         with EventPrinter() as printer, runs_on or nullcontext():
-            result = run_benchmark(config, executor=runs_on, on_event=printer)
+            result = run_benchmark(config, executor=runs_on, training_executor=trains_on, on_event=printer)
         if result.card is None:
             click.echo(f"missing: {', '.join(result.missing)}")
             return

@@ -9,7 +9,7 @@ import click
 
 from roboxim_bringup.commands import _experiment_calibrate
 from roboxim_bringup.named import Named
-from roboxim_bringup.options import with_executor
+from roboxim_bringup.options import with_executor, with_training_resources
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -179,11 +179,12 @@ def plan(
     "--trained", type=click.Path(path_type=Path, exists=True), metavar="WHOLE",
     help="Folder of the whole experiment, whose trainings a shard evaluates.",
 )  # fmt: skip
+@with_training_resources
 @with_executor
 def run(
     name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
     only: str, workers: int | None, trainings: int, renderer: str, shard: str, trained: Path | None, executor: str,
-    address: str, resources: str,
+    address: str, resources: str, training_resources: str,
 ) -> None:  # fmt: skip
     r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
 
@@ -208,7 +209,7 @@ def run(
     """
     from contextlib import nullcontext
 
-    from roboxim_bringup.options import make_executor
+    from roboxim_bringup.options import make_executor, make_training_executor
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, named_policies, run_experiment
 
@@ -219,8 +220,9 @@ def run(
         shard=shard, trained=trained or "", trainings=trainings, **given,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
+    trains_on = make_training_executor(executor, address, training_resources, config.trainings)
     with EventPrinter() as printer, runs_on or nullcontext():
-        result = run_experiment(config, on_event=printer, executor=runs_on)
+        result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:
         click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
         click.echo(f"next, when all shards are there: roboxim merge {trained or 'WHOLE'} {out} ...")

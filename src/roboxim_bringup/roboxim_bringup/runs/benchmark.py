@@ -87,6 +87,7 @@ def run_benchmark(
     config: BenchmarkRunConfig,
     *,
     executor: Executor | None = None,
+    training_executor: Executor | None = None,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> BenchmarkResult:
@@ -95,6 +96,7 @@ def run_benchmark(
     Args:
         config: Configuration of the run.
         executor: Runs episodes and reads bags; none: processes of this machine.
+        training_executor: Runs the trainings, see `run_experiment`; none: processes of this machine.
         on_event: Receives the events of all stages.
         cancellation: Ends the run when it is set.
 
@@ -128,7 +130,7 @@ def run_benchmark(
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
                 workers=config.workers, trainings=config.trainings, renderer=config.renderer,
             ),
-            executor=executor, on_event=on_event, cancellation=cancellation,
+            executor=executor, training_executor=training_executor, on_event=on_event, cancellation=cancellation,
         )  # fmt: skip
         missing += [f"{name}/{stage}" for stage in result.missing]
         if result.card is None and not any(one.startswith(f"{name}/") for one in missing):

@@ -16,6 +16,7 @@ import shutil
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ from roboxim_bringup.runs.experiment_report import (
     write_experiment_report,
 )
 from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
-from roboxim_bringup.runs.experiment_trainings import train
+from roboxim_bringup.runs.experiment_trainings import Trained, train, train_on
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.learned_rates import rates_of_run
 from roboxim_bringup.runs.policies import PolicySpec
@@ -168,6 +169,7 @@ def run_experiment(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
+    training_executor: Executor | None = None,
 ) -> ExperimentResult:
     """Run the stages of an experiment that its folder lacks.
 
@@ -176,6 +178,8 @@ def run_experiment(
         on_event: Receives the events of all stages.
         cancellation: Ends the run when it is set.
         executor: Runs episodes and reads bags; none: processes of this machine.
+        training_executor: Runs the trainings, with as many workers as trainings at a time; its machines share the
+            experiment's folder. None: processes of this machine.
 
     Raises:
         CancelledError: When the run was cancelled; the same call continues.
@@ -194,7 +198,7 @@ def run_experiment(
         stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
         for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
             if kind == "train":
-                run.train(tuple(ones))
+                run.train(tuple(ones), training_executor)
             else:
                 for stage in ones:
                     run.finish(stage)
@@ -374,18 +378,21 @@ class _Run:
         whole = {stage.name: digest({"sha": stage.sha, "name": stage.name, "policy": None}) for stage in self.stages}
         return {name for name, key in whole.items() if key in keys}
 
-    def train(self, stages: Sequence[Stage]) -> None:
+    def train(self, stages: Sequence[Stage], executor: Executor | None) -> None:
         """Run the trainings that are not finished, several at a time."""
         done = self.done
         missing = [stage for stage in stages if stage.name not in done]
         for stage in missing:
             self._require_needs(stage, done)
-        train(
-            missing, self.out, at_once=self.config.trainings, on_event=self._runner.on_event,
+
+        def finished(one: Trained) -> None:
+            origin = {ORIGIN: dict(one.origin)} if one.origin else {}
+            self._log(one.stage, one.wall_s, continued=one.continued, at_once=round(one.at_once, 2), **origin)
+
+        run = partial(train, at_once=self.config.trainings) if executor is None else partial(train_on, executor)
+        run(
+            missing, self.out, on_event=self._runner.on_event, on_trained=finished,
             cancellation=self._runner.cancellation,
-            on_trained=lambda one: self._log(
-                one.stage, one.wall_s, continued=one.continued, at_once=round(one.at_once, 2)
-            ),
         )  # fmt: skip
 
     def finish(self, stage: Stage) -> None:

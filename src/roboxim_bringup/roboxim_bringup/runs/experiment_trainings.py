@@ -1,7 +1,8 @@
 """Trainings of an experiment: commands in processes of their own, several of them side by side.
 
-The caller's thread starts, watches and ends all of them. The kernel ends them with that thread, so that none outlives a
-killed run.
+`train` runs them on this machine: the caller's thread starts, watches and ends all of them. The kernel ends them with
+that thread, so that none outlives a killed run. `train_on` hands them to an executor, whose workers run `train`
+(`roboxim_bringup.runs.training_worker`).
 """
 
 from __future__ import annotations
@@ -16,16 +17,24 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from roboxim_bringup.executors import Cancellation, CancelledError
+from roboxim_bringup.executors import Cancellation, CancelledError, Done, Executor, Job, Note, Work
 from roboxim_bringup.process import describe_exit, spawn
 from roboxim_bringup.runs.event_log import VARIABLE
-from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, telling_interruption
-from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_bringup.runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    telling_interruption,
+)
+from roboxim_core.config import to_plain
+from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
 from roboxim_eval.experiments import Stage
 
 POLL_S = 0.05
@@ -52,6 +61,8 @@ class Trained:
     """Mean number of trainings that ran during it, itself included."""
     continued: bool
     """Whether an earlier call had begun it."""
+    origin: Mapping[str, Any] | None = None
+    """What it ran with on another machine, an `Origin` as plain data; none: it ran here."""
 
 
 def train(
@@ -90,6 +101,93 @@ def train(
             _run(waiting, running, out, at_once, on_event, on_trained, cancellation)
         finally:
             _end([training.process for training in running])
+
+
+def train_on(
+    executor: Executor,
+    stages: Sequence[Stage],
+    out: Path,
+    *,
+    on_event: OnEvent,
+    on_trained: Callable[[Trained], None],
+    cancellation: Cancellation | None = None,
+) -> None:
+    """Run trainings as jobs of an executor, whose machines share the experiment's folder.
+
+    When one fails, or the run is interrupted, all others are interrupted and have some seconds to save a checkpoint. A
+    training whose worker is lost goes on with another one, from its last checkpoint.
+
+    Args:
+        executor: Runs them; its number of workers is the number of trainings at a time.
+        stages: The trainings, in the order of their starts.
+        out: Folder of the experiment.
+        on_event: Receives progress, with the name of the training's stage.
+        on_trained: Receives each training when it has ended well.
+        cancellation: Ends the run when it is set.
+
+    Raises:
+        CancelledError: When the run was cancelled; the same call continues.
+        ConfigError: When a command cannot be started, or a machine does not see the folder.
+        RoboximError: When a training fails; the message has the end of its log.
+        UnavailableError: When three workers were lost at a training.
+    """
+    from roboxim_bringup.runs.training_worker import event_of
+
+    by_name, running = {stage.name: stage for stage in stages}, _Shared()
+
+    def on_note(note: Note) -> None:
+        if note.text:
+            running.end(note.key)
+            on_event(Notice(text=note.text))
+            return
+        running.begin(note.key)
+        if event := event_of(note.data):
+            on_event(event)
+
+    work = Work(worker="roboxim_bringup.runs.training_worker:TrainingWorker", settings={"out": str(out.absolute())})
+    jobs = [Job(key=stage.name, data=to_plain(stage)) for stage in stages]
+
+    def unfinished() -> str:
+        return f"interrupted: {running or 'no training'}; the same call or command continues"
+
+    with telling_interruption(on_event, unfinished):
+        for outcome in executor.run(work, jobs, on_note=on_note, cancellation=cancellation) if jobs else ():
+            at_once = running.end(outcome.key)
+            if not isinstance(outcome, Done):
+                raise UnavailableError(f"{outcome.key}: {outcome.message}; the same command continues")
+            on_trained(Trained(stage=by_name[outcome.key], at_once=at_once, **outcome.value))
+
+
+class _Shared:
+    """The trainings that run on other machines, and how many ran beside each."""
+
+    def __init__(self) -> None:
+        self._running: dict[str, list[float]] = {}
+        self._counted = time.monotonic()
+
+    def __bool__(self) -> bool:
+        return bool(self._running)
+
+    def __str__(self) -> str:
+        return ", ".join(f"training {name.removeprefix('train/')}" for name in self._running)
+
+    def begin(self, name: str) -> None:
+        """Count a training from now on."""
+        self._count()
+        self._running.setdefault(name, [0.0, 0.0])
+
+    def end(self, name: str) -> float:
+        """Forget a training; return the mean number of trainings that ran during it, itself included."""
+        self._count()
+        alone_s, shared_s = self._running.pop(name, (0.0, 0.0))
+        return max(1.0, shared_s / alone_s) if alone_s else 1.0
+
+    def _count(self) -> None:
+        now = time.monotonic()
+        for spent in self._running.values():
+            spent[0] += now - self._counted
+            spent[1] += (now - self._counted) * len(self._running)
+        self._counted = now
 
 
 def _run(

@@ -11,15 +11,16 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.executors import CancelledError
-from roboxim_bringup.runs import experiment_trainings
-from roboxim_bringup.runs.events import Interrupted, StageFinished, StageProgress, StageStarted, ignore
-from roboxim_bringup.runs.experiment_trainings import started, train
-from roboxim_core.errors import RoboximError
+from roboxim_bringup.executors import CancelledError, LocalExecutor, WorkerBrokenError
+from roboxim_bringup.runs import experiment_trainings, training_worker
+from roboxim_bringup.runs.events import Interrupted, Notice, StageFinished, StageProgress, StageStarted, ignore
+from roboxim_bringup.runs.experiment_trainings import started, train, train_on
+from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments import Stage
 
 TRAINER = """
@@ -61,10 +62,12 @@ class Trainers:
 
     place: Path
 
-    def run(self, number, *, at_once, steps=7, on_event=ignore, cancellation=None):
+    def run(self, number, *, at_once, steps=7, on_event=ignore, cancellation=None, executor=False):
         found = []
+        (self.place / "out/export/mine.0").mkdir(parents=True, exist_ok=True)
+        run = partial(train_on, LocalExecutor(at_once)) if executor else partial(train, at_once=at_once)
         command = shlex.join([sys.executable, "-S", str(self.place / "trainer.py"), str(self.place)])
-        train(
+        run(
             [
                 Stage(
                     name=f"train/mine.{seed}", kind="train", needs=("export/mine.0",), sha="",
@@ -73,7 +76,7 @@ class Trainers:
                 )
                 for seed in range(number)
             ],
-            self.place / "out", at_once=at_once, on_event=on_event, on_trained=found.append, cancellation=cancellation,
+            self.place / "out", on_event=on_event, on_trained=found.append, cancellation=cancellation,
         )  # fmt: skip
         return found
 
@@ -279,3 +282,89 @@ def test_a_script_may_be_the_trainer_of_roboxim(tmp_path):
     with (tmp_path / "log").open("wb") as log:
         assert started(words, log).wait(60) == 0
     assert (tmp_path / "log").read_text().startswith("roboxim")
+
+
+# ------------------------------------------------------------------ trainings as jobs of an executor
+
+
+def test_workers_of_an_executor_train(trainers):
+    events = []
+    with trainers.begun(3, at_once=2, executor=True, on_event=events.append) as result:
+        with trainers.gate(0), trainers.gate(1):
+            pass
+        trainers.gate(2).close()
+        found = result.result()
+    assert trainers.most_at_once == 2
+    assert [trainers.checkpoint(seed) for seed in range(3)] == ["whole"] * 3
+    assert sorted(one.stage.name for one in found) == [f"train/mine.{seed}" for seed in range(3)]
+    assert all(one.origin["device"] and not one.continued and 1.0 <= one.at_once < 2.01 for one in found)
+    for seed in range(3):
+        mine = [event for event in events if getattr(event, "name", "") == f"train/mine.{seed}"]
+        assert isinstance(mine[0], StageStarted)
+        assert isinstance(mine[-1], StageFinished)
+    assert list((trainers.place / "out/train").glob(".*")) == []
+
+
+def test_a_training_of_an_executor_that_fails_ends_the_run(trainers):
+    with trainers.begun(3, at_once=2, executor=True) as result, trainers.gate(0):
+        with trainers.gate(1) as gate:
+            gate.write("fail")
+        with pytest.raises(RoboximError, match="train/mine.1: .* exit code 1") as caught:
+            result.result()
+    assert "no space left on the device" in str(caught.value)
+    assert trainers.checkpoint(0) == "half"
+    assert "begins 2" not in (trainers.place / "journal").read_text()
+
+
+def test_trainings_of_an_executor_are_cancelled_with_checkpoints(trainers):
+    cancellation, events = threading.Event(), []
+    begun = trainers.begun(2, at_once=2, executor=True, cancellation=cancellation, on_event=events.append)
+    with begun as result, trainers.gate(0), trainers.gate(1):
+        cancellation.set()
+        with pytest.raises(CancelledError):
+            result.result()
+    assert [trainers.checkpoint(seed) for seed in range(2)] == ["half"] * 2
+    (text,) = [event.text for event in events if isinstance(event, Interrupted)]
+    assert "training mine.0" in text
+
+
+def test_a_training_whose_worker_is_killed_goes_on_with_another_one(trainers, monkeypatch):
+    events = []
+    with trainers.begun(1, at_once=1, executor=True, on_event=events.append) as result:
+        with trainers.gate(0) as gate:
+            parent = int((trainers.place / "out/train/.mine.0.worker").read_text().split()[1])
+            os.kill(parent, signal.SIGKILL)
+            poll = select.poll()
+            poll.register(gate, 0)
+            assert poll.poll(60_000), "the training did not end with its worker"
+        trainers.gate(0).close()
+        (one,) = result.result()
+    assert one.continued
+    assert trainers.checkpoint(0) == "whole"
+    assert any("died at train/mine.0" in event.text for event in events if isinstance(event, Notice))
+
+
+def test_a_worker_that_was_given_up_ends_its_training(trainers, monkeypatch):
+    """Another worker has written its name beside the folder, e.g. since this one's node was cut off."""
+    monkeypatch.setattr(training_worker, "LOOK_S", 0.0)
+    worker = training_worker.TrainingWorker({"out": str(trainers.place / "out")}, 0)
+    (trainers.place / "out/export/mine.0").mkdir(parents=True)
+    stage = {
+        "name": "train/mine.0", "kind": "train", "needs": ["export/mine.0"], "sha": "",
+        "inputs": {"command": f"sh -c 'cat {trainers.place}/gate0'", "seed": 0, "steps": 0, "checkpoints": [],
+                   "until": ""},
+    }  # fmt: skip
+    name = trainers.place / "out/train/.mine.0.worker"
+    with ThreadPoolExecutor(1) as pool:
+        result = pool.submit(worker.run, stage, ignore)
+        with trainers.gate(0):
+            name.write_text("another one")
+            with pytest.raises(WorkerBrokenError, match="another one has taken"):
+                result.result()
+    assert name.read_text() == "another one"
+
+
+def test_a_machine_that_does_not_see_the_folder_is_named(tmp_path):
+    stage = {"name": "train/mine.0", "kind": "train", "needs": ["export/mine.0"], "sha": "", "inputs": {}}
+    with pytest.raises(ConfigError, match="does not see .*export/mine.0.*share"):
+        training_worker.TrainingWorker({"out": str(tmp_path)}, 0).run(stage, ignore)
