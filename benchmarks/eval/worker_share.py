@@ -15,6 +15,7 @@ headline is the share of wall time.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import tempfile
 import threading
@@ -109,6 +110,7 @@ def main() -> None:
         worker = _worker(bench, out)
         for index in range(WARM):
             worker.run(index, lambda _: None)
+        gc.freeze()  # as a worker's process does after its first episode
         counted.spent.clear()
         counted.spans.clear()
         counted.wall.clear()

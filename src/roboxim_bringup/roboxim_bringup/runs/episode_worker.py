@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -53,7 +52,6 @@ class EpisodeWorker:
         self._config = config
         self._served = bool(settings.get("served"))
         self._heard = time.monotonic()
-        self._frozen = False
         self._host = NodeHost()
         try:
             start_graph(self._host, **vars(graph))
@@ -85,9 +83,6 @@ class EpisodeWorker:
             if error.code in WORKER_FAULTS:
                 raise WorkerBrokenError(str(error)) from None
             raise
-        if not self._frozen:
-            self._frozen = True
-            gc.freeze()  # what is loaded stays: a search for garbage among it takes 0.15 s, every few episodes
         result: dict[str, Any] = to_plain(from_msg(answer.results[0], EpisodeResult))
         if self._served and result["reason"] == ErrorCode.POLICY_DIED.name.lower():
             raise WorkerBrokenError(f"its policy server was lost: {result['message']}")
@@ -102,7 +97,6 @@ class EpisodeWorker:
 
     def close(self) -> None:
         """End the graph."""
-        gc.unfreeze()
         self._action.close()
         self._clients.close()
         self._host.close()
