@@ -81,17 +81,22 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
 
 def test_a_benchmark_runs_its_episodes_where_it_is_told(planted_benchmark, tmp_path, monkeypatch):
     file, _ = planted_benchmark
-    planted, cluster, used = benchmark.run_experiment, nullcontext(), []
+    planted, cluster, nodes, used = benchmark.run_experiment, nullcontext(), object(), []
 
-    def run_experiment(config, *, executor, **more):
-        used.append(executor)
+    def run_experiment(config, *, executor, training_executor, **more):
+        used.append((executor, training_executor))
         return planted(config, **more)
 
     monkeypatch.setattr(benchmark, "run_experiment", run_experiment)
     monkeypatch.setattr(options, "make_executor", lambda *given: cluster if given[:2] == ("ray", "auto") else None)
+    monkeypatch.setattr(
+        options, "make_training_executor",
+        lambda *given: nodes if given == ("ray", "auto", "CPU=8,GPU=1", 3) else None,
+    )  # fmt: skip
     words = [str(file), "--scale", "night", "--out", str(tmp_path / "out"), "--executor", "ray", "--address", "auto"]
+    words += ["--trainings", "3", "--training-resources", "CPU=8,GPU=1"]
     CliRunner().invoke(benchmark_command, words, catch_exceptions=False)
-    assert used == [cluster, cluster]
+    assert used == [(cluster, nodes)] * 2
 
 
 def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted_benchmark, tmp_path, monkeypatch):
