@@ -275,13 +275,13 @@ class RecorderClient:
 
         A recorder of this process gets it by a call. It is then published only if others than the recorder listen.
         """
-        self._sent, self._call = (step.episode_id, step.seq), None
+        self._sent = self._call = None  # what is refused here is not waited for
         taken = self._clients.send_local(RECORD_STEP, step)
-        if taken is not None:
-            if self._clients.value_of(taken, RECORD_STEP, MESSAGE_TIMEOUT_S):
-                self._sent = None
-            else:
-                self._call = self._clients.send_local(RECORD_ARRIVING, step)
+        if taken is None or not self._clients.value_of(taken, RECORD_STEP, MESSAGE_TIMEOUT_S):
+            self._call = None if taken is None else self._clients.send_local(RECORD_ARRIVING, step)
+            if taken is not None and self._call is None:
+                raise UnavailableError(f"the recorder ended before tick {step.seq} of '{step.episode_id}'")
+            self._sent = step.episode_id, step.seq
         if taken is None or self._publisher.get_subscription_count() > 1:
             self._publisher.publish(to_msg(step, EpisodeStepMsg))
 

@@ -103,6 +103,7 @@ def _run_jobs(worker: Worker, connection: Connection[Any, Any], send: Send) -> i
             send("done", worker.run(job, lambda note: send("note", note)))
             if first:
                 first = False
+                gc.collect()
                 gc.freeze()  # what is loaded stays: a search for garbage among it takes 0.15 s, every few episodes
         except WorkerBrokenError as broken:
             send("broken", str(broken))

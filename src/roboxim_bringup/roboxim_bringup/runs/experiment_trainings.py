@@ -17,7 +17,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -73,6 +73,7 @@ def train(
     on_event: OnEvent,
     on_trained: Callable[[Trained], None],
     cancellation: Cancellation | None = None,
+    end_s: float = END_S,
 ) -> None:
     """Run trainings, at most a number of them side by side; the next one starts when one ends.
 
@@ -85,6 +86,7 @@ def train(
         on_event: Receives progress, with the name of the training's stage.
         on_trained: Receives each training when it has ended well.
         cancellation: Ends the run when it is set.
+        end_s: Longest time for interrupted trainings to save their checkpoints [s].
 
     Raises:
         CancelledError: When the run was cancelled; the same call continues.
@@ -100,7 +102,7 @@ def train(
         try:
             _run(waiting, running, out, at_once, on_event, on_trained, cancellation)
         finally:
-            _end([training.process for training in running])
+            _end([training.process for training in running], end_s)
 
 
 def train_on(
@@ -151,11 +153,18 @@ def train_on(
         return f"interrupted: {running or 'no training'}; the same call or command continues"
 
     with telling_interruption(on_event, unfinished):
-        for outcome in executor.run(work, jobs, on_note=on_note, cancellation=cancellation) if jobs else ():
-            at_once = running.end(outcome.key)
-            if not isinstance(outcome, Done):
-                raise UnavailableError(f"{outcome.key}: {outcome.message}; the same command continues")
-            on_trained(Trained(stage=by_name[outcome.key], at_once=at_once, **outcome.value))
+        if not jobs:
+            return
+        outcomes = executor.run(work, jobs, on_note=on_note, cancellation=cancellation)
+        try:
+            for outcome in outcomes:
+                at_once = running.end(outcome.key)
+                if not isinstance(outcome, Done):
+                    raise UnavailableError(f"{outcome.key}: {outcome.message}; the same command continues")
+                on_trained(Trained(stage=by_name[outcome.key], at_once=at_once, **outcome.value))
+        finally:
+            if isinstance(outcomes, Generator):
+                outcomes.close()  # ends the other trainings now, not when the error is forgotten
 
 
 class _Shared:
@@ -402,12 +411,12 @@ def started(words: Sequence[str], log: IO[Any], reports: Path | None = None) -> 
     return spawn("roboxim_bringup.run_command", words, output=log, environment=environment)
 
 
-def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+def _end(processes: Sequence[subprocess.Popen[bytes]], end_s: float) -> None:
     """End trainings: each may save a checkpoint first."""
     alive = [process for process in processes if process.poll() is None]
     for process in alive:
         os.killpg(process.pid, signal.SIGINT)
-    deadline = time.monotonic() + END_S
+    deadline = time.monotonic() + end_s
     for process in alive:
         try:
             process.wait(max(0.0, deadline - time.monotonic()))

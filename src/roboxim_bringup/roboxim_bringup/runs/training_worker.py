@@ -30,8 +30,11 @@ from roboxim_eval.experiments import Stage
 
 LOOK_S = 1.0
 """Period at which a worker looks whether a training is still its own [s]."""
-YIELD_S = 5.0
-"""Time that a worker before has for ending its training [s]."""
+SAVE_S = 3.0
+"""Longest time for an interrupted training to save its checkpoint [s]: its whole process group ends before this worker
+is killed, and before another worker that has taken it over begins."""
+YIELD_S = 8.0
+"""Time that a worker before has for ending its training [s]; more than `LOOK_S` and `SAVE_S`."""
 ALIVE_S = 20.0
 """Longest time for which a worker tells nothing [s]."""
 TOLD = {event.__name__: event for event in (StageStarted, StageProgress, StageFinished)}
@@ -83,7 +86,15 @@ class TrainingWorker:
                 note({"event": type(event).__name__, "fields": to_plain(event)})
 
         with _Ownership(self._out / stage.name, lambda: note(None)) as ownership:
-            train((stage,), self._out, at_once=1, on_event=tell, on_trained=found.append, cancellation=ownership)
+            train(
+                (stage,),
+                self._out,
+                at_once=1,
+                on_event=tell,
+                on_trained=found.append,
+                cancellation=ownership,
+                end_s=SAVE_S,
+            )
         (one,) = found
         return {"wall_s": one.wall_s, "continued": one.continued, "origin": to_plain(Origin.here())}
 
