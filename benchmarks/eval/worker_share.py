@@ -8,8 +8,9 @@ messages, the recorder, the middleware. `overhead` compares workers with episode
 the machine change it more than this share, which divides times of the same seconds.
 
 In wall time, an evaluation's own share is the time in which neither the simulator nor the policy works. What the
-recorder does while the next tick is simulated counts as processor time but not as wall time. Both are printed; the
-headline is the share of wall time.
+recorder does while the next tick is simulated counts as processor time but not as wall time. Where it slows the
+simulator down, that is the simulator's time here; `overhead` counts it. Both shares are printed; the headline is that
+of wall time.
 """
 
 from __future__ import annotations
@@ -110,6 +111,7 @@ def main() -> None:
         worker = _worker(bench, out)
         for index in range(WARM):
             worker.run(index, lambda _: None)
+        gc.collect()
         gc.freeze()  # as a worker's process does after its first episode
         counted.spent.clear()
         counted.spans.clear()

@@ -94,7 +94,8 @@ class Origin:
     renderer: str = ""
     """Renderer of its images; empty: it draws none."""
     device: str = ""
-    """Machine of the command, see `device`; empty: a version wrote the line that did not store it."""
+    """Machine of the command, or that of a training elsewhere, see `device`; empty: an earlier version wrote the line,
+    which did not store it."""
 
     @staticmethod
     def here(renderer: str = "") -> Origin:

@@ -101,14 +101,15 @@ def _numbers(option: str, text: str, kind: Callable[[str], Number], word: str, e
     return found
 
 
-def make_executor(executor: str, address: str, resources: str, workers: int) -> Any:
-    """Return what runs the episodes; none: the run's own choice, processes of this machine.
+def make_executor(executor: str, address: str, resources: str, workers: int, *, option: str = "--resources") -> Any:
+    """Return what runs the episodes, or the trainings; none: the run's own choice, processes of this machine.
 
     Args:
         executor: ``local`` or ``ray``.
         address: Address of the Ray cluster; empty: one on this machine.
         resources: ``NAME=N,...``; empty: one CPU.
         workers: Number of workers.
+        option: Name of the option with the resources, for errors.
 
     Raises:
         ConfigError: When Ray is not installed, or an option does not fit.
@@ -117,35 +118,11 @@ def make_executor(executor: str, address: str, resources: str, workers: int) -> 
 
     if executor == "local":
         if address or resources:
-            raise ConfigError("--address and --resources are for --executor ray")
+            raise ConfigError(f"--address and {option} are for --executor ray")
         return None
     from roboxim_bringup.executors.ray_cluster import RayExecutor
 
-    return RayExecutor(workers, address=address, resources=parse_resources("--resources", resources) or None)
-
-
-def make_training_executor(executor: str, address: str, resources: str, trainings: int) -> Any:
-    """Return what runs the trainings of an experiment; none: processes of this machine.
-
-    Args:
-        executor: ``local`` or ``ray``.
-        address: Address of the Ray cluster; empty: one on this machine.
-        resources: What a training takes of a Ray node, ``NAME=N,...``; empty: one CPU.
-        trainings: Number of trainings at a time.
-
-    Raises:
-        ConfigError: When Ray is not installed, or an option does not fit.
-    """
-    from roboxim_core.errors import ConfigError
-
-    if executor == "local":
-        if resources:
-            raise ConfigError("--training-resources is for --executor ray")
-        return None
-    from roboxim_bringup.executors.ray_cluster import RayExecutor
-
-    taken = parse_resources("--training-resources", resources)
-    return RayExecutor(trainings, address=address, resources=taken or None)
+    return RayExecutor(workers, address=address, resources=parse_resources(option, resources) or None, option=option)
 
 
 def make_policy_servers(executor: str, address: str, resources: str, servers: int, out: Path) -> list[Any]:

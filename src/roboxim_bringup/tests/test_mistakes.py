@@ -46,7 +46,7 @@ def test_training_needs_a_dataset_not_a_run(run, tmp_path):
 def test_resources_of_trainings_need_a_cluster(tmp_path):
     given = ("--scale", "smoke", "--out", tmp_path / "out", "--training-resources", "GPU=1")
     for words in (("experiment", "run", "skill_object"), ("benchmark", "transfer")):
-        assert "--training-resources is for --executor ray" in mistake(*words, *given)
+        assert "--training-resources are for --executor ray" in mistake(*words, *given)
 
 
 def test_training_refuses_a_file_as_its_folder_and_an_empty_configuration(run, tmp_path):

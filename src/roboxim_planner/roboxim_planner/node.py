@@ -63,6 +63,8 @@ from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 
 FEEDBACK_PERIOD_S = 0.1
+BUSY_S = 120.0
+"""Longest wait of a service for the request before it, e.g. an action with a long time-out [s]."""
 LATEST = "latest"
 """Episode id that stands for the newest state of the sim; for interactive use, since it is not reproducible."""
 
@@ -191,8 +193,12 @@ class PlannerNode(RoboximNode):
 
     def _one_at_a_time(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
         def guarded(request: Any, response: Any) -> None:
-            with self._busy:
+            if not self._busy.acquire(timeout=BUSY_S):
+                raise RequestTimeoutError(f"the planner has been busy with another request for {BUSY_S:g} s")
+            try:
                 handler(request, response)
+            finally:
+                self._busy.release()
 
         return guarded
 

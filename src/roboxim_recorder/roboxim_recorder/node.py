@@ -38,7 +38,7 @@ from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
 from roboxim_core import limits
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RequestTimeoutError, RoboximError, one_of
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
@@ -81,7 +81,7 @@ class RecorderNode(RoboximNode):
         self._failed = ""
         self._opened_ns = 0
         self._called = False  # the open episode's steps come by calls
-        self._storing = _Storing()
+        self._storing: _Storing | None = None
         self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
@@ -236,13 +236,15 @@ class RecorderNode(RoboximNode):
         if tick is None or recording.next_seq != step.seq:
             return False
         try:
-            if recording.add_tick(step.stamp_ns, lambda: _content(tick, step)):
-                self._storing.wait()
-                recording.end_chunk()
-                self._store(recording)
+            ends_chunk = recording.add_tick(step.stamp_ns, lambda: _content(tick, step))
         except RoboximError as error:
             self._drop_faulty(recording, error)
             raise
+        if ends_chunk:
+            if self._storing is not None:
+                self._storing.wait()
+            recording.end_chunk()
+            self._store(recording)
         return True
 
     def _on_arriving_call(self, step: EpisodeStep) -> None:
@@ -319,17 +321,13 @@ class _Storing:
 
     lockstep = True
 
-    def __init__(self, node: RecorderNode | None = None, recording: EpisodeRecording | None = None) -> None:
-        """Store a recording's last chunk; without arguments: nothing is left to store."""
+    def __init__(self, node: RecorderNode, recording: EpisodeRecording) -> None:
         self._node, self._recording = node, recording
         self._done = threading.Event()
-        if node is None:
-            self._done.set()
 
     def __call__(self) -> None:
         try:
-            if self._node is not None and self._recording is not None:
-                self._node.flush(self._recording)
+            self._node.flush(self._recording)
         finally:
             self._done.set()
 
@@ -341,12 +339,10 @@ class _Storing:
         """Wait for the end.
 
         Raises:
-            RecorderError: When it takes too long.
+            RequestTimeoutError: When it takes too long.
         """
         if not self._done.wait(STORE_S):
-            raise RecorderError(
-                f"a chunk of the bag is not stored after {STORE_S:g} s; does the disk answer?", ErrorCode.DISK
-            )
+            raise RequestTimeoutError(f"a chunk of the bag is not stored after {STORE_S:g} s; does the disk answer?")
 
 
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:

@@ -53,7 +53,7 @@ class TickContent:
 
     messages: Mapping[str, memoryview]
     """The sim's messages by their topics in the bag, the notice among them, without undefined bytes (`CleanMessage`),
-    as `roboxim_ros.serialising` makes them."""
+    as `roboxim_ros.serialising` makes them (`tests/test_serialised_ticks.py` asserts it)."""
     step: memoryview
     """The loop's step."""
 
@@ -275,7 +275,7 @@ class EpisodeRecording:
     def flush(self) -> None:
         """Compress and store the last ticks, if it is their turn; call it when nobody waits for the recording.
 
-        An error is raised by the next `message` or `close`, which somebody waits for.
+        An error is raised by the next `message`, `add_tick` or `close`, which somebody waits for.
         """
         if self._flush_until == NOTHING_DUE:
             return

@@ -2,9 +2,9 @@
 
 `Clients.call` hands the request to a node of the same process (`roboxim_ros.local_calls`), or else takes the answer
 from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` calls a function of the core's values that
-a node of the same process offers. Everything else on the clients' node needs an
-executor: subscriptions, action clients, rclpy's own service clients. If a callback waited for its own executor, it
-would wait forever. A separate thread therefore spins this node.
+a node of the same process offers. Everything else on the clients' node needs an executor: subscriptions, action
+clients, rclpy's own service clients. If a callback waited for its own executor, it would wait forever. A separate
+thread therefore spins this node.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Clients:
             srv_type: Service class.
             name: Service name, relative to the namespace.
             request: The request.
-            timeout_s: Longest wait for the answer [s].
+            timeout_s: Longest wait for the answer [s]; handlers that run in the caller's thread have their own limits.
             wait_s: Longest wait for the service to appear [s]; None: `APPEARANCE_S`.
             check: Raise the error in the response's ``error_code``; false: return the response with any code.
 

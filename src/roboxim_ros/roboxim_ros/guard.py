@@ -218,8 +218,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
             srv_name: Name, relative to the namespace.
             callback: The handler.
             *args: Passed to rclpy.
-            inline: Whether callers of this process run the handler in their own thread; it must be safe to call from
-                several threads.
+            inline: Whether callers of this process run the handler in their own thread, see `roboxim_ros.local_calls`.
             **kwargs: Passed to rclpy.
         """
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
@@ -234,9 +233,9 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
 
         Args:
             name: Name, relative to the namespace; a service of the same name serves other processes.
-            function: Called in the node's thread; not a coroutine function. An exception is raised at the caller, with
-                the same code and message as from a service.
-            inline: Whether callers run it in their own thread; it must be safe to call from several threads.
+            function: Called in the node's thread unless ``inline``; not a coroutine function. An exception is raised at
+                the caller, with the same code and message as from a service.
+            inline: Whether callers run it in their own thread, see `roboxim_ros.local_calls`.
         """
 
         def described(error: BaseException) -> tuple[ErrorCode, str] | None:

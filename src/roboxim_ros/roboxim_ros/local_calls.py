@@ -6,10 +6,11 @@ wait set is built. Values are shared, so neither side may change what it has han
 that are read-only or given away.
 
 Services are offered in the same way (`LocalService`): the handler gets the caller's request, and the caller the
-handler's response. Neither may be used again by who has handed it over.
+handler's response. Whoever has handed one over may not use it again.
 
 The node needs a `LockstepExecutor`. What is offered *inline* runs in the caller's thread instead, which saves two
-changes of threads and works with any executor: the function or handler must then be safe to call from several threads.
+changes of threads and works with any executor. It must be safe beside what the node's thread does, and it ends no
+earlier than it wants: the caller's time-out does not apply.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class LocalFunction(_Offer):
 
         Args:
             node: The node that offers it.
-            function: Called in the node's thread.
+            function: The function.
             describe: Called with what the function raises.
             inline: See the module.
         """

@@ -22,7 +22,8 @@ C = TypeVar("C")
 class RoboximNode(GuardedNode):
     """A node whose handlers raise `RoboximError` and whose answers carry its code; see `GuardedNode`.
 
-    Handlers run in the node's executor thread, one at a time; they may use `clients_of_node`.
+    Handlers run in the node's executor thread, one at a time, unless they are inline (`roboxim_ros.local_calls`).
+    They may use `clients_of_node`.
     """
 
     def __init__(

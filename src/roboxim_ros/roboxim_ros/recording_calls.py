@@ -7,7 +7,8 @@ from __future__ import annotations
 
 RECORD_STEP = "recorder/record_step"
 """Name, relative to the graph's namespace, of the function that takes a `roboxim_core.episode.EpisodeStep`
-(`roboxim_ros.local_calls`) and returns whether the tick was taken; it may be called from any thread."""
+(`roboxim_ros.local_calls`) and returns whether the tick was taken. It runs in the caller's thread, for one caller at a
+time."""
 RECORD_ARRIVING = "recorder/record_arriving"
 """Name of the function that takes the step of a tick whose messages come from the middleware."""
 RECORD_RECEIVED = "recorder/record_received"

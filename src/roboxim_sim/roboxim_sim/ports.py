@@ -34,7 +34,7 @@ class SimConfig:
         default=True,
         metadata={
             "description": "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
-            "one; otherwise it gets the scene's topics and the next tick"
+            "one; otherwise it gets the scene's topics and the ticks from 0.1 s later on"
         },
     )
     """Whether ticks are published when nobody listens. The workers of runs leave it out: nodes of their process take

@@ -78,7 +78,7 @@ def _run_command(name: str) -> click.Command:
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from contextlib import nullcontext
 
-        from roboxim_bringup.options import make_executor, make_training_executor
+        from roboxim_bringup.options import make_executor
         from roboxim_bringup.printer import EventPrinter
         from roboxim_bringup.runs.benchmark import BenchmarkRunConfig, run_benchmark
         from roboxim_bringup.runs.experiment import KINDS, named_policies
@@ -90,7 +90,9 @@ def _run_command(name: str) -> click.Command:
             **({} if workers is None else {"workers": workers}),
         )  # fmt: skip
         runs_on = make_executor(executor, address, resources, config.workers)
-        trains_on = make_training_executor(executor, address, training_resources, config.trainings)
+        trains_on = make_executor(
+            executor, address, training_resources, config.trainings, option="--training-resources"
+        )
         with EventPrinter() as printer, runs_on or nullcontext():
             result = run_benchmark(config, executor=runs_on, training_executor=trains_on, on_event=printer)
         if result.card is None:

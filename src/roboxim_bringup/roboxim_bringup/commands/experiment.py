@@ -209,7 +209,7 @@ def run(
     """
     from contextlib import nullcontext
 
-    from roboxim_bringup.options import make_executor, make_training_executor
+    from roboxim_bringup.options import make_executor
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.experiment import KINDS, ExperimentRunConfig, named_policies, run_experiment
 
@@ -220,7 +220,7 @@ def run(
         shard=shard, trained=trained or "", trainings=trainings, **given,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
-    trains_on = make_training_executor(executor, address, training_resources, config.trainings)
+    trains_on = make_executor(executor, address, training_resources, config.trainings, option="--training-resources")
     with EventPrinter() as printer, runs_on or nullcontext():
         result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:

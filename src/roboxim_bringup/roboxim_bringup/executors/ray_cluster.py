@@ -55,6 +55,7 @@ class RayExecutor:
         address: str = "",
         resources: Mapping[str, float] | None = None,
         stall_s: float = STALL_S,
+        option: str = "--resources",
     ) -> None:
         """Make the executor. `run` connects to the cluster and starts the workers.
 
@@ -64,6 +65,7 @@ class RayExecutor:
                 for this run.
             resources: What a worker takes of a node: ``CPU``, ``GPU``, or names of the cluster; none: one CPU.
             stall_s: A worker that is silent for this time counts as dead [s].
+            option: Name of the option that sets the resources, for errors.
 
         Raises:
             ConfigError: When Ray is not installed.
@@ -72,6 +74,7 @@ class RayExecutor:
         self._connection = contextlib.ExitStack()
         self.workers, self.address, self.stall_s = workers, address, stall_s
         self.resources = dict(resources or {"CPU": 1.0})
+        self._option = option
 
     def __enter__(self) -> RayExecutor:
         """Stay connected until the block ends, so that several runs share one connection, or one cluster of their own.
@@ -109,7 +112,8 @@ class RayExecutor:
         with _connected(self.address, self.workers) as ray:
             pool = Pool(
                 lambda number, closing: _RayPlace(
-                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing, crew
+                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing, crew,
+                    self._option,
                 ),
                 jobs, self.workers, before_retry,
             )  # fmt: skip
@@ -187,11 +191,11 @@ class _RayPlace:
 
     def __init__(
         self, ray: Any, work: Work, number: int, resources: Mapping[str, float], stall_s: float,
-        closing: threading.Event, crew: _Crew,
+        closing: threading.Event, crew: _Crew, option: str,
     ) -> None:  # fmt: skip
         self.log = "not started"
         self._ray, self._work, self._number, self._stall_s, self._closing = ray, work, number, stall_s, closing
-        self._resources, self._crew = dict(resources), crew
+        self._resources, self._crew, self._option = dict(resources), crew, option
         self._actor: Any = None
         self._placed = self._lost = self._killed = False
 
@@ -265,7 +269,7 @@ class _RayPlace:
                     if waiting_for:
                         raise UnavailableError(
                             f"no {waiting_for} ({self._resources}) for {within_s:g} s; the cluster has "
-                            f"{self._ray.cluster_resources()}; ask for less with --resources, or add nodes"
+                            f"{self._ray.cluster_resources()}; ask for less with {self._option}, or add nodes"
                         )
                     self._lost = True
                     raise WorkerDiedError(f"its node did not answer for {within_s:g} s")

@@ -214,7 +214,8 @@ def run_experiment(
         )  # fmt: skip
         write_card(card, run.out)
         write_experiment_report(folder, card)
-        run.learn_rates(name)
+        if training_executor is None:
+            run.learn_rates(name)
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing,
         waiting=tuple(name for name in missing if run.waits_for_policy(name)), card=card,

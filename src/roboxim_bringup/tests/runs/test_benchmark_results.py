@@ -88,13 +88,10 @@ def test_a_benchmark_runs_its_episodes_where_it_is_told(planted_benchmark, tmp_p
         return planted(config, **more)
 
     monkeypatch.setattr(benchmark, "run_experiment", run_experiment)
-    monkeypatch.setattr(options, "make_executor", lambda *given: cluster if given[:2] == ("ray", "auto") else None)
-    monkeypatch.setattr(
-        options, "make_training_executor",
-        lambda *given: nodes if given == ("ray", "auto", "CPU=8,GPU=1", 3) else None,
-    )  # fmt: skip
+    asked = {("ray", "auto", "", 2): cluster, ("ray", "auto", "CPU=8,GPU=1", 3): nodes}
+    monkeypatch.setattr(options, "make_executor", lambda *given, **_: asked[given])
     words = [str(file), "--scale", "night", "--out", str(tmp_path / "out"), "--executor", "ray", "--address", "auto"]
-    words += ["--trainings", "3", "--training-resources", "CPU=8,GPU=1"]
+    words += ["--workers", "2", "--trainings", "3", "--training-resources", "CPU=8,GPU=1"]
     CliRunner().invoke(benchmark_command, words, catch_exceptions=False)
     assert used == [(cluster, nodes)] * 2
 

@@ -345,22 +345,27 @@ def test_a_training_whose_worker_is_killed_goes_on_with_another_one(trainers, mo
 
 
 def test_a_worker_that_was_given_up_ends_its_training(trainers, monkeypatch):
-    """Another worker has written its name beside the folder, e.g. since this one's node was cut off."""
+    """Another worker has written its name beside the folder, e.g. since this one's node was cut off. The training has
+    ended when its worker has, even one that does not react to SIGINT, and so have the trainer's own children."""
     monkeypatch.setattr(training_worker, "LOOK_S", 0.0)
+    monkeypatch.setattr(training_worker, "SAVE_S", 0.2)
     worker = training_worker.TrainingWorker({"out": str(trainers.place / "out")}, 0)
     (trainers.place / "out/export/mine.0").mkdir(parents=True)
+    trainer = f"sh -c 'trap \"\" INT; cat {trainers.place}/gate0; true'"
     stage = {
         "name": "train/mine.0", "kind": "train", "needs": ["export/mine.0"], "sha": "",
-        "inputs": {"command": f"sh -c 'cat {trainers.place}/gate0'", "seed": 0, "steps": 0, "checkpoints": [],
-                   "until": ""},
+        "inputs": {"command": trainer, "seed": 0, "steps": 0, "checkpoints": [], "until": ""},
     }  # fmt: skip
     name = trainers.place / "out/train/.mine.0.worker"
     with ThreadPoolExecutor(1) as pool:
         result = pool.submit(worker.run, stage, ignore)
-        with trainers.gate(0):
+        with trainers.gate(0) as gate:
             name.write_text("another one")
             with pytest.raises(WorkerBrokenError, match="another one has taken"):
                 result.result()
+            poll = select.poll()
+            poll.register(gate, 0)
+            assert poll.poll(60_000), "the trainer's child lives on"
     assert name.read_text() == "another one"
 
 

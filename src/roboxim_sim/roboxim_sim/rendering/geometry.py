@@ -195,6 +195,8 @@ class Packer:
     def _shape(self, entity: str, parts: Sequence[VisualPart], textures: Sequence[str]) -> _Shape:
         kind = entity if entity in (*SURROUNDINGS, "table", "robot") else ""
         layers = tuple(textures.index(part.material.texture) for part in parts)
+        if kind in (*SURROUNDINGS, "table"):  # made anew for each world
+            return _shape_of(kind, parts, layers, self._openness)
         key = (kind, layers, *map(id, parts))  # a kept shape keeps its parts, so that their ids stay theirs
         shape = self._kept.get(key)
         if shape is None:
