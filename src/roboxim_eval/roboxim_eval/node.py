@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -24,6 +24,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.ports import RosPorts
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
+from roboxim_ros.run_calls import RUN_EPISODES
 
 FEEDBACK_PERIOD_S = 0.2
 ENDING_S = 60.0
@@ -58,7 +59,10 @@ class EvaluatorConfig:
 
 
 class EvaluatorNode(RoboximNode):
-    """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time."""
+    """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time.
+
+    Callers of its process may run episodes in their own thread (`roboxim_ros.run_calls`).
+    """
 
     executor_threads = 3
     """Number of threads: a run blocks its callback, and cancelling it needs another thread."""
@@ -71,6 +75,7 @@ class EvaluatorNode(RoboximNode):
         self._goal: ServerGoalHandle | None = None
         self._ports: RosPorts | None = None
         self._runner: EpisodeRunner | None = None
+        self.offer(RUN_EPISODES, self.run_episodes, inline=True)
         group = MutuallyExclusiveCallbackGroup()
         self.serve(RunEpisodesService, "evaluator/run_episodes", self._on_service, callback_group=group)
         self._action = self.serve_action(
@@ -93,7 +98,7 @@ class EvaluatorNode(RoboximNode):
             return time.monotonic() > deadline or not self.context.ok()
 
         try:
-            for result in self._run(request, over):
+            for result in self._run(from_msg(request.config, RunConfig), request.indices, over):
                 response.results = [*response.results, to_msg(result, EpisodeResultMsg)]
         except RoboximError as error:
             if error.code != ErrorCode.CANCELLED or time.monotonic() <= deadline:
@@ -106,19 +111,15 @@ class EvaluatorNode(RoboximNode):
     def _on_action(self, goal: ServerGoalHandle) -> RunEpisodesAction.Result:
         result = RunEpisodesAction.Result()
         feedback = RunEpisodesAction.Feedback(total=len(goal.request.indices))
-        last = 0.0
 
-        def tick() -> bool:
-            nonlocal last
-            if time.monotonic() - last > FEEDBACK_PERIOD_S:
-                last = time.monotonic()
-                if self._runner is not None:
-                    feedback.current, feedback.seq = self._runner.progress
-                goal.publish_feedback(feedback)
-            return bool(goal.is_cancel_requested) or not self.context.ok()
+        def told(current: str, seq: int) -> None:
+            feedback.current, feedback.seq = current, seq
+            goal.publish_feedback(feedback)
 
+        cancelled = self._telling(told, lambda: bool(goal.is_cancel_requested))
         with self.answering("evaluator/run_episodes", result):
-            for episode in self._run(goal.request, tick, goal):
+            config = from_msg(goal.request.config, RunConfig)
+            for episode in self._run(config, goal.request.indices, cancelled, goal):
                 message = to_msg(episode, EpisodeResultMsg)
                 result.results = [*result.results, message]
                 feedback.done, feedback.finished, feedback.current = len(result.results), [message], episode.episode_id
@@ -132,18 +133,51 @@ class EvaluatorNode(RoboximNode):
             goal.succeed()
         return result
 
+    def run_episodes(
+        self, config: RunConfig, indices: Sequence[int], told: Callable[[str, int], None], cancelled: Callable[[], bool]
+    ) -> list[EpisodeResult]:
+        """Run episodes in the thread of the caller.
+
+        Args:
+            config: Configuration of the run.
+            indices: Indices of the episodes.
+            told: Called with the id and the tick of the running episode every `FEEDBACK_PERIOD_S`, between ticks.
+            cancelled: Called before every tick; True cancels the run.
+
+        Raises:
+            EvaluationError: When another run goes on.
+            RoboximError: See `EpisodeRunner.run_index`.
+        """
+        return list(self._run(config, indices, self._telling(told, cancelled)))
+
+    def _telling(self, told: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
+        """Return a function that tells whether to cancel, and the progress of the run from time to time."""
+        last = 0.0
+
+        def look() -> bool:
+            nonlocal last
+            if self._runner is not None and time.monotonic() - last > FEEDBACK_PERIOD_S:
+                last = time.monotonic()
+                told(*self._runner.progress)
+            return cancelled() or not self.context.ok()
+
+        return look
+
     def _run(
-        self, request: Any, cancelled: Callable[[], bool], goal: ServerGoalHandle | None = None
+        self,
+        config: RunConfig,
+        indices: Sequence[int],
+        cancelled: Callable[[], bool],
+        goal: ServerGoalHandle | None = None,
     ) -> Iterator[EpisodeResult]:
-        request.config.keep = request.config.keep or "all"
-        config = from_msg(request.config, RunConfig)
+        config = replace(config, keep=config.keep or "all")
         ending = (running := self._goal) is not None and running.is_cancel_requested
         if not self._busy.acquire(timeout=ENDING_S if ending else 0):
             raise EvaluationError("the evaluator is already running episodes; wait for them or cancel them")
         self._goal = goal
         try:
             self._runner = EpisodeRunner(self._make_ports(config), config, versions=versions(), library=ModelLibrary())
-            for index in request.indices:
+            for index in indices:
                 yield self._runner.run_index(int(index), cancelled=cancelled)
         except RoboximError as error:
             if error.code != ErrorCode.CANCELLED:

@@ -53,6 +53,8 @@ from roboxim_ros.serialising import to_cdr
 
 STORE_S = 60.0
 """Longest wait for a chunk to be stored [s]."""
+HEAD_START_S = 0.001
+"""Time for which storing a chunk waits, so that a policy whose turn it is begins first [s]. Both hold the interpreter."""
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005
@@ -326,6 +328,7 @@ class _Storing:
         self._done = threading.Event()
 
     def __call__(self) -> None:
+        time.sleep(HEAD_START_S)
         try:
             self._node.flush(self._recording)
         finally:

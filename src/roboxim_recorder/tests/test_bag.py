@@ -87,8 +87,13 @@ def test_rosbags_and_mcap_read_it(tmp_path, fake):
     assert (topics[0], topics[-1]) == ("/episode/info", "/episode/result")
     assert metadata["roboxim"]["outcome"] == "success"
     assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
-    description = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    text = (path / "metadata.yaml").read_text()
+    description = yaml.safe_load(text)["rosbag2_bagfile_information"]
     assert (description["version"], description["message_count"]) == (9, 8 * 11 + 2)
+    listed = {one["topic_metadata"]["name"]: one["message_count"] for one in description["topics_with_message_count"]}
+    assert sum(listed.values()) == 8 * 11 + 2
+    assert listed.keys() >= {"/episode/info", "/sim/ticks", "/sim/state"}
+    assert text == yaml.dump(yaml.safe_load(text), sort_keys=False, width=200), "it is put together from kept parts"
 
 
 def test_the_order_of_arrival_does_not_show(tmp_path, fake):

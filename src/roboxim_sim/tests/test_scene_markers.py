@@ -11,7 +11,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, RobotSpec, SceneSpec
-from roboxim_sim.scene_markers import FACES, scene_markers_cdr
+from roboxim_ros.schemas import message_schema, typestore
+from roboxim_sim.scene_markers import FACES, MARKER_ARRAY, scene_markers_cdr
 from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World
 
@@ -77,6 +78,20 @@ def test_markers_are_small_and_the_same_every_time():
     for marker in scene_markers(scene):
         per_body[marker.header.frame_id] = per_body.get(marker.header.frame_id, 0) + len(marker.points) // 3
     assert max(count for frame, count in per_body.items() if frame != "world") < 2 * FACES
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+def test_the_parts_of_the_message_are_what_the_whole_one_would_be(robot):
+    """A scene's message is put together from kept markers; names of several lengths move what must be aligned."""
+    names = ["a", "ab", "abc", "abcd", "abcde", "a longer name"]
+    scene = scene_with(*(EntitySpec(name=name, model="cube") for name in names), robot=robot)
+    cdr = bytes(scene_markers_cdr(scene, ModelLibrary(), 1_500_000_007))
+    found = deserialize_message(cdr, MarkerArray).markers
+    assert [marker.id for marker in found] == list(range(len(found)))
+    assert {(marker.header.stamp.sec, marker.header.stamp.nanosec) for marker in found} == {(1, 500_000_007)}
+    assert {*names} < {marker.ns for marker in found}
+    store = typestore((message_schema(MARKER_ARRAY),))
+    assert cdr == bytes(store.serialize_cdr(store.deserialize_cdr(cdr, MARKER_ARRAY), MARKER_ARRAY))
 
 
 def test_markers_do_not_depend_on_cameras():

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
 from dataclasses import replace
 from typing import Any
-
-from roboxim_interfaces.action import RunEpisodes
-from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 
 from roboxim_bringup.executors.protocol import WorkerBrokenError
 from roboxim_bringup.graph import GraphConfig, start_graph
 from roboxim_bringup.runs.staging import Staging
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
-from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError, raise_for_code
-from roboxim_ros.actions import ActionCall
+from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.run_calls import RUN_EPISODES
 
-READY_S = 60.0
-"""Longest wait for the graph's own evaluator [s]."""
+LOOK_S = 0.5
+"""Time between two looks whether the graph is alive [s]."""
+ENDING_S = 3.0
+"""Longest wait for an episode that is given up to end its tick [s]."""
 STALL_S = 300.0
 """A graph that is silent for this time counts as broken [s]."""
 WORKER_FAULTS = {ErrorCode.UNAVAILABLE, ErrorCode.TIMEOUT, ErrorCode.POLICY_DIED}
@@ -56,12 +56,6 @@ class EpisodeWorker:
         try:
             start_graph(self._host, **vars(graph))
             self._clients = Clients("worker", context=self._host.context, namespace=graph.namespace)
-            self._action = ActionCall(self._clients, RunEpisodes, "evaluator/run_episodes")
-            deadline = time.monotonic() + READY_S
-            while not self._action.is_ready():
-                if time.monotonic() > deadline:
-                    raise UnavailableError(f"the worker's own evaluator does not serve after {READY_S:g} s")
-                time.sleep(0.01)
         except BaseException:
             self._host.close()
             raise
@@ -69,24 +63,45 @@ class EpisodeWorker:
     def run(self, job: int, note: Callable[[Any], None]) -> dict[str, Any]:
         """Run the episode of an index; see `Worker.run`."""
 
-        def hear(message: Any) -> None:
+        def hear(episode: str, seq: int) -> None:
             self._heard = time.monotonic()
-            now = message.feedback
-            note({"index": job, "episode_id": now.current, "seq": int(now.seq)})
+            note({"index": job, "episode_id": episode, "seq": seq})
 
         self._heard = time.monotonic()
-        goal = RunEpisodes.Goal(config=to_msg(self._config, RunConfigMsg), indices=[job])
         try:
-            answer = self._action.run(goal, feedback=hear, timeout_s=float("inf"), check=self._check).result
-            raise_for_code(answer.error_code, answer.error_msg)
+            result: dict[str, Any] = to_plain(self._result(job, hear))
         except RoboximError as error:
             if error.code in WORKER_FAULTS:
                 raise WorkerBrokenError(str(error)) from None
             raise
-        result: dict[str, Any] = to_plain(from_msg(answer.results[0], EpisodeResult))
         if self._served and result["reason"] == ErrorCode.POLICY_DIED.name.lower():
             raise WorkerBrokenError(f"its policy server was lost: {result['message']}")
         return result if self._staging is None else {"result": result, **self._staging.handed_over()}
+
+    def _result(self, job: int, hear: Callable[[str, int], None]) -> EpisodeResult:
+        """Run the episode in a thread of its own, and watch over the graph meanwhile."""
+        given_up = threading.Event()
+        found: Future[EpisodeResult] = Future()
+
+        def run() -> None:
+            try:
+                call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
+                if call is None:
+                    raise UnavailableError("the worker's own evaluator has ended")
+                (result,) = self._clients.value_of(call, RUN_EPISODES, 0.0)
+                found.set_result(result)
+            except BaseException as error:
+                found.set_exception(error)
+
+        threading.Thread(target=run, name="episode", daemon=True).start()
+        try:
+            while not wait([found], LOOK_S).done:
+                self._check()
+        except BaseException:
+            given_up.set()
+            wait([found], ENDING_S)
+            raise
+        return found.result()
 
     def _check(self) -> None:
         """Raise when the graph can no longer answer."""
@@ -97,7 +112,6 @@ class EpisodeWorker:
 
     def close(self) -> None:
         """End the graph."""
-        self._action.close()
         self._clients.close()
         self._host.close()
         if self._staging is not None:

@@ -25,7 +25,7 @@ from roboxim_core.models.library import ModelLibrary, mesh_path
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
-from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec
+from roboxim_core.specs import CameraSpec, LookSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.textures import base_color_image
 
@@ -94,7 +94,7 @@ def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
         ConfigError: When a model or a modifier is unknown.
     """
     robot = library.robot(scene.robot.model)
-    bodies = [*_room(scene)]
+    bodies = [*_room(scene.table, scene.look, scene.robot.pose.position)]
     bodies += [
         RenderBody(key=f"robot/{link}", entity="robot", parts=parts)
         for link, parts in robot_parts(robot.id, robot.urdf).items()
@@ -210,9 +210,15 @@ def camera_parent(camera: CameraSpec, arm: ArmKinematics) -> str:
     return parent
 
 
-def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
-    """The table with its legs, the robot's pedestal, the floor and the walls around."""
-    table, look = scene.table, scene.look
+@lru_cache(maxsize=16)
+def _room(table: TableSpec, look: LookSpec, base: Vec3) -> tuple[RenderBody, ...]:
+    """The table with its legs, the robot's pedestal, the floor and the walls around; kept, since scenes share it.
+
+    Args:
+        table: The table.
+        look: The scene's appearance.
+        base: Where the robot's base is [m].
+    """
     x, y, z = table.center
     wide, deep, thick = table.size
     legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
@@ -224,7 +230,7 @@ def _room(scene: SceneSpec) -> tuple[RenderBody, ...]:
         for side_y in (-1, 1):
             foot = (x + side_x * (wide / 2 - 0.06), y + side_y * (deep / 2 - 0.06), (under + FLOOR_Z) / 2)
             parts.append(_slab((0.06, 0.06, under - FLOOR_Z), foot, legs))
-    bx, by, bz = scene.robot.pose.position
+    bx, by, bz = base
     pedestal = _slab((0.26, 0.26, bz - FLOOR_Z), (bx - 0.04, by, (bz + FLOOR_Z) / 2 - 0.001), legs)
     room = 2.8
     middle = np.array([x, y, 0.0])

@@ -152,7 +152,7 @@ def check_world(world: RenderWorld) -> None:
 
 
 class Packer:
-    """Packs worlds. Keeps the shapes of bodies, since the robot and most objects are in the next world again."""
+    """Packs worlds. Keeps the shapes of bodies, since the robot, the room and most objects are in the next world again."""
 
     def __init__(self, openness: Openness) -> None:
         """Start without shapes.
@@ -195,8 +195,6 @@ class Packer:
     def _shape(self, entity: str, parts: Sequence[VisualPart], textures: Sequence[str]) -> _Shape:
         kind = entity if entity in (*SURROUNDINGS, "table", "robot") else ""
         layers = tuple(textures.index(part.material.texture) for part in parts)
-        if kind in (*SURROUNDINGS, "table"):  # made anew for each world
-            return _shape_of(kind, parts, layers, self._openness)
         key = (kind, layers, *map(id, parts))  # a kept shape keeps its parts, so that their ids stay theirs
         shape = self._kept.get(key)
         if shape is None:

@@ -31,6 +31,10 @@ FLOOR = 0.25
 MAX_FACES = 20_000
 """Bodies with more faces are assumed open: drawing them from all sides would take too long."""
 
+_Known = WeakKeyDictionary[TriangleMesh, tuple[list[TriangleMesh], list[npt.NDArray[np.uint8]]]]
+_KNOWN: dict[str, _Known] = {}
+"""By device, openness by a body's first mesh, with its other meshes: all renderers of a process share it."""
+
 
 class OcclusionBaker:
     """Computes openness on the GL context that created it."""
@@ -41,8 +45,7 @@ class OcclusionBaker:
         self._axes = _sides(COLUMNS * ROWS)
         self._target: Buffer | None = None
         self._shader: Shader | None = None
-        self._known: WeakKeyDictionary[TriangleMesh, tuple[list[TriangleMesh], list[npt.NDArray[np.uint8]]]]
-        self._known = WeakKeyDictionary()
+        self._known = _KNOWN.setdefault(str(context.info["GL_RENDERER"]), WeakKeyDictionary())
 
     def openness(self, meshes: Sequence[TriangleMesh], seen: Sequence[TriangleMesh]) -> list[npt.NDArray[np.uint8]]:
         """Return the openness of vertices, from 0 to 255 = not occluded.
