@@ -1,18 +1,17 @@
 """What an evaluation spends on anything but the policy and the simulator, in wall time and in processor time.
 
-In each of several rounds, episodes run in one process, where the time of each port of the episode loop is taken:
-drawing the scene, simulator (building the world, settling, physics, rendering), observation (proprioception), policy,
-judge, recorder and the loop itself. Then the same episodes run as evaluations, as an experiment runs them, whose
-workers are ready from the evaluation before: a short and a longer one with one worker, and both with two. The
-difference of the two tells the time of an episode, the rest is that of a start and an end. The rounds take turns, so
-that a machine whose speed drifts is slow for all of them; the sums of the rounds are compared, and the range over the
-rounds is printed.
+An evaluation runs as in an experiment, with one worker, whose process is ready from the evaluation before. Before some
+of its episodes, the same ones run without nodes in this process, while the worker waits. There the time of each port of
+the episode loop is taken: drawing the scene, simulator (building the world, settling, physics, rendering), observation
+(proprioception), policy, judge, recorder and the loop itself. The evaluation's own share is what it takes longer than
+simulator and policy take here, its start and end included. Both sides take turns within seconds, so a machine whose
+speed drifts is slow for both; the range over groups of episodes tells what noise is left.
 
-The headline is the share of the wall time of one worker. The simulator alone draws with several threads, so two workers
-on two cores slow each other down, and their wall time cannot be compared with that of one process; of two workers the
-processor time is compared. What a worker does beside its simulator (compressing a tick while the next one is
-simulated) counts as processor time but not as wall time. Wall times hold on a quiet machine only: look at the load that
-is printed. The program ends with an error if the episodes of both sides take another number of steps.
+The headline is the share of wall time. What a worker does beside its simulator (compressing a tick while the next one
+is simulated) counts as processor time but not as wall time. The simulator draws with several threads, so two workers on
+two cores slow each other down, and their wall time cannot be compared with that of one process. Wall times hold on a
+quiet machine only: look at the load that is printed. The program ends with an error if the episodes of both sides take
+another number of steps.
 """
 
 from __future__ import annotations
@@ -20,31 +19,33 @@ from __future__ import annotations
 import argparse
 import os
 import resource
-import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import fmean
 from typing import Any
+from unittest.mock import patch
 
 from benchmarks._harness import Bench
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.executors import KeptProcesses, LocalExecutor
+from roboxim_bringup.executors import KeptProcesses, LocalExecutor, local
+from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_policies.base import load_policy
 
-SHORT = 2
-"""Episodes of the short evaluations, one for each worker."""
 TASK = "pick_cube"
 TYPICAL = 120
-"""Episodes of the evaluation that the headline is about: six held-out cells with 20 rollouts each."""
+"""Episodes of an evaluation: six held-out cells with 20 rollouts each."""
+GROUP = 20
+"""Episodes of a group, whose share is printed."""
+TURN = 10
+"""Episodes that one side runs before it is the other's turn: after a pause a process has cold caches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +57,63 @@ class Spent:
     wall_s: float
     """Wall time [s]."""
 
-    def __sub__(self, other: Spent) -> Spent:
-        """Return the difference."""
-        return Spent(cpu_s=self.cpu_s - other.cpu_s, wall_s=self.wall_s - other.wall_s)
 
-    def __mul__(self, factor: float) -> Spent:
-        """Return a multiple."""
-        return Spent(cpu_s=factor * self.cpu_s, wall_s=factor * self.wall_s)
+class Ports:
+    """Runs episodes in this process and takes the time of their parts; belongs to the thread that made it."""
+
+    def __init__(self, folder: Path, size: int, policy: str, given: dict[str, str]) -> None:
+        """Make the rooms and run an episode, which loads and compiles.
+
+        Args:
+            folder: Folder of the bags.
+            size: Side of the images [px].
+            policy: The policy.
+            given: Its arguments.
+        """
+        self.cpu: Counter[str] = Counter()
+        """Processor time of each part [s]."""
+        self.wall: Counter[str] = Counter()
+        """Its wall time [s]."""
+        self.steps: list[int] = []
+        """Steps of each episode."""
+        self.wanted: list[Spent] = []
+        """Time of policy and simulator in each episode."""
+        self.graph = CoreGraph(folder, policy=load_policy(policy, **given))
+        ports = self.graph.ports
+        names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
+        timed: Any = replace(
+            ports,
+            scenes=self._timed(ports.scenes, lambda name: names[name]),
+            judge=self._timed(ports.judge, lambda name: "judge"),
+            sim=self._timed(ports.sim, lambda name: "observation" if name == "observe" else "simulator"),
+            actor=self._timed(ports.actor, lambda name: "policy"),
+            recorder=self._timed(ports.recorder, lambda name: "recorder"),
+        )
+        config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=size, image_height=size)
+        self._runner = EpisodeRunner(timed, replace(config, run_seed=1))
+        self._runner.run_index(0)
+        self._runner = EpisodeRunner(timed, config)
+        self.cpu.clear()
+        self.wall.clear()
+
+    def run(self, index: int) -> None:
+        """Run an episode."""
+        cpu, wall = self.cpu.copy(), self.wall.copy()
+        cpu_began, wall_began = time.process_time(), time.monotonic()
+        self.steps.append(self._runner.run_index(index).steps)
+        passed = Spent(cpu_s=time.process_time() - cpu_began, wall_s=time.monotonic() - wall_began)
+        parts = Spent(cpu_s=self.cpu.total() - cpu.total(), wall_s=self.wall.total() - wall.total())
+        self.cpu["loop"] += passed.cpu_s - parts.cpu_s  # type: ignore[assignment]
+        self.wall["loop"] += passed.wall_s - parts.wall_s  # type: ignore[assignment]
+        self.wanted.append(
+            Spent(
+                cpu_s=sum(self.cpu[part] - cpu[part] for part in ("policy", "simulator")),
+                wall_s=sum(self.wall[part] - wall[part] for part in ("policy", "simulator")),
+            )
+        )
+
+    def _timed(self, port: Any, name_of: Callable[[str], str]) -> Any:
+        return _Timed(port, name_of, self.cpu, self.wall)
 
 
 class _Timed:
@@ -81,10 +132,60 @@ class _Timed:
             try:
                 return found(*given, **named)
             finally:
-                self._cpu[self._name_of(name)] += time.process_time() - cpu
-                self._wall[self._name_of(name)] += time.monotonic() - wall
+                self._cpu[self._name_of(name)] += time.process_time() - cpu  # type: ignore[assignment]
+                self._wall[self._name_of(name)] += time.monotonic() - wall  # type: ignore[assignment]
 
         return timed
+
+
+class Turns:
+    """Lets the episodes of an evaluation take turns with those of `Ports`."""
+
+    def __init__(self, count: int, make: Callable[[], Ports], kept: KeptProcesses) -> None:
+        """Begin with none.
+
+        Args:
+            count: Episodes of the evaluation, whose indices begin at 0.
+            make: Makes the ports, in the thread that waits for the worker.
+            kept: The worker's processes.
+        """
+        self.ports: Ports | None = None
+        """The ports, made before the first episode."""
+        self.episodes: list[Spent] = []
+        """Time of each of the evaluation's episodes."""
+        self.away = Spent(cpu_s=0.0, wall_s=0.0)
+        """Time that the evaluation waited for the ports."""
+        self._count, self._make, self._kept = count, make, kept
+
+    def worker(self) -> type[WorkerProcess]:
+        """Return the class of the evaluation's worker."""
+        turns = self
+
+        class TakingTurns(WorkerProcess):
+            def run(self, job: Any, on_note: Callable[[Any], None]) -> Any:
+                cpu, wall = time.process_time(), time.monotonic()
+                if turns.ports is None:
+                    turns.ports = turns._make()
+                for index in range(job, min(job + TURN, turns._count)) if job % TURN == 0 else ():
+                    turns.ports.run(index)
+                turns.away = Spent(
+                    cpu_s=turns.away.cpu_s + time.process_time() - cpu,
+                    wall_s=turns.away.wall_s + time.monotonic() - wall,
+                )
+                cpu, wall = cpu_s(turns._kept), time.monotonic()
+                try:
+                    return super().run(job, on_note)
+                finally:
+                    turns.episodes.append(Spent(cpu_s=cpu_s(turns._kept) - cpu, wall_s=time.monotonic() - wall))
+
+            def end(self) -> bool:
+                began = time.monotonic()
+                if turns.ports is not None:
+                    turns.ports.graph.__exit__(None, None, None)
+                turns.away = replace(turns.away, wall_s=turns.away.wall_s + time.monotonic() - began)
+                return super().end()
+
+        return TakingTurns
 
 
 def main() -> None:
@@ -96,130 +197,82 @@ def main() -> None:
         parser.add_argument("--size", type=int, default=128, help="side of the images [px]")
 
     bench = Bench("overhead", __doc__, options)
+    policy, size = bench.options.policy, bench.options.size
     given = {"checkpoint": bench.options.checkpoint} if bench.options.checkpoint else {}
-    episodes, rounds = (2, 1) if bench.quick else (12, 5)
-    spec = PolicySpec(spec=bench.options.policy, options=given)
-    with (
-        tempfile.TemporaryDirectory(prefix="roboxim-overhead-") as name,
-        KeptProcesses() as one,
-        KeptProcesses() as two,
-    ):
-        folder, kept = Path(name), {1: one, 2: two}
-        first, _ = _evaluation(folder / "first", spec, SHORT, 2, bench.options.size, two)
-        _evaluation(folder / "first-alone", spec, SHORT, 1, bench.options.size, one)
-        with _Ports(folder / "ports", bench, given) as ports:
-            found = [_round(folder / f"round{number}", ports, spec, episodes, kept) for number in range(rounds)]
-        cpu, wall = ports.cpu, ports.wall
-    for part, value in cpu.most_common():
+    spec = PolicySpec(spec=policy, options=given)
+    count = 8 if bench.quick else TYPICAL
+    with tempfile.TemporaryDirectory(prefix="roboxim-overhead-") as name, KeptProcesses() as kept:
+        folder = Path(name)
+        first, _ = evaluation(folder / "first", spec, 2, size, kept)
+        turns = Turns(count, lambda: Ports(folder / "ports", size, policy, given), kept)
+        with patch.object(local, "WorkerProcess", turns.worker()):
+            whole, steps = evaluation(folder / "typical", spec, count, size, kept)
+    ports = turns.ports
+    assert ports is not None
+    if steps != ports.steps:
+        raise SystemExit(f"steps of the episodes: {steps} in the evaluation, {ports.steps} in one process")
+    whole = Spent(cpu_s=whole.cpu_s - turns.away.cpu_s, wall_s=whole.wall_s - turns.away.wall_s)
+    wanted, episodes = _total(ports.wanted), _total(turns.episodes)
+    for part, value in ports.cpu.most_common():
         bench.row(
-            part=f"episode in one process: {part}", cpu_s=round(value / episodes / rounds, 3),
-            percent=_percent(value, cpu.total()), wall_s=round(wall[part] / episodes / rounds, 3),
+            part=f"episode in one process: {part}", cpu_ms=round(1000 * value / count, 1),
+            wall_ms=round(1000 * ports.wall[part] / count, 1), percent=_percent(value, ports.cpu.total()),
         )  # fmt: skip
-    both = _mean(found)
-    for part, spent in (
-        ("episode of an evaluation, one worker", both.one.episode),
-        ("start and end of an evaluation, one worker", both.one.start),
-        ("episode of an evaluation, two workers", both.two.episode),
-        ("start and end of an evaluation, two workers", both.two.start),
-        ("start and end of the first evaluation, two workers", first - both.two.episode * SHORT),
+    start = Spent(cpu_s=whole.cpu_s - episodes.cpu_s, wall_s=whole.wall_s - episodes.wall_s)
+    early = _total(turns.episodes[:2])
+    for part, spent, times in (
+        ("policy and simulator in one process", wanted, count),
+        ("episode of an evaluation", episodes, count),
+        ("start and end of an evaluation", start, 1),
+        (
+            "start and end of the first one",
+            Spent(cpu_s=first.cpu_s - early.cpu_s, wall_s=first.wall_s - early.wall_s),
+            1,
+        ),
     ):
-        bench.row(part=part, cpu_s=round(spent.cpu_s, 3), percent="", wall_s=round(spent.wall_s, 3))
-    for part, share_of in (("one worker: wall time", _wall_share), ("two workers: processor time", _cpu_share)):
-        shares = sorted(share_of(one) for one in found)
         bench.row(
-            part=f"share beside policy and simulator, {TYPICAL} episodes, {part}; rounds {shares[0]} to {shares[-1]}",
-            cpu_s="", percent=share_of(both), wall_s="",
+            part=part, cpu_ms=round(1000 * spent.cpu_s / times, 1), wall_ms=round(1000 * spent.wall_s / times, 1),
+            percent="",
         )  # fmt: skip
+    groups = [slice(at, at + GROUP) for at in range(0, count, GROUP)]
+    shares = [_own(_total(ports.wanted[one]).wall_s, _total(turns.episodes[one]).wall_s) for one in groups]
+    for part, share in (
+        (f"share of wall time, without start and end: least of {len(groups)} groups", min(shares)),
+        ("most", max(shares)),
+        (f"share of processor time, {count} episodes, start and end included", _own(wanted.cpu_s, whole.cpu_s)),
+    ):
+        bench.row(part=part, cpu_ms="", wall_ms="", percent=share)
     bench.finish(
-        f"share beside policy and simulator in an evaluation of {TYPICAL} episodes with one worker, wall time",
-        _wall_share(both), "%", at_most=10,
+        f"share of an evaluation's wall time beside policy and simulator, {count} episodes, start and end included",
+        _own(wanted.wall_s, whole.wall_s), "%", at_most=10,
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cost:
-    """Time of evaluations with some number of workers."""
-
-    episode: Spent
-    """Of an episode."""
-    start: Spent
-    """Of a start and an end."""
+def _total(spent: list[Spent]) -> Spent:
+    return Spent(cpu_s=sum(one.cpu_s for one in spent), wall_s=sum(one.wall_s for one in spent))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Round:
-    """Times of a round."""
-
-    wanted: Spent
-    """Of an episode's policy and simulator in one process."""
-    one: Cost
-    """Of evaluations with one worker."""
-    two: Cost
-    """With two."""
-
-
-def _mean(rounds: Sequence[Round]) -> Round:
-    def mean(pick: Callable[[Round], Spent]) -> Spent:
-        found = [pick(one) for one in rounds]
-        return Spent(cpu_s=fmean(one.cpu_s for one in found), wall_s=fmean(one.wall_s for one in found))
-
-    return Round(
-        wanted=mean(lambda one: one.wanted),
-        one=Cost(episode=mean(lambda one: one.one.episode), start=mean(lambda one: one.one.start)),
-        two=Cost(episode=mean(lambda one: one.two.episode), start=mean(lambda one: one.two.start)),
-    )
-
-
-def _wall_share(found: Round) -> float:
-    """Return the share of the wall time of a typical evaluation with one worker [%]."""
-    whole = found.one.start.wall_s + TYPICAL * found.one.episode.wall_s
-    return _percent(whole - TYPICAL * found.wanted.wall_s, whole)
-
-
-def _cpu_share(found: Round) -> float:
-    """Return the share of the processor time of a typical evaluation with two workers [%]."""
-    whole = found.two.start.cpu_s + TYPICAL * found.two.episode.cpu_s
-    return _percent(whole - TYPICAL * found.wanted.cpu_s, whole)
-
-
-def _round(folder: Path, ports: _Ports, spec: PolicySpec, episodes: int, kept: Mapping[int, KeptProcesses]) -> Round:
-    wanted, steps = ports.run(range(SHORT, SHORT + episodes))
-
-    def evaluated(name: str, count: int, workers: int) -> Spent:
-        spent, found = _evaluation(folder / name, spec, count, workers, ports.size, kept[workers])
-        if found[SHORT:] not in ([], steps):
-            raise SystemExit(f"steps of the episodes: {found[SHORT:]} in {name}, {steps} in one process")
-        return spent
-
-    def cost(workers: int) -> Cost:
-        short = evaluated(f"{workers}-short", SHORT, workers)
-        longer = evaluated(f"{workers}-longer", SHORT + episodes, workers)
-        episode = (longer - short) * (1 / episodes)
-        return Cost(episode=episode, start=short - episode * SHORT)
-
-    return Round(wanted=wanted, one=cost(1), two=cost(2))
+def _own(wanted: float, whole: float) -> float:
+    """Return the share of what is not wanted [%]."""
+    return _percent(whole - wanted, whole)
 
 
 def _percent(part: float, whole: float) -> float:
     return round(100 * part / whole, 1)
 
 
-def _evaluation(
-    out: Path, policy: PolicySpec, episodes: int, workers: int, size: int, kept: KeptProcesses
-) -> tuple[Spent, list[int]]:
+def evaluation(out: Path, policy: PolicySpec, episodes: int, size: int, kept: KeptProcesses) -> tuple[Spent, list[int]]:
     """Return the time of an evaluation, and the steps of its episodes."""
-    config = EvaluationConfig(
-        policies=policy, task=TASK, out=out, episodes=episodes, workers=workers, size=size, page=False
-    )
-    executor = LocalExecutor(workers, log_dir=out.with_name(f"{out.name}-logs"), kept=kept)
-    cpu, wall = _cpu_s(kept), time.monotonic()
+    config = EvaluationConfig(policies=policy, task=TASK, out=out, episodes=episodes, workers=1, size=size, page=False)
+    executor = LocalExecutor(1, log_dir=out.with_name(f"{out.name}-logs"), kept=kept)
+    cpu, wall = cpu_s(kept), time.monotonic()
     result = evaluate(config, executor=executor)
-    spent = Spent(cpu_s=_cpu_s(kept) - cpu, wall_s=time.monotonic() - wall)
+    spent = Spent(cpu_s=cpu_s(kept) - cpu, wall_s=time.monotonic() - wall)
     result.require_measured()
     return spent, [one.steps for one in sorted(result.first.results, key=lambda one: one.index)]
 
 
-def _cpu_s(kept: KeptProcesses) -> float:
+def cpu_s(kept: KeptProcesses) -> float:
     """Return the processor time of this process, its ended children and the kept ones [s]."""
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
     found = time.process_time() + ended.ru_utime + ended.ru_stime
@@ -227,60 +280,6 @@ def _cpu_s(kept: KeptProcesses) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         found += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     return found
-
-
-class _Ports:
-    """Runs episodes in this process and takes the time of their parts."""
-
-    def __init__(self, folder: Path, bench: Bench, given: dict[str, str]) -> None:
-        self.cpu: Counter[str] = Counter()
-        """Processor time of each part [s]."""
-        self.wall: Counter[str] = Counter()
-        """Its wall time [s]."""
-        self.size = side = bench.options.size
-        names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
-        self._folder = folder
-        self._graph = CoreGraph(folder, policy=load_policy(bench.options.policy, **given))
-        ports = self._graph.ports
-
-        def timed(port: Any, name_of: Callable[[str], str]) -> Any:
-            return _Timed(port, name_of, self.cpu, self.wall)
-
-        self._ports = replace(
-            ports,
-            scenes=timed(ports.scenes, lambda name: names[name]),
-            judge=timed(ports.judge, lambda name: "judge"),
-            sim=timed(ports.sim, lambda name: "observation" if name == "observe" else "simulator"),
-            actor=timed(ports.actor, lambda name: "policy"),
-            recorder=timed(ports.recorder, lambda name: "recorder"),
-        )
-        config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=side, image_height=side)
-        self._runner = EpisodeRunner(self._ports, config)
-        self._runner.run_index(0)  # loads and compiles
-        self.cpu.clear()
-        self.wall.clear()
-
-    def __enter__(self) -> _Ports:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._graph.__exit__(*error)
-
-    def run(self, episodes: range) -> tuple[Spent, list[int]]:
-        """Return the time of policy and simulator in an episode, and the steps of the episodes."""
-        before = self._wanted(), self.cpu.total(), self.wall.total()
-        cpu_began, wall_began = time.process_time(), time.monotonic()
-        steps = [self._runner.run_index(index).steps for index in episodes]
-        self.cpu["loop"] += time.process_time() - cpu_began - (self.cpu.total() - before[1])
-        self.wall["loop"] += time.monotonic() - wall_began - (self.wall.total() - before[2])
-        for bag in self._folder.glob("*/eval-*"):  # the next round records them again
-            shutil.rmtree(bag)
-        return (self._wanted() - before[0]) * (1 / len(episodes)), steps
-
-    def _wanted(self) -> Spent:
-        return Spent(
-            cpu_s=self.cpu["policy"] + self.cpu["simulator"], wall_s=self.wall["policy"] + self.wall["simulator"]
-        )
 
 
 if __name__ == "__main__":

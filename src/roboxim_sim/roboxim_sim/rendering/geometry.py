@@ -152,7 +152,7 @@ def check_world(world: RenderWorld) -> None:
 
 
 class Packer:
-    """Packs worlds. Keeps the shapes of bodies, since the robot, the room and most objects are in the next world again."""
+    """Packs worlds. Keeps the shapes of bodies, since the next world has most of them, too."""
 
     def __init__(self, openness: Openness) -> None:
         """Start without shapes.
