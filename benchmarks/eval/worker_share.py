@@ -16,6 +16,7 @@ of wall time.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import os
 import tempfile
@@ -174,8 +175,9 @@ def _threads() -> Counter[str]:
     names = {thread.native_id: thread.name for thread in threading.enumerate()}
     found: Counter[str] = Counter()
     for folder in Path("/proc/self/task").iterdir():
-        nanoseconds, name = (folder / "schedstat").read_text().split()[0], (folder / "comm").read_text().strip()
-        found[names.get(int(folder.name), f"{name} (native)")] += int(nanoseconds) / 1e9
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # that of an episode ends about now
+            nanoseconds, name = (folder / "schedstat").read_text().split()[0], (folder / "comm").read_text().strip()
+            found[names.get(int(folder.name), f"{name} (native)")] += int(nanoseconds) / 1e9
     return found
 
 
