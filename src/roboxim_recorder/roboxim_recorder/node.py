@@ -54,7 +54,7 @@ from roboxim_ros.serialising import to_cdr
 STORE_S = 60.0
 """Longest wait for a chunk to be stored [s]."""
 HEAD_START_S = 0.001
-"""Time for which storing a chunk waits [s], so that a policy whose turn it is begins first: both need the interpreter."""
+"""Time for which storing a chunk waits [s], so that a policy whose turn it is begins first: both need Python."""
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005

@@ -76,6 +76,11 @@ class RayExecutor:
         self.resources = dict(resources or {"CPU": 1.0})
         self._option = option
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether workers may run on other machines."""
+        return bool(self.address)
+
     def __enter__(self) -> RayExecutor:
         """Stay connected until the block ends, so that several runs share one connection, or one cluster of their own.
 

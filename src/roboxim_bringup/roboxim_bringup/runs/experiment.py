@@ -63,6 +63,7 @@ from roboxim_bringup.runs.experiment_report import (
     write_card,
     write_experiment_report,
 )
+from roboxim_bringup.runs.experiment_servers import require_reachable
 from roboxim_bringup.runs.experiment_stages import PROOF_FILE, Stages, plain
 from roboxim_bringup.runs.experiment_trainings import Trained, train, train_on
 from roboxim_bringup.runs.folder import checked_path, make_folder
@@ -247,6 +248,7 @@ class _Run:
         evaluations = [s for s in self.stages if s.kind == "evaluate" and "evaluate" in config.only]
         self.policies = {s.name: policy_of(design, s, config.policies, self.trained) for s in evaluations}
         servers = {s.name: server_of_policy(design, s, config.policies, self.trained) for s in evaluations}
+        require_reachable(servers.values(), executor)
         require_found(config.policies.values() if evaluations else ())
         require_trainers_policy(design.trainer)
         self._runner = Stages(

@@ -7,18 +7,19 @@ else the evaluation would measure another model.
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import os
 import shlex
 import signal
 import socket
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from roboxim_bringup.executors import Cancellation, CancelledError
+from roboxim_bringup.executors import Cancellation, CancelledError, Executor
 from roboxim_bringup.process import describe_exit
 from roboxim_bringup.runs.events import Notice, OnEvent
 from roboxim_bringup.runs.experiment_trainings import last_lines, started
@@ -95,6 +96,34 @@ def serving(
         yield
     finally:
         _end(process)
+
+
+def require_reachable(servers: Iterable[Server | None], executor: Executor | None) -> None:
+    """Refuse servers that workers on other machines would look for on their own.
+
+    Args:
+        servers: The servers; none: there is nothing to serve.
+        executor: Where the workers run; none: on this machine.
+
+    Raises:
+        ConfigError: When workers may run elsewhere, and a server's address means the machine that asks.
+    """
+    if not getattr(executor, "elsewhere", False):
+        return
+    for server in servers:
+        if server is not None and _is_loopback(server.address[0]):
+            raise ConfigError(
+                f"options.url: workers on other machines of the cluster cannot reach {server.url}, which means their "
+                "own machine; write this machine's address in the cluster's network, and let the trainer's serve "
+                "listen there"
+            )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")
 
 
 def _answers(server: Server) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from roboxim_bringup import experiment_card, experiment_provenance
+from roboxim_bringup.executors import InlineExecutor
 from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.events import Notice
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
@@ -464,6 +465,21 @@ def test_a_server_of_something_else_is_not_measured(fakes, config, lerobot_train
     file.write_text(file.read_text().replace(" serve {checkpoint}", " serve {checkpoint}/no"))
     with pytest.raises(RoboximError, match=r"(?s)ended with exit code 1 at ws://.*server.log:.*FileNotFoundError"):
         run_experiment(config(trainer=str(file), out=tmp_path / "other"))
+
+
+class ExecutorOfManyMachines(InlineExecutor):
+    elsewhere = True
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
+def test_a_server_that_other_machines_cannot_reach_is_refused_before_anything_starts(
+    fakes, config, lerobot_trainer, tmp_path, host
+):
+    file, _ = lerobot_trainer
+    file.write_text(file.read_text().replace("ws://127.0.0.1", f"ws://{host}"))
+    with pytest.raises(ConfigError, match=r"options.url: .* cannot reach ws://.*; write this machine's address"):
+        run_experiment(config(trainer=str(file)), executor=ExecutorOfManyMachines())
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
