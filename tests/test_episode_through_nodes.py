@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from roboxim_interfaces.action import RunEpisodes as RunEpisodesAction
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.srv import LoadScene, RunEpisodes, Tick
 
@@ -15,6 +16,7 @@ from roboxim_core.recorded import RECORDED_PARAMETERS
 from roboxim_eval.node import versions
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.check import check_bag
+from roboxim_ros.actions import ActionCall
 from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.testing import PATIENCE_S
 
@@ -49,6 +51,18 @@ def test_the_same_episode_gives_the_same_bag_through_nodes_and_cores(graph, tmp_
     assert report.ticks == result.last_seq + 1
     assert result.wall_s > 0.0
     assert BagReader(tmp_path / "nodes" / result.bag).result.wall_s == 0.0
+
+
+def test_a_request_may_leave_everything_to_the_defaults_of_the_message(graph):
+    """``keep`` is empty in such a request, as in `roboxim action send_goal ... "{config: {actor: expert}}"`."""
+    config = RunConfigMsg(actor="expert", purpose="test", image_width=32, image_height=32)
+    with graph.clients() as clients:
+        request = RunEpisodes.Request(config=config, indices=[0])
+        (result,) = clients.call(RunEpisodes, "evaluator/run_episodes", request, timeout_s=PATIENCE_S).results
+        assert result.outcome == "success", result
+        with ActionCall(clients, RunEpisodesAction, "evaluator/run_episodes") as action:
+            answer = action.run(RunEpisodesAction.Goal(config=config, indices=[0]), timeout_s=PATIENCE_S)
+    assert (answer.status, answer.result.results[0].final_state_hash) == ("succeeded", result.final_state_hash)
 
 
 def test_noise_is_recorded_separately_from_the_label(graph, tmp_path):

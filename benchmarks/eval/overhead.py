@@ -1,11 +1,12 @@
 """What an evaluation spends on anything but the policy and the simulator, in wall time and in processor time.
 
-An evaluation runs as in an experiment, with one worker, whose process is ready from the evaluation before. Before some
-of its episodes, the same ones run without nodes in this process, while the worker waits. There the time of each port of
-the episode loop is taken: drawing the scene, simulator (building the world, settling, physics, rendering), observation
-(proprioception), policy, judge, recorder and the loop itself. The evaluation's own share is what it takes longer than
-simulator and policy take here, its start and end included. Both sides take turns within seconds, so a machine whose
-speed drifts is slow for both; the range over groups of episodes tells what noise is left.
+An evaluation runs as in an experiment, with one worker, whose process is ready from the evaluation before. Before every
+tenth of its episodes, the next ten run without nodes in this process, while the worker waits. There the time of each
+port of the episode loop is taken: drawing the scene, simulator (building the world, settling, physics, rendering),
+observation (proprioception), policy, judge, recorder and the loop itself. The evaluation's own share is what it takes
+longer than simulator and policy take here, its start and end included. Both sides take turns within seconds, so a
+machine whose speed drifts is slow for both; the range over groups of episodes tells what noise is left. This process
+has the settings of a worker: libraries with one thread each, and no search for garbage among what is loaded.
 
 The headline is the share of wall time. What a worker does beside its simulator (compressing a tick while the next one
 is simulated) counts as processor time but not as wall time. The simulator draws with several threads, so two workers on
@@ -17,12 +18,15 @@ another number of steps.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import gc
 import os
 import resource
+import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +37,7 @@ from benchmarks._harness import Bench
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.executors import KeptProcesses, LocalExecutor, local
 from roboxim_bringup.executors.worker_process import WorkerProcess
+from roboxim_bringup.process import THREAD_COUNTS
 from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.task_choice import task_text
@@ -44,6 +49,8 @@ TYPICAL = 120
 """Episodes of an evaluation: six held-out cells with 20 rollouts each."""
 GROUP = 20
 """Episodes of a group, whose share is printed."""
+ONE_THREAD = dict.fromkeys(THREAD_COUNTS, "1")
+"""Environment variables of a worker."""
 TURN = 10
 """Episodes that one side runs before it is the other's turn: after a pause a process has cold caches."""
 
@@ -92,6 +99,8 @@ class Ports:
         config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=size, image_height=size)
         self._runner = EpisodeRunner(timed, replace(config, run_seed=1))
         self._runner.run_index(0)
+        gc.collect()
+        gc.freeze()  # as a worker's process does after its first episode
         self._runner = EpisodeRunner(timed, config)
         self.cpu.clear()
         self.wall.clear()
@@ -157,21 +166,26 @@ class Turns:
         """Time that the evaluation waited for the ports."""
         self._count, self._make, self._kept = count, make, kept
 
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Count the time of the block as that for which the evaluation waits."""
+        cpu, wall = time.process_time(), time.monotonic()
+        yield
+        self.away = Spent(
+            cpu_s=self.away.cpu_s + time.process_time() - cpu, wall_s=self.away.wall_s + time.monotonic() - wall
+        )
+
     def worker(self) -> type[WorkerProcess]:
         """Return the class of the evaluation's worker."""
         turns = self
 
         class TakingTurns(WorkerProcess):
             def run(self, job: Any, on_note: Callable[[Any], None]) -> Any:
-                cpu, wall = time.process_time(), time.monotonic()
-                if turns.ports is None:
-                    turns.ports = turns._make()
-                for index in range(job, min(job + TURN, turns._count)) if job % TURN == 0 else ():
-                    turns.ports.run(index)
-                turns.away = Spent(
-                    cpu_s=turns.away.cpu_s + time.process_time() - cpu,
-                    wall_s=turns.away.wall_s + time.monotonic() - wall,
-                )
+                with turns.waiting():
+                    if turns.ports is None:
+                        turns.ports = turns._make()
+                    for index in range(job, min(job + TURN, turns._count)) if job % TURN == 0 else ():
+                        turns.ports.run(index)
                 cpu, wall = cpu_s(turns._kept), time.monotonic()
                 try:
                     return super().run(job, on_note)
@@ -179,10 +193,9 @@ class Turns:
                     turns.episodes.append(Spent(cpu_s=cpu_s(turns._kept) - cpu, wall_s=time.monotonic() - wall))
 
             def end(self) -> bool:
-                began = time.monotonic()
-                if turns.ports is not None:
-                    turns.ports.graph.__exit__(None, None, None)
-                turns.away = replace(turns.away, wall_s=turns.away.wall_s + time.monotonic() - began)
+                with turns.waiting():
+                    if turns.ports is not None:
+                        turns.ports.graph.__exit__(None, None, None)
                 return super().end()
 
         return TakingTurns
@@ -196,6 +209,8 @@ def main() -> None:
         parser.add_argument("--checkpoint", default="", help="checkpoint of the policy")
         parser.add_argument("--size", type=int, default=128, help="side of the images [px]")
 
+    if not ONE_THREAD.items() <= os.environ.items():  # libraries read them when they are imported
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, **ONE_THREAD})
     bench = Bench("overhead", __doc__, options)
     policy, size = bench.options.policy, bench.options.size
     given = {"checkpoint": bench.options.checkpoint} if bench.options.checkpoint else {}
@@ -238,7 +253,7 @@ def main() -> None:
     shares = [_own(_total(ports.wanted[one]).wall_s, _total(turns.episodes[one]).wall_s) for one in groups]
     for part, share in (
         (f"share of wall time, without start and end: least of {len(groups)} groups", min(shares)),
-        ("most", max(shares)),
+        (f"share of wall time, without start and end: most of {len(groups)} groups", max(shares)),
         (f"share of processor time, {count} episodes, start and end included", _own(wanted.cpu_s, whole.cpu_s)),
     ):
         bench.row(part=part, cpu_ms="", wall_ms="", percent=share)

@@ -14,7 +14,8 @@ from typing import IO, Any
 _PR_SET_PDEATHSIG = 1
 _MALLOPT = {"M_ARENA_MAX": (-8, 1), "M_MMAP_MAX": (-4, 0), "M_TRIM_THRESHOLD": (-1, 2**31 - 1)}
 """Options of glibc's ``malloc.h`` with their numbers and the values that make `keep_freed_memory`."""
-_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""Environment variables with which libraries that are imported later use so many threads; a child gets 1."""
 
 
 def die_with_parent(parent: int) -> None:
@@ -69,7 +70,7 @@ def spawn(
     """
     # One thread per library: the parallelism is in the processes.
     inherited = os.environ if inherited is None else inherited
-    defaults = {name: "1" for name in _THREAD_COUNTS if name not in inherited}
+    defaults = {name: "1" for name in THREAD_COUNTS if name not in inherited}
     if ready is not None:
         defaults["ROBOXIM_READY"] = str(ready)
     return subprocess.Popen(

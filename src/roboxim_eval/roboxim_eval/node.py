@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -98,7 +98,7 @@ class EvaluatorNode(RoboximNode):
             return time.monotonic() > deadline or not self.context.ok()
 
         try:
-            for result in self._run(from_msg(request.config, RunConfig), request.indices, over):
+            for result in self._run(_config_of(request), request.indices, over):
                 response.results = [*response.results, to_msg(result, EpisodeResultMsg)]
         except RoboximError as error:
             if error.code != ErrorCode.CANCELLED or time.monotonic() <= deadline:
@@ -118,8 +118,7 @@ class EvaluatorNode(RoboximNode):
 
         cancelled = self._telling(told, lambda: bool(goal.is_cancel_requested))
         with self.answering("evaluator/run_episodes", result):
-            config = from_msg(goal.request.config, RunConfig)
-            for episode in self._run(config, goal.request.indices, cancelled, goal):
+            for episode in self._run(_config_of(goal.request), goal.request.indices, cancelled, goal):
                 message = to_msg(episode, EpisodeResultMsg)
                 result.results = [*result.results, message]
                 feedback.done, feedback.finished, feedback.current = len(result.results), [message], episode.episode_id
@@ -170,7 +169,6 @@ class EvaluatorNode(RoboximNode):
         cancelled: Callable[[], bool],
         goal: ServerGoalHandle | None = None,
     ) -> Iterator[EpisodeResult]:
-        config = replace(config, keep=config.keep or "all")
         ending = (running := self._goal) is not None and running.is_cancel_requested
         if not self._busy.acquire(timeout=ENDING_S if ending else 0):
             raise EvaluationError("the evaluator is already running episodes; wait for them or cancel them")
@@ -202,3 +200,13 @@ class EvaluatorNode(RoboximNode):
         if self._ports is not None:
             self._ports.close()
             self._ports = None
+
+
+def _config_of(request: Any) -> RunConfig:
+    """Return the configuration that a request has; an empty ``keep`` keeps every episode.
+
+    Raises:
+        InvalidRequestError: When a value is out of range or unknown.
+    """
+    request.config.keep = request.config.keep or "all"
+    return from_msg(request.config, RunConfig)

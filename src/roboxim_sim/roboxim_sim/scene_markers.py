@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,6 @@ GRID_M = 2.0**-13
 """Corners lie on a grid of this size [m], so that bags compress them."""
 LEFT_OUT = ("wall", "floor")
 """Entities that would hide the scene from a viewer."""
-MARKER = "visualization_msgs/msg/Marker"
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """How a message in little-endian CDR begins; alignment is counted from its end."""
@@ -57,6 +56,20 @@ class Shape:
     """Three corners for each triangle in the body's frame [m]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class KeptMarker:
+    """A serialised marker, as it stands in a ``MarkerArray``.
+
+    In an array every marker begins 4 bytes behind a multiple of 8: so does the first one, and what follows the points,
+    which begin at a multiple of 8 and have 24 bytes each, is as long in all of them.
+    """
+
+    cdr: bytes
+    """The marker with a stamp and an id of 0."""
+    id_at: int
+    """Where its ``id`` is: behind its stamp, its frame and its namespace [bytes]."""
+
+
 def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) -> memoryview:
     """Return the shapes of a scene as a serialised ``MarkerArray``: the table, the robot's links and the objects.
 
@@ -68,50 +81,43 @@ def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) ->
         library: Where its models come from.
         stamp_ns: Time of the tick that it belongs to [ns].
     """
-    shapes = [
-        shape
+    markers = [
+        marker
         for body in render_world(scene, library).bodies
         if body.entity not in LEFT_OUT
-        for shape in _shapes(body.key, body.entity, body.parts)
+        for marker in _markers(body.key, body.entity, body.parts)
     ]
-    return _array_cdr(stamp_ns, [None, *shapes])
+    return _array_cdr(stamp_ns, [_deletion(), *markers])
 
 
-def _array_cdr(stamp_ns: int, shapes: Sequence[Shape | None]) -> memoryview:
-    """Return a serialised ``MarkerArray`` with a marker for each shape, as `serialise` makes it of whole markers."""
-    array = bytearray(ENCAPSULATION + _COUNT.pack(len(shapes)))
+def _array_cdr(stamp_ns: int, markers: Sequence[KeptMarker]) -> memoryview:
+    """Return a serialised ``MarkerArray`` of markers, which get the stamp and their place in the array as id."""
+    array = bytearray(ENCAPSULATION + _COUNT.pack(len(markers)))
     stamp = _STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
-    for number, shape in enumerate(shapes):
+    for number, marker in enumerate(markers):
         _align(array)
         at = len(array)
-        array += _kept_marker(shape, (at - len(ENCAPSULATION)) % 8)
+        assert (at - len(ENCAPSULATION)) % 8 == 4, "the padding within a kept marker is that of such a place"
+        array += marker.cdr
         array[at : at + _STAMP.size] = stamp
-        at += _id_offset(shape)
+        at += marker.id_at
         array[at : at + _ID.size] = _ID.pack(number)
     return memoryview(array)
 
 
-@lru_cache(maxsize=512)
-def _kept_marker(shape: Shape | None, phase: int) -> bytes:
-    """Return a serialised marker with a stamp and an id of 0, made once.
-
-    Args:
-        shape: Its shape; None: it deletes all markers.
-        phase: Where it begins, counted from the last multiple of 8 bytes: 0 or 4. The padding depends on it.
-    """
-    fields = _marker_fields(0, 0, shape)
-    if phase == 0:
-        return bytes(serialise(MARKER, **fields)[len(ENCAPSULATION) :])
-    return bytes(serialise(MARKER_ARRAY, markers=[message(MARKER, **fields)])[len(ENCAPSULATION) + _COUNT.size :])
-
-
-def _id_offset(shape: Shape | None) -> int:
-    """Return the position of a marker's ``id``: behind its stamp, its frame and its namespace [bytes]."""
+def _kept(shape: Shape | None) -> KeptMarker:
+    """Serialise a shape's marker; without a shape it deletes all markers."""
+    array = serialise(MARKER_ARRAY, markers=[_marker(shape)])
     start = bytearray(_STAMP.size)
     for text in (shape.frame, shape.entity) if shape else ("world", ""):
         start += bytes(4 + len(text.encode()) + 1)  # its length, itself, and a zero
         _align(start)
-    return len(start)
+    return KeptMarker(cdr=bytes(array[len(ENCAPSULATION) + _COUNT.size :]), id_at=len(start))
+
+
+@cache
+def _deletion() -> KeptMarker:
+    return _kept(None)
 
 
 def _align(data: bytearray) -> None:
@@ -120,17 +126,12 @@ def _align(data: bytearray) -> None:
 
 
 @lru_cache(maxsize=256)
-def _shapes(key: str, entity: str, parts: tuple[VisualPart, ...]) -> tuple[Shape, ...]:
-    """Return a body's shapes, made once: models share their parts between scenes."""
+def _markers(key: str, entity: str, parts: tuple[VisualPart, ...]) -> tuple[KeptMarker, ...]:
+    """Return a body's markers, made once: models share their parts between scenes."""
     frame = "world" if entity == "table" else key.removeprefix(f"{ROBOT}/")
     meshes = coarse_meshes([part.mesh for part in parts], FACES)
     return tuple(
-        Shape(
-            entity=entity,
-            frame=frame,
-            color=_color(part.material),
-            points=_corners(mesh),
-        )
+        _kept(Shape(entity=entity, frame=frame, color=_color(part.material), points=_corners(mesh)))
         for part, mesh in zip(parts, meshes, strict=True)
         if len(mesh.faces)
     )
@@ -143,14 +144,15 @@ def _corners(mesh: TriangleMesh) -> list[Any]:
     return [points[index] for index in mesh.faces.ravel().tolist()]
 
 
-def _marker_fields(stamp_ns: int, number: int, shape: Shape | None) -> dict[str, Any]:
-    """Return the fields of a ``visualization_msgs/Marker``; without a shape it deletes all markers."""
+def _marker(shape: Shape | None) -> Any:
+    """Return a ``visualization_msgs/Marker`` with a stamp and an id of 0; without a shape it deletes all markers."""
     r, g, b, opacity = shape.color if shape else (0.0,) * 4
     no_bytes = np.zeros(0, np.uint8)
-    return dict(
-        header=header_message(stamp_ns, shape.frame if shape else "world"),
+    return message(
+        "visualization_msgs/msg/Marker",
+        header=header_message(0, shape.frame if shape else "world"),
         ns=shape.entity if shape else "",
-        id=number,
+        id=0,
         type=Marker.TRIANGLE_LIST if shape else Marker.ARROW,
         action=Marker.ADD if shape else Marker.DELETEALL,
         pose=pose_message(IDENTITY),

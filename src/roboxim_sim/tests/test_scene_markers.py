@@ -82,7 +82,7 @@ def test_markers_are_small_and_the_same_every_time():
 
 @pytest.mark.parametrize("robot", ["panda", "ur5"])
 def test_the_parts_of_the_message_are_what_the_whole_one_would_be(robot):
-    """A scene's message is put together from kept markers; names of several lengths move what must be aligned."""
+    """A scene's message is put together from kept markers; where the id is depends on the lengths of names."""
     names = ["a", "ab", "abc", "abcd", "abcde", "a longer name"]
     scene = scene_with(*(EntitySpec(name=name, model="cube") for name in names), robot=robot)
     cdr = bytes(scene_markers_cdr(scene, ModelLibrary(), 1_500_000_007))

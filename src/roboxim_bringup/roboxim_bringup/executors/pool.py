@@ -3,7 +3,7 @@
 Each worker has a thread here, which makes it, gives it jobs, and lives as long as the worker.
 
 Non-obvious: a replaced worker gets a *new* number, after which its graph's namespace is named. The services of a dead
-graph stay visible until their lease runs out, and a goal sent to them would never be answered.
+graph stay visible until their lease runs out, and a request of another process to them would never be answered.
 """
 
 from __future__ import annotations

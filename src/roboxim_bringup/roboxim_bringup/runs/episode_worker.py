@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any
 
@@ -53,6 +53,7 @@ class EpisodeWorker:
         self._served = bool(settings.get("served"))
         self._heard = time.monotonic()
         self._host = NodeHost()
+        self._episodes = ThreadPoolExecutor(1, "episodes")
         try:
             start_graph(self._host, **vars(graph))
             self._clients = Clients("worker", context=self._host.context, namespace=graph.namespace)
@@ -79,29 +80,23 @@ class EpisodeWorker:
         return result if self._staging is None else {"result": result, **self._staging.handed_over()}
 
     def _result(self, job: int, hear: Callable[[str, int], None]) -> EpisodeResult:
-        """Run the episode in a thread of its own, and watch over the graph meanwhile."""
+        """Run the episode in the thread of episodes, and watch over the graph meanwhile."""
         given_up = threading.Event()
-        found: Future[EpisodeResult] = Future()
-
-        def run() -> None:
-            try:
-                call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
-                if call is None:
-                    raise UnavailableError("the worker's own evaluator has ended")
-                (result,) = self._clients.value_of(call, RUN_EPISODES, 0.0)
-                found.set_result(result)
-            except BaseException as error:
-                found.set_exception(error)
-
-        threading.Thread(target=run, name="episode", daemon=True).start()
         try:
+            found = self._episodes.submit(self._episode, job, hear, given_up)
             while not wait([found], LOOK_S).done:
                 self._check()
         except BaseException:
             given_up.set()
-            wait([found], ENDING_S)
             raise
         return found.result()
+
+    def _episode(self, job: int, hear: Callable[[str, int], None], given_up: threading.Event) -> EpisodeResult:
+        call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
+        if call is None:
+            raise UnavailableError("the worker's own evaluator has ended")
+        (result,) = self._clients.value_of(call, RUN_EPISODES, 0.0)
+        return result
 
     def _check(self) -> None:
         """Raise when the graph can no longer answer."""
@@ -111,7 +106,10 @@ class EpisodeWorker:
             raise WorkerBrokenError(f"no message from its graph for {STALL_S:g} s")
 
     def close(self) -> None:
-        """End the graph."""
+        """End the graph; an episode that is given up ends its tick before, unless that takes long."""
+        idle = self._episodes.submit(lambda: None)
+        self._episodes.shutdown(wait=False)
+        wait([idle], ENDING_S)
         self._clients.close()
         self._host.close()
         if self._staging is not None:

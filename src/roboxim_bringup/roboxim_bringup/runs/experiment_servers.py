@@ -111,7 +111,7 @@ def require_reachable(servers: Iterable[Server | None], executor: Executor | Non
     if not getattr(executor, "elsewhere", False):
         return
     for server in servers:
-        if server is not None and _is_loopback(server.address[0]):
+        if server is not None and _means_the_asker(server.address[0]):
             raise ConfigError(
                 f"options.url: workers on other machines of the cluster cannot reach {server.url}, which means their "
                 "own machine; write this machine's address in the cluster's network, and let the trainer's serve "
@@ -119,11 +119,13 @@ def require_reachable(servers: Iterable[Server | None], executor: Executor | Non
             )
 
 
-def _is_loopback(host: str) -> bool:
+def _means_the_asker(host: str) -> bool:
     try:
-        return ipaddress.ip_address(host).is_loopback
+        address = ipaddress.ip_address(host)
     except ValueError:
         return host == "localhost" or host.endswith(".localhost")
+    address = getattr(address, "ipv4_mapped", None) or address
+    return address.is_loopback or address.is_unspecified
 
 
 def _answers(server: Server) -> bool:

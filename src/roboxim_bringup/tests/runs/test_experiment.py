@@ -15,6 +15,7 @@ from roboxim_bringup.executors import InlineExecutor
 from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.events import Notice
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
+from roboxim_bringup.runs.experiment_servers import Server, require_reachable
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import PolicySpec, find_policies
 from roboxim_bringup.runs.store import STORED_FILE
@@ -471,7 +472,7 @@ class ExecutorOfManyMachines(InlineExecutor):
     elsewhere = True
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]", "0.0.0.0", "[::ffff:127.0.0.1]"])
 def test_a_server_that_other_machines_cannot_reach_is_refused_before_anything_starts(
     fakes, config, lerobot_trainer, tmp_path, host
 ):
@@ -480,6 +481,8 @@ def test_a_server_that_other_machines_cannot_reach_is_refused_before_anything_st
     with pytest.raises(ConfigError, match=r"options.url: .* cannot reach ws://.*; write this machine's address"):
         run_experiment(config(trainer=str(file)), executor=ExecutorOfManyMachines())
     assert not (tmp_path / "out").exists()
+    require_reachable([None, Server(words=("serve",), url="ws://10.1.2.3:8000")], ExecutorOfManyMachines())
+    require_reachable([Server(words=("serve",), url="ws://127.0.0.1:8000")], InlineExecutor())
 
 
 @pytest.mark.parametrize(

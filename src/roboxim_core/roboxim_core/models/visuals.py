@@ -25,7 +25,7 @@ from roboxim_core.models.library import ModelLibrary, mesh_path
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
-from roboxim_core.specs import CameraSpec, LookSpec, MaterialSpec, SceneSpec, TableSpec
+from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.textures import base_color_image
 
@@ -94,7 +94,10 @@ def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
         ConfigError: When a model or a modifier is unknown.
     """
     robot = library.robot(scene.robot.model)
-    bodies = [*_room(scene.table, scene.look, scene.robot.pose.position)]
+    look = scene.look
+    bodies = [
+        *_room(scene.table, look.table, look.floor, look.wall if look.background == "room" else None, scene.robot.pose)
+    ]
     bodies += [
         RenderBody(key=f"robot/{link}", entity="robot", parts=parts)
         for link, parts in robot_parts(robot.id, robot.urdf).items()
@@ -211,43 +214,51 @@ def camera_parent(camera: CameraSpec, arm: ArmKinematics) -> str:
 
 
 @lru_cache(maxsize=16)
-def _room(table: TableSpec, look: LookSpec, base: Vec3) -> tuple[RenderBody, ...]:
+def _room(
+    table: TableSpec, top: MaterialSpec, ground: MaterialSpec, wall: MaterialSpec | None, base: Pose
+) -> tuple[RenderBody, ...]:
     """The table with its legs, the robot's pedestal, the floor and the walls around; kept, since scenes share it.
 
     Args:
         table: The table.
-        look: The scene's appearance.
-        base: Where the robot's base is [m].
+        top: Material of its top.
+        ground: Material of the floor.
+        wall: Material of the walls; none: there are no walls.
+        base: Pose of the robot's base.
     """
     x, y, z = table.center
     wide, deep, thick = table.size
     legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
     under = z - thick
-    top = _slab(table.size, (x, y, z - thick / 2), look.table)
+    top = _slab(table.size, (x, y, z - thick / 2), top)
     # Without texture coordinates a texture keeps its own size instead of stretching over the table.
     parts = [replace(top, mesh=replace(top.mesh, uv=None))]
     for side_x in (-1, 1):
         for side_y in (-1, 1):
             foot = (x + side_x * (wide / 2 - 0.06), y + side_y * (deep / 2 - 0.06), (under + FLOOR_Z) / 2)
             parts.append(_slab((0.06, 0.06, under - FLOOR_Z), foot, legs))
-    bx, by, bz = base
+    bx, by, bz = base.position
     pedestal = _slab((0.26, 0.26, bz - FLOOR_Z), (bx - 0.04, by, (bz + FLOOR_Z) / 2 - 0.001), legs)
     room = 2.8
     middle = np.array([x, y, 0.0])
-    floor = VisualPart(mesh=_plane(middle + [0, 0, FLOOR_Z], [room, 0, 0], [0, room, 0]), material=look.floor)
+    floor = VisualPart(mesh=_plane(middle + [0, 0, FLOOR_Z], [room, 0, 0], [0, room, 0]), material=ground)
     height = [0, 0, 1.4]
-    walls = tuple(
-        VisualPart(
-            mesh=_plane(middle + [*(room * np.array(out)), FLOOR_Z + 1.4], room * np.array([*along, 0]), height),
-            material=look.wall,
-        )
-        for out, along in (((-1, 0), (0, 1)), ((1, 0), (0, -1)), ((0, -1), (-1, 0)), ((0, 1), (1, 0)))
+    walls = (
+        []
+        if wall is None
+        else [
+            VisualPart(
+                mesh=_plane(middle + [*(room * np.array(out)), FLOOR_Z + 1.4], room * np.array([*along, 0]), height),
+                material=wall,
+            )
+            for out, along in (((-1, 0), (0, 1)), ((1, 0), (0, -1)), ((0, -1), (-1, 0)), ((0, 1), (1, 0)))
+        ]
     )
     return (
         RenderBody(key="table", entity="table", parts=tuple(parts)),
         RenderBody(key="pedestal", entity="table", parts=(pedestal,)),
         RenderBody(key="floor", entity="floor", parts=(floor,)),
-        *([RenderBody(key="wall", entity="wall", parts=walls)] if look.background == "room" else []),
+        *([RenderBody(key="wall", entity="wall", parts=tuple(walls))] if walls else []),
     )
 
 
