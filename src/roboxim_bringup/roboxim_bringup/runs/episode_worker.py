@@ -95,8 +95,8 @@ class EpisodeWorker:
         call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
         if call is None:
             raise UnavailableError("the worker's own evaluator has ended")
-        (result,) = self._clients.value_of(call, RUN_EPISODES, 0.0)
-        return result
+        results: list[EpisodeResult] = self._clients.value_of(call, RUN_EPISODES, 0.0)
+        return results[0]
 
     def _check(self) -> None:
         """Raise when the graph can no longer answer."""

@@ -230,9 +230,9 @@ def _room(
     wide, deep, thick = table.size
     legs = MaterialSpec(color=(0.22, 0.23, 0.25), metallic=0.6, roughness=0.45)
     under = z - thick
-    top = _slab(table.size, (x, y, z - thick / 2), top)
+    slab = _slab(table.size, (x, y, z - thick / 2), top)
     # Without texture coordinates a texture keeps its own size instead of stretching over the table.
-    parts = [replace(top, mesh=replace(top.mesh, uv=None))]
+    parts = [replace(slab, mesh=replace(slab.mesh, uv=None))]
     for side_x in (-1, 1):
         for side_y in (-1, 1):
             foot = (x + side_x * (wide / 2 - 0.06), y + side_y * (deep / 2 - 0.06), (under + FLOOR_Z) / 2)
