@@ -216,7 +216,7 @@ def test_topics(small):
     roboxim("topic", "pub", "--once", "/ear", "std_msgs/msg/String", "{data: psst}")
     assert eventually(lambda: small.heard) == ["psst"]
     with pytest.raises(RoboximError, match="no message"):
-        roboxim("topic", "echo", "/ear", "--once", "--timeout", "0.2")
+        roboxim("topic", "echo", "/ear", "--once", "--timeout", "2")
     with pytest.raises(ConfigError, match="no field 'date'"):
         roboxim("topic", "echo", "/steady", "--once", "--field", "date")
 
