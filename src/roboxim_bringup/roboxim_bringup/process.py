@@ -15,7 +15,7 @@ _PR_SET_PDEATHSIG = 1
 _MALLOPT = {"M_ARENA_MAX": (-8, 1), "M_MMAP_MAX": (-4, 0), "M_TRIM_THRESHOLD": (-1, 2**31 - 1)}
 """Options of glibc's ``malloc.h`` with their numbers and the values that make `keep_freed_memory`."""
 THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-"""Environment variables with which libraries that are imported later use so many threads; a child gets 1."""
+"""Environment variables that say how many threads NumPy and OpenCV use; a child gets 1 unless they are set."""
 
 
 def die_with_parent(parent: int) -> None:

@@ -4,8 +4,8 @@ A viewer draws the robot from `/robot_description` only where it finds the meshe
 their triangles, so a bag looks like its episode on every machine. They are coarse, and come once an episode: each is
 locked to its body's frame, which `/tf` moves.
 
-Corners are Python objects when they are serialised, 1,500 a body, which took as long as all other messages of 20 ticks.
-So each shape is serialised once and its bytes are kept; a scene's message is made of them.
+Serialising a shape is slow, since each of its corners is a Python object. So each shape is serialised once, and a
+scene's message is put together from the kept bytes.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from roboxim_core.poses import IDENTITY
 from roboxim_core.rendering import TriangleMesh, VisualPart
 from roboxim_core.specs import MaterialSpec, SceneSpec
 from roboxim_ros.serialising import header_message, message, pose_message, serialise, time_message, vector_message
+from roboxim_sim.conversions import STAMP
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import pixels
 
@@ -37,7 +38,7 @@ LEFT_OUT = ("wall", "floor")
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """How a message in little-endian CDR begins; alignment is counted from its end."""
-_COUNT, _STAMP, _ID = struct.Struct("<I"), struct.Struct("<iI"), struct.Struct("<i")
+_COUNT, _ID = struct.Struct("<I"), struct.Struct("<i")
 ROBOT = "robot"
 """Namespace of the robot's markers, so that a viewer can hide them where it has the meshes."""
 
@@ -60,8 +61,9 @@ class Shape:
 class KeptMarker:
     """A serialised marker, as it stands in a ``MarkerArray``.
 
-    In an array every marker begins 4 bytes behind a multiple of 8: so does the first one, and what follows the points,
-    which begin at a multiple of 8 and have 24 bytes each, is as long in all of them.
+    Padding depends on where a marker begins. In an array every marker begins 4 bytes behind a multiple of 8. The first
+    one stands behind the array's count. Points begin at a multiple of 8 and have 24 bytes each, and what follows them
+    is as long in all markers.
     """
 
     cdr: bytes
@@ -93,13 +95,13 @@ def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) ->
 def _array_cdr(stamp_ns: int, markers: Sequence[KeptMarker]) -> memoryview:
     """Return a serialised ``MarkerArray`` of markers, which get the stamp and their place in the array as id."""
     array = bytearray(ENCAPSULATION + _COUNT.pack(len(markers)))
-    stamp = _STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
+    stamp = STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
     for number, marker in enumerate(markers):
         _align(array)
         at = len(array)
         assert (at - len(ENCAPSULATION)) % 8 == 4, "the padding within a kept marker is that of such a place"
         array += marker.cdr
-        array[at : at + _STAMP.size] = stamp
+        array[at : at + STAMP.size] = stamp
         at += marker.id_at
         array[at : at + _ID.size] = _ID.pack(number)
     return memoryview(array)
@@ -108,7 +110,7 @@ def _array_cdr(stamp_ns: int, markers: Sequence[KeptMarker]) -> memoryview:
 def _kept(shape: Shape | None) -> KeptMarker:
     """Serialise a shape's marker; without a shape it deletes all markers."""
     array = serialise(MARKER_ARRAY, markers=[_marker(shape)])
-    start = bytearray(_STAMP.size)
+    start = bytearray(STAMP.size)
     for text in (shape.frame, shape.entity) if shape else ("world", ""):
         start += bytes(4 + len(text.encode()) + 1)  # its length, itself, and a zero
         _align(start)

@@ -95,7 +95,7 @@ class EpisodeWorker:
         call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
         if call is None:
             raise UnavailableError("the worker's own evaluator has ended")
-        results: list[EpisodeResult] = self._clients.value_of(call, RUN_EPISODES, 0.0)
+        results: list[EpisodeResult] = self._clients.value_of(call, RUN_EPISODES, 0.0)  # it ran in this thread
         return results[0]
 
     def _check(self) -> None:
