@@ -2,133 +2,19 @@
 
 import json
 import shutil
-import socket
-import sys
-from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
 from roboxim_bringup import experiment_card, experiment_provenance
-from roboxim_bringup.executors import InlineExecutor
-from roboxim_bringup.runs import experiment_stages
 from roboxim_bringup.runs.events import Notice
-from roboxim_bringup.runs.experiment import ExperimentRunConfig, named_policies, run_experiment
-from roboxim_bringup.runs.experiment_servers import Server, require_reachable
-from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.policies import PolicySpec, find_policies
+from roboxim_bringup.runs.experiment import named_policies, run_experiment
+from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.store import STORED_FILE
-from roboxim_core.config import parse_yaml
-from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments.card import CardCode
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.proofs import Fault, Tally
-from roboxim_eval.testing import SKILL_AND_OBJECT
-from roboxim_tasks.config import task_mix
-
-TEXT = SKILL_AND_OBJECT + """
-trainers:
-  mine: {command: "sh -c 'mkdir -p {out} && echo {seed} {steps} > {out}/model; : {dataset}'", policy: bc, steps: 7}
-  external: {}
-evaluate: {per_cell: 10, cells: {blind: unseen}}
-compare:
-  - {first: leave_out, second: baseline, where: unseen, primary: true}
-  - {first: leave_out, second: blind, where: unseen}
-"""  # fmt: skip
-UNSEEN = ("pick_up target=cube", "place_on target=soda_can")
-
-
-@lru_cache(maxsize=16)
-def mix_of_text(text):
-    return task_mix(parse_yaml(text))
-
-
-@dataclass
-class Fakes:
-    """Stands in for the runs that need a simulator. Policies succeed as planted: by condition, held-out or not."""
-
-    planted: dict
-    calls: list
-    fail_at: str = ""
-    training: Tally = Tally()
-    evaluation: Tally = Tally()
-    excluded: dict = field(default_factory=dict)
-    judged: list = field(default_factory=list)
-    exports: dict = field(default_factory=dict)
-    policies: dict = field(default_factory=dict)
-
-    def generate(self, config, **_):
-        self.calls.append(f"generate {config.episodes}")
-        assert config.first_try
-        Path(config.out).mkdir(parents=True)
-        results = [EpisodeResult(episode_id=str(i), index=i, outcome="success") for i in range(config.episodes)]
-        return type("Result", (), {"results": results, "kept": results, "out": config.out})()
-
-    def export_dataset(self, form, source, target, config, **_):
-        self.exports[Path(target).name] = form, config
-        (cells,) = config.where
-        number = config.per_cell * (cells.count(",") + 1)
-        self.calls.append(f"export {Path(target).name} {number}")
-        assert config.val_fraction == 0.0
-        Path(target).mkdir(parents=True)
-        return type("Report", (), {"splits": {"train": number}, "left_out": {}})()
-
-    def prove_training(self, claims, mix, unseen, reading):
-        self.calls.append(f"prove {' '.join(claim.name for claim in claims)}")
-        return self.training
-
-    def prove_evaluation(self, arms, reading):
-        self.calls.append(f"prove rollouts {' '.join(arm.folder.parent.name for arm in arms)}")
-        return self.evaluation, self.excluded
-
-    def judge_again(self, failed, dataset, mix, reading):
-        self.judged.append((dataset.name, len(failed)))
-        return [{"cell": cell, "satisfied": ["place_on target=cube"]} for cell in failed.values()]
-
-    def evaluate(self, config, executor, **_):
-        name, replicate = config.policies.name, Path(config.out).name.split(".")[1]
-        assert not config.page, "a page for each evaluation would take longer than the experiment's"
-        if self.fail_at == f"{name}.{replicate}":
-            raise RoboximError("the machine was switched off")
-        self.calls.append(f"evaluate {name}.{replicate} {config.policies.spec}")
-        self.policies[f"{name}.{replicate}"] = config.policies
-        mix = mix_of_text(Path(config.task).read_text())
-        own = ".py:" in config.policies.spec
-        files = find_policies([config.policies])[0].files(Path(config.out)) if own else {}
-        with RunFolder(Path(config.out) / name).opened({"command": "evaluate", "policy_files": files}) as folder:
-            for index in range(config.episodes):
-                drawn = mix.drawn(index)
-                rate = self.planted[name, drawn["cell"] in UNSEEN]
-                success = (int(drawn["cell_number"]) + int(replicate)) % 10 < 10 * rate
-                outcome = "success" if success else "failure"
-                folder.append(
-                    EpisodeResult(episode_id=f"{index}", index=index, attempt=0, outcome=outcome, bag=f"{index}")
-                )
-            bags = "".join(json.dumps({"bag": f"{index}", "files": {}}) + "\n" for index in range(config.episodes))
-            (folder.path / STORED_FILE).write_text(bags)
-        return type("Result", (), {"require_measured": lambda self: None})()
-
-
-@pytest.fixture
-def fakes(monkeypatch):
-    planted = {(name, unseen): 0.8 for name in ("leave_out", "baseline") for unseen in (True, False)}
-    planted |= {("blind", True): 0.1, ("leave_out", True): 0.3}
-    found = Fakes(planted=planted, calls=[])
-    for name in ("generate", "export_dataset", "evaluate", "prove_training", "prove_evaluation", "judge_again"):
-        monkeypatch.setattr(experiment_stages, name, getattr(found, name))
-    return found
-
-
-@pytest.fixture
-def config(tmp_path):
-    def made(text=TEXT, **options):
-        file = tmp_path / "mine.yaml"
-        file.write_text(text)
-        return ExperimentRunConfig(**{"experiment": str(file), "out": tmp_path / "out", **options})
-
-    return made
 
 
 def test_all_stages_run_once_and_the_card_has_the_planted_result(fakes, config, tmp_path):
@@ -165,13 +51,13 @@ def test_an_interrupted_experiment_continues_and_ends_with_the_same_card(fakes, 
     assert "continued" not in (tmp_path / "whole/stages.jsonl").read_text(), "its times are whole, for later plans"
 
 
-def test_a_changed_input_is_refused_by_name(fakes, config):
+def test_a_changed_input_is_refused_by_name(fakes, config, experiment):
     run_experiment(config())
     with pytest.raises(ConfigError, match="stage 'train/leave_out.0' was finished with other inputs.*steps: 7 .*8"):
-        run_experiment(config(TEXT.replace("steps: 7", "steps: 8")))
+        run_experiment(config(experiment.replace("steps: 7", "steps: 8")))
     with pytest.raises(ConfigError, match="stage 'generate/0' was finished with other inputs.*episodes: 10 .*12"):
-        run_experiment(config(TEXT.replace("per_cell: 3", "per_cell: 4")))
-    more = TEXT.replace("count: 3", "count: 4")
+        run_experiment(config(experiment.replace("per_cell: 3", "per_cell: 4")))
+    more = experiment.replace("count: 3", "count: 4")
     assert run_experiment(config(more)).missing == (), "more replicates are no change of the others"
 
 
@@ -232,10 +118,10 @@ def test_what_a_pack_leaves_out_runs_again_if_it_is_read(fakes, config, tmp_path
     assert fakes.calls == [], "nothing reads them any more"
 
 
-def test_trainings_that_are_added_after_results_were_seen_are_stated(fakes, config):
+def test_trainings_that_are_added_after_results_were_seen_are_stated(fakes, config, experiment):
     first = run_experiment(config()).card
     assert not [text for text in first.statements if "after results were seen" in text]
-    more = TEXT.replace("count: 3", "count: 4")
+    more = experiment.replace("count: 3", "count: 4")
     (said,) = [text for text in run_experiment(config(more)).card.statements if "after results were seen" in text]
     assert "replicates.count: 3 stored, 4 requested" in said
     again = run_experiment(config(more)).card
@@ -317,7 +203,7 @@ def test_a_finished_run_keeps_its_card_after_a_commit_and_on_another_machine(fak
     assert differing(again) == []
 
 
-def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, config, at, tmp_path):
+def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, config, experiment, at, tmp_path):
     at("a")
     fakes.fail_at = "leave_out.0"
     with pytest.raises(RoboximError, match="switched off"):
@@ -335,7 +221,7 @@ def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, c
     at("c")
     assert run_experiment(config()).card.sha256 == card.sha256
     older(tmp_path / "out")
-    more = run_experiment(config(TEXT.replace("count: 3", "count: 4"))).card
+    more = run_experiment(config(experiment.replace("count: 3", "count: 4"))).card
     assert more.code.commit == "c" * 40
     assert "2 versions of the code: unknown (generate/0 and " in differing(more)[0]
 
@@ -390,131 +276,18 @@ def test_wrong_names_are_refused(fakes, config):
         config(trainings=0)
 
 
-def test_a_command_that_fails_ends_the_run(fakes, config, tmp_path):
-    broken = TEXT.replace("mkdir -p {out} && echo {seed} {steps} > {out}/model; :", "exit 3; : {out} {seed}")
+def test_a_command_that_fails_ends_the_run(fakes, config, experiment, tmp_path):
+    broken = experiment.replace("mkdir -p {out} && echo {seed} {steps} > {out}/model; :", "exit 3; : {out} {seed}")
     with pytest.raises(RoboximError, match=r"ended with exit code 3.*leave_out.0.log"):
         run_experiment(config(broken))
-    absent = TEXT.replace("sh -c 'mkdir", "no-such-program 'mkdir")
+    absent = experiment.replace("sh -c 'mkdir", "no-such-program 'mkdir")
     with pytest.raises(ConfigError, match="cannot be started: no-such-program"):
         run_experiment(config(absent, out=tmp_path / "other"))
 
 
-# ------------------------------------------------------------------ trainers
-
-SCRIPT = """
-import os, socket, sys
-mode, folder, port = sys.argv[1], sys.argv[2], int(sys.argv[3])
-if mode == "train":
-    os.makedirs(folder, exist_ok=True)
-    open(folder + "/weights", "w").write(sys.argv[4])
-elif mode == "serve":
-    print("loading", open(folder + "/weights").read(), flush=True)
-    open(folder + "/served", "a").write("x")
-    with socket.create_server(("127.0.0.1", port)) as listening:
-        while True:
-            listening.accept()[0].close()
-"""
-LEROBOT = """
-dataset: {{format: lerobot, version: "2.1", columns: openpi, image_width: 64, image_height: 64, convention: ''}}
-command: "{python} {script} train {{out}} 0 '{{dataset}} {{seed}}'"
-policy: openpi
-options: {{url: "ws://127.0.0.1:{port}", convention: "{{convention}}", version: "{{condition}}.{{replicate}}"}}
-serve: "{python} {script} serve {{checkpoint}} {port}"
-"""
-
-
-@pytest.fixture
-def lerobot_trainer(tmp_path):
-    """Return the file of a trainer whose script reads LeRobot datasets, and whose checkpoints a server holds."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    file = tmp_path / "mine_too.yaml"
-    file.write_text(LEROBOT.format(python=sys.executable, script=script, port=port))
-    return file, port
-
-
-def test_a_trainer_of_a_file_gets_its_format_and_its_policy_its_checkpoint(fakes, config, lerobot_trainer, tmp_path):
-    file, port = lerobot_trainer
-    one = TEXT.replace("count: 3", "count: 1")
-    result = run_experiment(config(one, trainer=str(file)))
-    form, written = fakes.exports["leave_out.0"]
-    assert form == "lerobot"
-    assert (written.version, written.columns, written.image_width, written.val_fraction) == ("2.1", "openpi", 64, 0.0)
-    out = tmp_path / "out"
-    assert (out / "train/baseline.0/weights").read_text() == f"{out}/export/baseline.0 0"
-    options = fakes.policies["leave_out.0"].options
-    assert options["convention"] == f"{out}/export/leave_out.0/convention.yaml", "what the policy was trained with"
-    assert (options["url"], options["version"]) == (f"ws://127.0.0.1:{port}", "leave_out.0")
-    assert fakes.policies["blind.0"].options["version"] == "leave_out.0", "the same checkpoint"
-    assert fakes.policies["blind.0"].options["policy"] == "openpi"
-    assert (out / "train/leave_out.0/served").read_text() == "xx", "for leave_out and for blind"
-    assert "loading" in (out / "evaluate/leave_out.0.server.log").read_text()
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port))
-    assert result.card.experiment.trainer == "mine_too"
-    assert result.card.experiment.config.trainers["mine_too"].steps == 7, "those of the experiment's first trainer"
-    file.unlink()
-    assert check_card(result.card.plain) == result.card, "the card holds the trainer"
-
-
-def test_a_server_of_something_else_is_not_measured(fakes, config, lerobot_trainer, tmp_path):
-    file, port = lerobot_trainer
-    with socket.create_server(("127.0.0.1", port)), pytest.raises(RoboximError, match="answers at .* already"):
-        run_experiment(config(trainer=str(file)))
-    file.write_text(file.read_text().replace(" serve {checkpoint}", " serve {checkpoint}/no"))
-    with pytest.raises(RoboximError, match=r"(?s)ended with exit code 1 at ws://.*server.log:.*FileNotFoundError"):
-        run_experiment(config(trainer=str(file), out=tmp_path / "other"))
-
-
-class ExecutorOfManyMachines(InlineExecutor):
-    elsewhere = True
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]", "0.0.0.0", "[::ffff:127.0.0.1]"])
-def test_a_server_that_other_machines_cannot_reach_is_refused_before_anything_starts(
-    fakes, config, lerobot_trainer, tmp_path, host
-):
-    file, _ = lerobot_trainer
-    file.write_text(file.read_text().replace("ws://127.0.0.1", f"ws://{host}"))
-    with pytest.raises(ConfigError, match=r"options.url: .* cannot reach ws://.*; write this machine's address"):
-        run_experiment(config(trainer=str(file)), executor=ExecutorOfManyMachines())
-    assert not (tmp_path / "out").exists()
-    require_reachable([None, Server(words=("serve",), url="ws://10.1.2.3:8000")], ExecutorOfManyMachines())
-    require_reachable([Server(words=("serve",), url="ws://127.0.0.1:8000")], InlineExecutor())
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("format: lerobot", "format: lerobt", "mine_too.dataset: no format 'lerobt'.*did you mean 'lerobot'"),
-        ("columns:", "colums:", "mine_too.dataset.*colums.*did you mean 'columns'"),
-        ("columns: openpi", "per_cell: 3", "the experiment decides about 'per_cell'"),
-        ("convention: ''", "actions: tool, convention: libero", "leave out .*actions"),
-        ("command:", "comand:", "comand.*did you mean 'command'"),
-        ("{checkpoint} ", "here ", "serve: needs {checkpoint}"),
-        ('"{convention}"', '"{conventoin}"', "options: unknown placeholder 'conventoin'.*{convention}"),
-        ("policy: openpi", "policy: opnpi", "opnpi.*did you mean 'openpi'"),
-        ('version: "{condition}', 'verson: "{condition}', "'verson' is unknown.*version"),
-        ("url:", "address:", "needs options.url"),
-    ],
-)
-def test_a_wrong_trainer_is_refused_before_anything_runs(fakes, config, lerobot_trainer, old, new, said):
-    file, _ = lerobot_trainer
-    text = file.read_text()
-    assert old in text
-    file.write_text(text.replace(old, new, 1))
-    with pytest.raises(ConfigError, match=f"(?s){said}"):
-        run_experiment(config(trainer=str(file)))
-    assert fakes.calls == []
-    with pytest.raises(ConfigError, match="no trainer 'min' in the experiment or in config/trainers.*'mine'"):
-        run_experiment(config(trainer="min"))
-
-
-def test_datasets_may_differ_in_what_their_actions_mean(fakes, config):
-    text = TEXT.replace("baseline: {cells: all,", "baseline: {export: {actions: tool}, cells: all,")
-    assert text != TEXT
+def test_datasets_may_differ_in_what_their_actions_mean(fakes, config, experiment):
+    text = experiment.replace("baseline: {cells: all,", "baseline: {export: {actions: tool}, cells: all,")
+    assert text != experiment
     result = run_experiment(config(text))
     assert [fakes.exports[f"{name}.0"][1].actions for name in ("leave_out", "baseline")] == ["", "tool"]
     assert fakes.policies["baseline.0"].options == {"checkpoint": fakes.policies["baseline.0"].options["checkpoint"]}
@@ -551,7 +324,7 @@ def test_training_data_with_a_held_out_episode_are_refused_before_any_training(f
     )
 
 
-def test_an_episode_without_proof_is_none_of_its_cell(fakes, config):
+def test_an_episode_without_proof_is_none_of_its_cell(fakes, config, experiment):
     fakes.evaluation = Tally(checks={"camera": (119, 120)}, faults=(Fault(check="camera", bag="a", text="moved"),))
     fakes.excluded = {"leave_out": [0]}
     card = run_experiment(config()).card.plain
@@ -562,10 +335,10 @@ def test_an_episode_without_proof_is_none_of_its_cell(fakes, config):
         Fault(check="camera", bag=bag, text="camera 'workspace' is 5.0 cm from the demanded pose") for bag in "ab"
     ))  # fmt: skip
     with pytest.raises(RoboximError, match=r"2 of 120 .*1 % are tolerated.*\n  a: camera.*5.0 cm"):
-        run_experiment(config(TEXT.replace("count: 3", "count: 4")))
+        run_experiment(config(experiment.replace("count: 3", "count: 4")))
 
 
-def test_tolerated_faults_are_named_with_bag_and_figure(fakes, config, tmp_path):
+def test_tolerated_faults_are_named_with_bag_and_figure(fakes, config, experiment, tmp_path):
     out = tmp_path / "out"
     bags = [f"evaluate/baseline.0/baseline/episodes/eval-{number}" for number in range(7)]
     moved = "camera 'workspace' is 5.0 cm from the demanded pose"
@@ -573,7 +346,7 @@ def test_tolerated_faults_are_named_with_bag_and_figure(fakes, config, tmp_path)
     fakes.evaluation = Tally(checks={"camera": (993, 1000)}, faults=faults[:3])
     fakes.excluded = {"baseline": [0, 1, 2]}
     events = []
-    one = TEXT.replace("count: 3", "count: 1")
+    one = experiment.replace("count: 3", "count: 1")
     card = run_experiment(config(one), on_event=events.append).card
     (said,) = [text for text in card.statements if text.startswith("prove/evaluation.0: ")]
     assert "tolerated faults in 3 of 1000 episodes, 3 of them left out of the results: " in said
