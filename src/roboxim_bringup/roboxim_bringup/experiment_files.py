@@ -21,6 +21,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
 from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
+from roboxim_eval.experiments.reductions import reductions
 from roboxim_eval.experiments.telling import PARTS, differing, undistinguished
 from roboxim_eval.experiments.trainers import TrainerConfig, trainer_config
 from roboxim_tasks.config import task_mix
@@ -33,6 +34,8 @@ def load_experiment(
     name: str, scale: str = "full", *, changes: Mapping[str, Any] | None = None, trainer: str = ""
 ) -> ExperimentConfig:
     """Load ``config/experiments/<name>.yaml``, or a path to a YAML file, at a scale.
+
+    The last of its deviations says what the scale changes.
 
     Args:
         name: Name, or path.
@@ -47,6 +50,8 @@ def load_experiment(
     path = named_config("experiments", name)
     data = located(load_yaml(path), str(path))
     config = experiment_config(merged(data, changes or {}), source=str(path), scale=scale)
+    if reduced := reductions(experiment_config(data, source=str(path)), config):
+        config = replace(config, deviations=(*config.deviations, f"Scale {scale}: {reduced}."))
     config = with_trainer(config, trainer)
     chosen = trainer_name(config, trainer) or next(iter(config.trainers), "")
     require_readable(config, config.trainers.get(chosen, TrainerConfig()))

@@ -19,6 +19,7 @@ from roboxim_bringup.experiment_files import (
     load_benchmark,
     load_experiment,
     mixes,
+    write_experiment,
     write_mixes,
 )
 from roboxim_bringup.experiment_plan import plan_data, plan_lines
@@ -186,6 +187,25 @@ def test_what_a_scale_reduces_and_what_trains_is_stated():
             small = load_experiment(name, scale)
             steps = small.conditions["long"].steps if name == "pick_cube" else small.trainers["bc"].steps
             assert f"{steps:,}" in text, (name, scale)
+
+
+def test_what_a_scale_changes_is_among_the_deviations(tmp_path):
+    assert load_experiment("skill_object", "laptop").deviations[-1] == (
+        "Scale laptop: trainers.bc.steps 4,000 instead of 10,000; evaluate.per_cell 5 instead of 20; "
+        "evaluate.per_unseen_cell 20 instead of 0; replicates.count 3 instead of 5."
+    )
+    assert (
+        "Scale smoke: without factors.task rotate; factors.target cube, soda_can instead of cube, apple, soda_can"
+        in (load_experiment("skill_object", "smoke").deviations[-1])
+    )
+    assert load_experiment("area", "laptop").deviations[-1].endswith("; without curve.")
+    assert "Scale full" not in " ".join(load_experiment("skill_object").deviations)
+    at_night = benchmark_experiments(load_benchmark("transfer"), "night")["skill_object"]
+    for said in ("trainers.bc.steps 8,000 instead of 10,000", "evaluate.cells.baseline unseen instead of all",
+                 "replicates.count 3 instead of 5", "compare 2 entries instead of 3 entries"):  # fmt: skip
+        assert said in at_night.deviations[-1]
+    write_experiment(at_night, tmp_path / "mine.yaml")
+    assert load_experiment(str(tmp_path / "mine.yaml")).deviations == at_night.deviations
 
 
 def test_datasets_are_balanced_over_the_levels_of_both_factors():

@@ -39,6 +39,7 @@ from roboxim_eval.benchmark import (
     experiment_changes,
 )
 from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.reductions import WORDING
 
 STATE_FILE = "benchmark.json"
 
@@ -170,7 +171,8 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
                            (card.experiment.trainer, trainer))  # fmt: skip
             raise ConfigError(f"{path} has {there}, and --trainer is {here}")
         asked = to_plain(planned[name])
-        if changed := differences(to_plain(card.experiment.config), asked, words=("in the card", "here")):
+        ran = to_plain(card.experiment.config)
+        if changed := differences(ran, asked, ignore=WORDING, words=("in the card", "here")):
             raise ConfigError(
                 f"{path}: its experiment '{name}' differs from the one of this benchmark at scale {config.scale} "
                 f"({changed}); run it by --experiment {name}"

@@ -104,6 +104,7 @@ def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted
             json.dumps(sealed(replace(card, experiment=replace(card.experiment, name=name))).plain)
         )
     planted = whole.card.experiments["one"].experiment.config
+    planted = replace(planted, deviations=("Told in other words than in the cards.",))
     monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": planted, "two": planted})
     calls.clear()
     here = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", experiments=("two",))
@@ -133,9 +134,9 @@ def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, 
     monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": config})
     refused("is of experiment 'mine'; expected one of: one, two", name="mine")
     refused("has the first trainer of its file, and --trainer is 'mine'", name="one", trainer="mine")
-    other = replace(config, about="Another question")
+    other = replace(config, image_size="32x32")
     monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {"one": other})
-    refused(r"'one' differs from the one of this benchmark at scale night \(about: ", name="one")
+    refused(r"'one' differs from the one of this benchmark at scale night \(image_size: ", name="one")
     card.write_text(json.dumps({**one.plain, "sha256": "0"}))
     with pytest.raises(ConfigError, match=r"card.json"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", cards=(card,)))
