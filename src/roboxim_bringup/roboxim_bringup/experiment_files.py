@@ -23,11 +23,8 @@ from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.reductions import reductions
 from roboxim_eval.experiments.telling import PARTS, differing, undistinguished
-from roboxim_eval.experiments.trainers import TrainerConfig, trainer_config
+from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
 from roboxim_tasks.config import task_mix
-
-TRAINERS = "trainers"
-"""Folder of ``config`` with trainers."""
 
 
 def load_experiment(

@@ -1,6 +1,7 @@
 """The shipped experiments, their plans, and the command."""
 
 import json
+import os
 import platform
 import re
 import shlex
@@ -176,6 +177,20 @@ def test_every_shipped_trainer_is_valid(name):
         words = [word.format(**given) for word in shlex.split(text)]
         assert words[:2] == ["sh", "-c"]
         subprocess.run(["sh", "-n", "-c", words[2]], check=True)
+
+
+def test_octo_is_fine_tuned_in_whole_or_its_head_alone(tmp_path):
+    config = load_experiment("cross_domain", "laptop", trainer="octo")
+    given = {"dataset": "data", "out": str(tmp_path / "out"), "seed": 0, "steps": 5}
+    environment = {**os.environ, "OCTO_PYTHON": "echo", "OCTO_SOURCE": "octo dlimp", "OCTO_CONFIG": "config.py"}
+    for arguments, config_flag in (("", "full"), ("full", "full"), ("head_only", "head_only")):
+        words = [word.format(**given) for word in shlex.split(f"{config.trainers['octo'].command} {arguments}")]
+        said = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
+        assert f"octo/scripts/finetune.py --debug --config=config.py:{config_flag},language_conditioned " in said
+    recipes = [training.arguments for training in checked_design("cross_domain", config, "octo").trainings]
+    assert recipes == ["full", "head_only"]
+    with pytest.raises(ConfigError, match="arguments are for octo alone, so trainer 'smolvla'"):
+        checked_design("cross_domain", load_experiment("cross_domain", trainer="smolvla"), "smolvla")
 
 
 def test_what_a_scale_reduces_and_what_trains_is_stated():

@@ -238,10 +238,18 @@ def test_a_condition_adds_arguments_to_the_command_of_its_trainer_alone():
     other = replace(changed, trainers={**changed.trainers, "mine": changed.trainers["bc"]})
     with pytest.raises(ConfigError, match="conditions.baseline: arguments are for bc alone.*mine"):
         design_of(other, "mine")
-    with pytest.raises(ConfigError, match="arguments.bd .line 17.: unknown name 'bd'; expected one of: bc"):
+    with pytest.raises(ConfigError, match="arguments.bd .line 17.: unknown name 'bd'; expected one of: bc, "):
         config(text.replace("arguments: {bc:", "arguments: {bd:"))
     with pytest.raises(ConfigError, match="arguments: are those of a training"):
         config(TEXT.replace("{checkpoint_of: leave_out,", "{checkpoint_of: leave_out, arguments: {bc: --set depth=2},"))
+
+
+def test_conditions_that_would_be_trained_alike_are_refused():
+    alike = TEXT.replace("baseline: {train: baseline}", "baseline: {train: leave_out}")
+    assert alike != TEXT
+    with pytest.raises(ConfigError, match=r"conditions.baseline: trainer 'bc' would train it like 'leave_out'.*steps"):
+        design_of(config(alike))
+    design_of(config(alike.replace("{train: leave_out}\n  baseline", "{train: leave_out, steps: 3}\n  baseline")))
 
 
 def test_a_faulty_dataset_has_all_demonstrations_so_that_its_share_is_exact():

@@ -13,9 +13,10 @@ from typing import Any, ClassVar
 
 from roboxim_core import limits
 from roboxim_core.config import from_plain, place
+from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
-from roboxim_eval.experiments.trainers import FORMAT, TrainerConfig
+from roboxim_eval.experiments.trainers import FORMAT, TRAINERS, TrainerConfig
 
 TASK = "task"
 """The factor whose levels are tasks of ``config/tasks``."""
@@ -371,7 +372,7 @@ def _check(config: ExperimentConfig, data: Any, source: str) -> None:
         if condition.train:
             require(condition.train, config.datasets, "conditions", name, "train")
         for trainer in condition.arguments:
-            require(trainer, config.trainers, "conditions", name, "arguments", trainer)
+            require(trainer, {*config.trainers, *config_names(TRAINERS)}, "conditions", name, "arguments", trainer)
         if condition.checkpoint_of:
             trained = [other for other, c in config.conditions.items() if not c.checkpoint_of]
             require(condition.checkpoint_of, trained, "conditions", name, "checkpoint_of")

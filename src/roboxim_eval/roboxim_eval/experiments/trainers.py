@@ -13,6 +13,8 @@ from typing import Any, ClassVar
 from roboxim_core.config import from_plain
 from roboxim_core.errors import ConfigError
 
+TRAINERS = "trainers"
+"""Folder of ``config`` with trainers."""
 RLDS = "rlds"
 """Format of datasets unless a trainer names another one."""
 FORMAT = "format"
