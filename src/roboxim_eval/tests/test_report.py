@@ -12,7 +12,6 @@ from PIL import Image
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
-from roboxim_eval.experiments.config import ConditionConfig
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
 from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
@@ -21,10 +20,8 @@ from roboxim_eval.report.episodes import Episode, episodes_json
 from roboxim_eval.report.evaluation import comparisons
 from roboxim_eval.report.films import chosen_films, film_strip
 from roboxim_eval.report.reasons import EXPLANATIONS, explained
-from roboxim_eval.report.vocabulary import Names, vocabulary
 from roboxim_eval.statistics import error_line, factors, failure_reasons, is_measured, rate_of, success_rate
 from roboxim_eval.statistics.factors import Trial, factor_effects
-from roboxim_eval.testing import shipped
 
 
 def result(index, outcome="success", reason="", instruction="Pick up the red cube"):
@@ -248,20 +245,6 @@ def test_every_reason_that_a_skill_gives_is_explained():
     assert not given - EXPLANATIONS.keys(), "explain them in roboxim_eval/report/reasons.py"
     assert explained("not_watered") == "The condition 'watered' was not met."
     assert explained("") == "The task gave no reason."
-
-
-def test_other_suites_have_no_name_for_missing_words_and_late_answers():
-    design = shipped("robustness")
-    found = {one.what: one.names for one in vocabulary(design.config, design.cells)}
-    assert set(found) == set(design.config.conditions) - {"nominal"}, "every changed condition is named"
-    assert found["no_words"] == found["late_2"] == Names()
-    assert found["light"].colosseum == "light colour"
-    assert found["sensor_noise"].libero_plus == "sensor noise", "not a viewpoint"
-    words = shipped().config
-    config = replace(words, conditions={**words.conditions, "odd": ConditionConfig(train="baseline", set={"odd": 1})})
-    names = {one.what: one.names for one in vocabulary(config, ())}
-    assert names["blind"] == Names()
-    assert names["odd"] is None, "not known here, which is not the same"
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from roboxim_eval.experiments.cells import Cell
@@ -42,11 +43,14 @@ class Varied:
 NOISY = "_noisy"
 """End of the names of views whose images are noisy, which a key alone does not tell."""
 IMAGES = Names(star_gen="visual: image augmentations", libero_plus="sensor noise")
+LIGHT_COLOUR = Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")
 BY_KEY: tuple[tuple[str, Names], ...] = (
     ("reset.cameras.exposure", IMAGES),
     (NOISY, IMAGES),
     ("reset.cameras", Names(colosseum="camera pose", star_gen="visual: viewpoint", libero_plus="camera viewpoints")),
-    ("reset.lights", Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")),
+    ("reset.lights.color", LIGHT_COLOUR),
+    ("reset.lights.ambient", LIGHT_COLOUR),
+    ("reset.lights", Names(star_gen="visual: scene", libero_plus="light conditions")),
     (
         "reset.surfaces.table",
         Names(colosseum="table colour, table texture", star_gen="visual: scene", libero_plus="background textures"),
@@ -97,6 +101,7 @@ NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
 RANGE = {"values", "lower", "upper", "minimum", "maximum", "names"}
 """Keys of a range of values, below which no further names follow."""
 NEW_PAIR = Names(star_gen="combined: unseen verb with seen object")
+NEW_OBJECT = Names(star_gen="behavioural: new object")
 
 
 def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied, ...]:
@@ -106,17 +111,20 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
         config: The experiment.
         cells: Its cells.
     """
+    cells = tuple(cells)
     found = []
-    held_out = any(cell.unseen for cell in cells)
     for factor, levels in config.factors.items():
-        keys = sorted({path for level in levels.values() for path in _paths(level)}) if _is_mapping(levels) else []
         if factor != TASK and _is_mapping(levels):
+            keys = sorted({path for level in levels.values() for path in _paths(level)})
             found.append(Varied(what=factor, key=", ".join(keys) or factor, names=_names([factor, *keys])))
-        elif held_out and len(levels) > 1:
+        elif len(levels) > 1:
             key = "tasks" if factor == TASK else f"objects.{factor}.models"
-            found.append(
-                Varied(what=factor, key=key, names=NEW_PAIR if len(config.factors[TASK]) > 1 else NEW_COMBINATION)
-            )
+            new = factor != TASK and _only_held_out(cells, (factor,))
+            found.append(Varied(what=factor, key=key, names=NEW_OBJECT if new else NO_NAMES))
+    for factors in _new_together(config, cells):
+        of_object = TASK in factors and any(f != TASK and not _is_mapping(config.factors[f]) for f in factors)
+        names = NEW_PAIR if of_object and len(factors) == 2 else NEW_COMBINATION
+        found.append(Varied(what=" and ".join(factors), key="unseen", names=names))
     for name, condition in config.conditions.items():
         if condition.instruction is not None:
             found.append(Varied(what=name, key="instruction", names=WORDS if condition.instruction else NO_NAMES))
@@ -125,6 +133,24 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
         if keys := sorted(_paths(condition.set)):
             found.append(Varied(what=name, key=", ".join(keys), names=_names(keys)))
     return tuple(found)
+
+
+def _new_together(config: ExperimentConfig, cells: tuple[Cell, ...]) -> Iterable[tuple[str, ...]]:
+    """Yield the smallest groups of factors whose levels are seen one by one, but not together."""
+    known = [(factor,) for factor in config.factors if _only_held_out(cells, (factor,))]
+    for size in range(2, len(config.factors) + 1):
+        new = [factors for factors in combinations(config.factors, size)
+               if _only_held_out(cells, factors) and not any(set(one) <= set(factors) for one in known)]  # fmt: skip
+        known += new
+        yield from new
+
+
+def _only_held_out(cells: Iterable[Cell], factors: tuple[str, ...]) -> bool:
+    """Tell whether a held-out cell has levels of these factors that no seen cell has."""
+    by_unseen: dict[bool, set[tuple[str, ...]]] = {True: set(), False: set()}
+    for cell in cells:
+        by_unseen[cell.unseen].add(tuple(cell.levels[factor] for factor in factors))
+    return bool(by_unseen[True] - by_unseen[False])
 
 
 def _is_mapping(value: Any) -> bool:
