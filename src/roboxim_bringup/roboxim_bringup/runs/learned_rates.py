@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from roboxim_bringup.runs.calibration import episode_s, rollout_times
@@ -19,6 +20,9 @@ LEAST_EPISODES, LEAST_STEPS = 20, LEAST_LEARNING_STEPS
 """Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
 NEARLY = 0.05
 """Largest part by which the mean number of trainings at a time may differ from the number whose rate it shows."""
+PLAUSIBLE = 0.8
+"""Least steps a second of trainings side by side, in all and relative to one alone, for their rate to be stored. If
+they were slower, something else disturbed them: nobody would run them side by side."""
 ALONE = "; trainings alone: "
 """What separates the source of a training's rate from that of the other rates."""
 
@@ -96,7 +100,8 @@ def _training_rates(
     """Yield the rate of each number of trainings at a time that a run shows with enough steps.
 
     A training shows it if that number ran during nearly all its time: the last training of an odd number of them shows
-    the rate of one alone, and one that was alone for half its time shows none.
+    the rate of one alone, and one that was alone for half its time shows none. The median of the trainings counts, so
+    that a few that were disturbed do not.
 
     Args:
         entries: The log of stages.
@@ -113,13 +118,18 @@ def _training_rates(
         if (training := trainings.get(entry["stage"])) and abs(at_once - number) <= NEARLY * number:
             starts = 1 + len(training.checkpoints)
             shown.setdefault(number, []).append((float(entry["wall_s"]), training.steps, starts))
+    alone = before.steps_per_s
     for number, ones in sorted(shown.items()):
         rate = before.at_once(number)
         start_s = rate.start_s if rate else before.train_start_s  # no better one is known
         steps = sum(steps for _, steps, _ in ones)
-        training_s = sum(wall_s - starts * start_s for wall_s, _, starts in ones)
-        if steps >= LEAST_STEPS and training_s > 0:
+        took = [(wall_s - starts * start_s) / steps for wall_s, steps, starts in ones if wall_s > starts * start_s]
+        if steps < LEAST_STEPS or not took:
+            continue
+        steps_per_s = 1 / median(took)
+        alone = steps_per_s if number == 1 else alone
+        if number == 1 or number * steps_per_s >= PLAUSIBLE * alone:
             yield SideBySide(
-                trainings=number, steps_per_s=steps / training_s, start_s=start_s, measured=measured,
+                trainings=number, steps_per_s=steps_per_s, start_s=start_s, measured=measured,
                 source=f"{run}: {steps:,} steps",
             )  # fmt: skip

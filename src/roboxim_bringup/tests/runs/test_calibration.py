@@ -100,12 +100,25 @@ def test_trainings_side_by_side_teach_a_rate_of_their_own(tmp_path):
     assert found.source == "run of mine night: 20 demonstrations, 1,000 steps, 80 rollouts"
 
 
+def test_trainings_that_something_else_disturbed_teach_no_rate(tmp_path):
+    four = TEXT.replace("count: 1", "count: 4")
+    walls = {"train/all.0": 250.0, "train/all.1": 255.0, "train/all.2": 260.0, "train/all.3": 3000.0}
+    beside = {name: {"wall_s": wall_s, "at_once": 2.0} for name, wall_s in walls.items()}
+    design = finished(tmp_path, four, beside)
+    for replicate in (1, 2, 3):
+        episodes(evaluation_folder(tmp_path, f"evaluate/all.{replicate}"), 6.0, 6.0)
+    found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)
+    assert found.at_once(2).steps_per_s == pytest.approx(1000 / (257.5 - 10)), "the median, not the mean"
+    fast = replace(BEFORE, steps_per_s=2.6 * 1000 / (257.5 - 10))
+    assert rates_of_run("mine", "night", tmp_path, design, 2, fast).at_once(2) is None, "one alone would be faster"
+
+
 def test_a_run_without_a_training_alone_keeps_the_rate_of_one(tmp_path):
-    design = finished(tmp_path, training={"train/all.0": {"wall_s": 510.0, "at_once": 2.0}})
+    design = finished(tmp_path, training={"train/all.0": {"wall_s": 240.0, "at_once": 2.0}})
     found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)
     assert found.steps_per_s == BEFORE.steps_per_s
     assert found.source == "run of mine night: 20 demonstrations, 20 rollouts; trainings alone: test"
-    assert found.at_once(2).steps_per_s == pytest.approx(1000 / (510 - 10)), "its start is not known any better"
+    assert found.at_once(2).steps_per_s == pytest.approx(1000 / (240 - 10)), "its start is not known any better"
     again = rates_of_run("mine", "night", tmp_path, design, 2, found)
     assert again.source == found.source
     assert again.demonstration_s == pytest.approx(2.0)
