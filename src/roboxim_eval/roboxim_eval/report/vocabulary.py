@@ -137,7 +137,7 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
 
 def _new_together(config: ExperimentConfig, cells: tuple[Cell, ...]) -> Iterable[tuple[str, ...]]:
     """Yield the smallest groups of factors whose levels are seen one by one, but not together."""
-    known = [(factor,) for factor in config.factors if _only_held_out(cells, (factor,))]
+    known: list[tuple[str, ...]] = [(factor,) for factor in config.factors if _only_held_out(cells, (factor,))]
     for size in range(2, len(config.factors) + 1):
         new = [factors for factors in combinations(config.factors, size)
                if _only_held_out(cells, factors) and not any(set(one) <= set(factors) for one in known)]  # fmt: skip
