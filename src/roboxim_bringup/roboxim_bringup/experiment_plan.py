@@ -58,6 +58,8 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
     yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"
     if cost is not None and rates is not None:
         yield f"                  {_success_text(cost, design, rates)}"
+        if named := _named_by_user(design):
+            yield f"                  without what {named} take to answer, which is not known here"
         yield f"  disk            {cost.disk_bytes / 1e9:.1f} GB"
         yield f"  rates           of {rates.measured}: {rates.source}; {rates.workers} workers on {rates.machine}"
         rate = rates.at_once(trainings_at_once(design, trainings))
@@ -69,6 +71,14 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
     yield from _power_lines(design)
     yield from (f"  warning         {sentence}" for sentence in told_by_scene(design))
     yield from (f"  deviation       {sentence}" for sentence in config.deviations)
+
+
+def _named_by_user(design: Design) -> str:
+    """Return which policies of an experiment the user names; empty: none."""
+    elsewhere = design.trainings and not design.trainer.command
+    given = any(condition.given for condition in design.config.conditions.values())
+    kinds = [*(["trained elsewhere"] if elsewhere else []), *(["that exist already"] if given else [])]
+    return f"the policies {' and '.join(kinds)}" if kinds else ""
 
 
 def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:
@@ -94,7 +104,8 @@ def _success_text(cost: Cost, design: Design, rates: Rates) -> str:
 def time_text(cost: Cost) -> str:
     """Return the time of all stages, e.g. ``3.1 h: 0.3 h demonstrations, 1.2 h trainings, 1.6 h rollouts``."""
     parts = [f"{hours(cost.generate_s)} demonstrations"] if cost.generate_s else []
-    parts.append("trainings elsewhere" if cost.train_s is None else f"{hours(cost.train_s)} trainings")
+    if cost.train_s != 0.0:
+        parts.append("trainings elsewhere" if cost.train_s is None else f"{hours(cost.train_s)} trainings")
     parts.append(f"{hours(cost.evaluate_s)} rollouts")
     return f"{hours(cost.total_s)}: {', '.join(parts)}"
 

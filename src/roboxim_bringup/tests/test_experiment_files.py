@@ -324,7 +324,12 @@ def test_a_plan_of_trainings_side_by_side_says_how_their_rate_was_measured():
     unknown = "\n".join(plan_lines("skill_object", "laptop", design, RATES, 2))
     assert "the rate of 2 trainings at a time was not measured; 'roboxim experiment calibrate --trainings 2'" in unknown
     elsewhere = design_of(load_experiment("skill_object", "laptop"), "external")
-    assert "trainings elsewhere" in "\n".join(plan_lines("skill_object", "laptop", elsewhere, RATES, 2))
+    text = "\n".join(plan_lines("skill_object", "laptop", elsewhere, RATES, 2))
+    assert "trainings elsewhere" in text
+    assert "without what the policies trained elsewhere take to answer" in text
+    given = "\n".join(plan_lines("zero_shot", "full", design_of(load_experiment("zero_shot")), RATES))
+    assert "training" not in given.partition("  rates ")[0], "it has none"
+    assert "without what the policies that exist already take to answer" in given
 
 
 def test_the_command_measures_trainings_side_by_side_once(monkeypatch):

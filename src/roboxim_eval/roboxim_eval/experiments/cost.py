@@ -198,7 +198,7 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
     """
     exported = design.generations * sum(sum(counts.values()) for counts in design.datasets.values())
     here = bool(design.trainer.command)
-    train_s = _trainings_s(design, rates, trainings) if here else None
+    train_s = _trainings_s(design, rates, trainings) if here or not design.trainings else None
     films = sum(
         min(FILMS, sum(one.rollouts for one in design.evaluations if one.condition == name and not one.checkpoint))
         for name in design.config.conditions
