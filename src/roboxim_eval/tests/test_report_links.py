@@ -103,6 +103,21 @@ def test_numbers_of_an_evaluation_lead_to_their_episodes(tmp_path):
     assert listed(page, [errors]) == [(0, 5)]
 
 
+def test_an_evaluation_of_a_mix_has_a_map_of_its_cells(tmp_path):
+    names = ("pick_up target=cube", "pick_up target=apple", "rotate target=cube")
+    of_cells = [replace(run, drawn={r.episode_id: {"cell": names[r.index % 3]} for r in run.results}) for run in runs()]
+    report = Report(title="t", runs=of_cells, facts={}, versions={}, command="c")
+    page = write_report(report, tmp_path).read_text()
+    heat = re.findall(r'href="(#episodes[^"]*)" title="[^"]*: (\d+) of (\d+) =', page)
+    assert len(heat) == 3 + 3
+    assert listed(page, [link for link, *_ in heat]) == [(int(a), int(b)) for _, a, b in heat]
+    assert "bc - zero, points" in page
+    assert "<th>cube</th><th>apple</th>" in page
+    other = [replace(run, drawn={r.episode_id: {"cell": "odd name"} for r in run.results}) for run in of_cells]
+    for made in (list(runs()), other):
+        assert 'id="cells"' not in write_report(replace(report, runs=made), tmp_path).read_text()
+
+
 # ------------------------------------------------------------------ experiments
 
 
@@ -200,6 +215,19 @@ def test_a_benchmarks_numbers_lead_into_the_reports_of_its_experiments(card):
     heat = re.findall(r'href="skill_object/report.html(#episodes[^"]*)" title="[^"]*: (\d+) of (\d+) =', page)
     assert len(heat) == 18 + 18 + 6
     assert listed(there, [link for link, *_ in heat]) == [(int(a), int(b)) for _, a, b in heat]
+    row = page.partition('<td><a href="#skill_object">skill_object</a></td><td class="num">')[2].partition("</tr>")[0]
+    absolute, baseline, gap, relative = re.findall(r'href="skill_object/report.html(#episodes[^"]*)"', row)
+    counts = Counter()
+    for e in card.evaluations:
+        for cell, (_, met, _) in e.by_cell.items():
+            counts[e.condition, cell in {c.key for c in shipped().cells if c.unseen}] += met
+    leave_out, other = counts["leave_out", True], counts["baseline", True]
+    assert [met for _, met in listed(there, [absolute, baseline, gap, relative])] == [
+        leave_out, other, leave_out + other, leave_out + other,
+    ]  # fmt: skip
+    assert 'id="dimension-object"><b>object</b><br><span class="soft">mean of <a href="#skill_object">' in page
+    assert "leave_out - baseline, points" in page, "the map of differences"
+    assert "By target, success in %" in html.unescape(page)
     assert '<a href="skill_object/report.html">skill_object</a>' in page
     assert '<p class="warning">The scene tells it.</p>' in page
 

@@ -43,6 +43,23 @@ class Cell:
         return match.items() <= self.levels.items()
 
 
+def named_cell(name: str) -> Cell | None:
+    """Return the cell that a mix records by a name, all of whose factors but the task are taken as roles.
+
+    Args:
+        name: For example ``pick_up target=apple camera=left``.
+
+    Returns:
+        The cell; its key has the factors in the order of their names. None: the name is none of a cell.
+    """
+    task, *others = name.split(" ")
+    levels = dict(pair for word in others if len(pair := word.partition("=")[::2]) == 2 and all(pair))
+    if len(levels) < len(others) or "=" in task:
+        return None
+    levels = {TASK: task, **dict(sorted(levels.items()))}
+    return Cell(levels=levels, roles=tuple(sorted(levels.keys() - {TASK})), unseen=False)
+
+
 def cells_of(config: ExperimentConfig) -> tuple[Cell, ...]:
     """Return all cells of an experiment, in the order of the factors' levels.
 

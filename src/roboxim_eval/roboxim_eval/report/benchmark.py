@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text, points_text, rate_text
@@ -13,7 +13,14 @@ from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.report.charts.forest import RATES, ForestRow, ratio_scale
 from roboxim_eval.report.episodes import links_into
-from roboxim_eval.report.experiment import primary_forest, provenance_of, rate_maps, score_rows
+from roboxim_eval.report.experiment import (
+    behind_scores,
+    by_level,
+    heat_maps,
+    primary_forest,
+    provenance_of,
+    score_rows,
+)
 from roboxim_eval.report.page import render
 from roboxim_eval.statistics.tables import Arm
 
@@ -36,6 +43,10 @@ class BenchmarkRow:
     """Ratio to the baseline; none: refused."""
     published: ReferenceScore | None = None
     """Published scores of the same; none: there are none."""
+    experiments: tuple[str, ...] = ()
+    """Of a dimension, the experiments whose mean it is."""
+    links: Mapping[str, str] = field(default_factory=dict)
+    """Score to the episodes that it is from; none: they are on no page beside this one."""
 
     @property
     def absolute_text(self) -> str:
@@ -66,21 +77,28 @@ class BenchmarkRow:
         return f"{self.published.absolute:.2f}", "-" if relative is None else f"{100 * relative:.0f} %"
 
 
-def benchmark_rows(card: BenchmarkCard) -> Iterator[BenchmarkRow]:
-    """Yield the scores of each dimension, then those of each experiment."""
-    reference = card.reference or Reference(name="")
+def benchmark_rows(card: BenchmarkCard, pages: Mapping[str, str] | None = None) -> Iterator[BenchmarkRow]:
+    """Yield the scores of each dimension, then those of each experiment.
+
+    Args:
+        card: The card.
+        pages: Experiment to the address of its own page; none: numbers lead nowhere.
+    """
+    reference, own = card.reference or Reference(name=""), pages or {}
     for name, score in card.dimensions.items():
         yield BenchmarkRow(
             name=name, dimension=True, absolute=score.absolute,
             baseline=score.baseline, gap=score.gap, relative=score.relative, published=reference.dimensions.get(name),
+            experiments=score.experiments,
         )  # fmt: skip
     for name, one in card.experiments.items():
         assert one.scores is not None, "a benchmark's card has no dimensions otherwise"
-        relative = one.scores["relative"]
+        relative, link = one.scores["relative"], links_into(own.get(name, ""))
         yield BenchmarkRow(
             name=name, dimension=False, absolute=tuple(one.scores["absolute"]),
             baseline=tuple(one.scores["baseline"]), gap=tuple(one.scores["gap"]),
             relative=None if relative is None else tuple(relative), published=reference.experiments.get(name),
+            links={score: link(**behind) for score, behind in behind_scores(one).items()},
         )  # fmt: skip
 
 
@@ -96,7 +114,7 @@ def benchmark_page(
         pages: Experiment to the address of its own page, to whose episodes its numbers lead; none: they lead nowhere.
         warnings: Experiment to what weakens its results besides its card's warnings.
     """
-    rows, own, told = list(benchmark_rows(card)), pages or {}, warnings or {}
+    rows, own, told = list(benchmark_rows(card, pages)), pages or {}, warnings or {}
     return render(
         "benchmark.html",
         title=f"Benchmark {card.name}, scale {card.scale}",
@@ -134,7 +152,7 @@ def _chart(
             high=bounds[2],
             kind="total" if row.dimension else "cell",
             number=f"{100 * bounds[0]:.0f} ({100 * bounds[1]:.0f} to {100 * bounds[2]:.0f})",
-            link="" if row.dimension else f"#{row.name}",
+            link=f"#dimension-{row.name}" if row.dimension else f"#{row.name}",
             published=published(row.published) if row.published else None,
         )
         for row in rows
@@ -153,7 +171,8 @@ def _experiment(name: str, card: Card, page: str, warnings: Sequence[str]) -> di
         "about": card.experiment.config.about,
         "card": card,
         "scores": list(score_rows(card, link)),
-        "heat": rate_maps(design, arms, link),
+        "heat": heat_maps(card, design, arms, link),
+        "by_level": by_level(design, arms, link),
         "forest": primary_forest(card, design, arms, link),
         "provenance": provenance_of(card),
     }

@@ -15,7 +15,9 @@ import numpy as np
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.seeds import CELL, CELL_NUMBER
+from roboxim_eval.experiments.cells import named_cell
 from roboxim_eval.grouping import grouped
+from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
 from roboxim_eval.report.episodes import (
     Episode,
     any_of,
@@ -46,6 +48,7 @@ from roboxim_eval.statistics import (
 )
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.tables import Count
 from roboxim_eval.statistics.verdicts import MARGIN, Verdict, checkpoint_verdict
 
 
@@ -253,6 +256,7 @@ def evaluation_page(report: Report) -> str:
         verdicts=comparisons(report.runs, undecided=report.undecided),
         broken=[run.policy for run in report.runs if run not in measured],
         runs=[_run_view(run) for run in report.runs],
+        heat=_heat_maps(measured),
         map=map_view(episodes, arms),
         scenes=scenes_view(episodes, arms) if len(arms) > 1 else None,
         effects=effects_view([e for run in measured for e in run.episodes], **only),
@@ -260,6 +264,42 @@ def evaluation_page(report: Report) -> str:
         films_shown=films_shown(episodes, films),
         data=episodes_json(episodes, films),
     )
+
+
+def _heat_maps(runs: Sequence[PolicyRun]) -> list[HeatMap]:
+    """Return the rates of each policy by the cells of a task mix, and the difference of the first two policies.
+
+    Cells are recorded by name, e.g. ``pick_up target=apple``; those of another form, or of one factor, have no map.
+    """
+    names = dict.fromkeys(name for run in runs for drawn in run.drawn.values() if (name := drawn.get(CELL)))
+    found = {name: named_cell(name) for name in names}
+    cells = {name: cell for name, cell in found.items() if cell is not None}
+    factors = {tuple(cell.levels) for cell in cells.values()}
+    if len(cells) < max(2, len(names)) or len(factors) > 1 or len(min(factors)) < 2:
+        return []
+    named = {cell.key: name for name, cell in cells.items()}
+    fields = list(cells.values())
+
+    def of(run: PolicyRun) -> HeatMap:
+        return rate_map(run.policy, fields, counts[run.policy],
+                        lambda cell: episodes_link(arm=run.policy, cell=named[cell]))  # fmt: skip
+
+    counts = {run.policy: _by_cell(run, {name: cell.key for name, cell in cells.items()}) for run in runs}
+    maps = [of(run) for run in runs]
+    if len(runs) > 1:
+        first, second = (run.policy for run in runs[:2])
+        both = any_of((first, second))
+        maps.append(difference_map(
+            f"{first} - {second}, points", fields, counts[first], counts[second],
+            lambda cell: episodes_link(arm=both, cell=named[cell]),
+        ))  # fmt: skip
+    return maps
+
+
+def _by_cell(run: PolicyRun, keys: Mapping[str, str]) -> dict[str, Count]:
+    cells = {episode: keys[drawn[CELL]] for episode, drawn in run.drawn.items() if CELL in drawn}
+    rates = _rates_by_name(run.results, cells)
+    return {key: Count(successes=rate.successes, episodes=rate.episodes) for key, rate in rates.items()}
 
 
 def _run_view(run: PolicyRun) -> dict[str, Any]:

@@ -101,8 +101,8 @@ def experiment_page(page: ExperimentPage) -> str:
         scores=list(score_rows(card, link)),
         substitutions=_substitutions(card, link),
         rates=_rates(arms, link),
-        heat=_heat_maps(card, design, arms, link),
-        by_level=_by_level(design, arms, link),
+        heat=heat_maps(card, design, arms, link),
+        by_level=by_level(design, arms, link),
         forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
@@ -115,6 +115,7 @@ def experiment_page(page: ExperimentPage) -> str:
         data=episodes_json([*page.episodes, *page.checkpoints], films),
         has_episodes=bool(page.episodes),
         vocabulary=vocabulary(card.experiment.config, design.cells),
+        unproved=any(passed < made for name, (passed, made) in card.proofs.items() if not name.endswith("pictures")),
         provenance=provenance_of(card),
         command=page.command,
     )
@@ -162,7 +163,7 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
         link: Makes the links.
     """
     found = card.scores or {}
-    behind = _behind_scores(card) if found else {}
+    behind = behind_scores(card) if found else {}
     for key, (name, meaning) in SCORES.items():
         if key not in found:
             continue
@@ -183,8 +184,8 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
         yield {"name": name, "value": shown, "interval": interval, "meaning": meaning, "link": to}
 
 
-def _behind_scores(card: Card) -> dict[str, dict[str, str]]:
-    """Return the properties of the episodes that each score is from."""
+def behind_scores(card: Card) -> dict[str, dict[str, str]]:
+    """Return the properties of the episodes that each score of a card is from."""
     config, cells = card.experiment.config, design_of_card(card).cells
     primary = config.primary
     assert primary is not None, "a card has no scores otherwise"
@@ -231,8 +232,14 @@ def _rates(arms: Mapping[str, Arm], link: Link) -> list[tuple[str, Count, Interv
     ]
 
 
-def _by_level(design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[str, Any]]:
-    """Return the rates of each condition by the levels of each factor that has at least two of them."""
+def by_level(design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[str, Any]]:
+    """Return the rates of each condition by the levels of each factor that has at least two of them.
+
+    Args:
+        design: The experiment.
+        arms: Condition to its outcomes.
+        link: Makes the links of the rows.
+    """
     tables = []
     for factor in design.cells[0].levels:
         cells: dict[str, list[str]] = {}
@@ -264,7 +271,15 @@ def _met(arm: Arm, cells: Collection[str]) -> Arm | None:
 # ------------------------------------------------------------------ pictures
 
 
-def _heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
+def heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
+    """Return the rates of each condition by cell, and the differences of the primary comparison.
+
+    Args:
+        card: The card.
+        design: The experiment.
+        arms: Condition to its outcomes.
+        link: Makes the links of the fields.
+    """
     if len(design.cells) < 2:
         return []
     maps = rate_maps(design, arms, link)
