@@ -1,5 +1,6 @@
 """Experiments with policies of known ability, the real expert and simulator: the card must state what was planted."""
 
+import json
 import shutil
 
 import pytest
@@ -10,8 +11,10 @@ from roboxim_bringup.planted_policy import PlantedPolicy
 from roboxim_bringup.runs.experiment import ExperimentRunConfig, run_experiment
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.substitution import satisfied
+from roboxim_core.config import load_yaml, named_config
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import SimError
+from roboxim_core.merging import merged
 from roboxim_core.models.library import ModelLibrary
 
 pytestmark = pytest.mark.slow
@@ -147,3 +150,21 @@ def test_a_policy_that_ignores_words_guesses_where_only_words_tell(worded):
     assert listener.scores["absolute"][0] > 0.9
     assert listener.scores["words"][0] == pytest.approx(3 / 4, abs=0.2)
     assert not any("not shown to use its words" in text for text in listener.warnings)
+
+
+def test_a_policy_that_ignores_words_guesses_in_the_shipped_scenes_where_only_words_tell(tmp_path):
+    small = load_yaml(named_config("experiments", "skill_object_worded"))
+    changes = {"evaluate": {"per_cell": 8, "cells": {"leave_out": "unseen", "baseline": "unseen", "blind": "unseen"}},
+               "replicates": {"count": 3}, "compare": small["compare"][:2]}  # fmt: skip
+    text = yaml.safe_dump(json.loads(json.dumps(merged(small, {"scales": {"smoke": changes}}))), sort_keys=False)
+    (tmp_path / "mine.yaml").write_text(text)
+    named = ("cube", "apple", "soda can", "onion", "cucumber", "knife")
+    known = [text.format(name) for text in ("Pick up the {}", "Place the {} on the plate") for name in named]
+    guesser = planted(words=False, known=known)
+    card = run_experiment(ExperimentRunConfig(
+        experiment=str(tmp_path / "mine.yaml"), scale="smoke", out=tmp_path / "out", trainer="external",
+        policies={"leave_out": guesser, "baseline": guesser},
+    )).card  # fmt: skip
+    assert card.scores["absolute"][0] < 0.35, "one of the eight that a scene with four objects allows"
+    assert card.scores["words"][0] == pytest.approx(0.0, abs=0.2)
+    assert any("not shown to use its words" in text for text in (*card.warnings, *card.sentences))

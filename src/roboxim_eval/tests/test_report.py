@@ -12,16 +12,19 @@ from PIL import Image
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.experiments.cost import FILMS
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
 from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
 from roboxim_eval.report.charts.table_map import Start, table_map
 from roboxim_eval.report.episodes import Episode, episodes_json
 from roboxim_eval.report.evaluation import comparisons
+from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.films import chosen_films, film_strip
 from roboxim_eval.report.reasons import EXPLANATIONS, explained
 from roboxim_eval.statistics import error_line, factors, failure_reasons, is_measured, rate_of, success_rate
 from roboxim_eval.statistics.factors import Trial, factor_effects
+from roboxim_eval.testing import planted_card, shipped
 
 
 def result(index, outcome="success", reason="", instruction="Pick up the red cube"):
@@ -264,6 +267,21 @@ def test_a_report_of_2000_episodes_is_light(tmp_path):
     page = write_report(Report(title="t", runs=runs, facts={}, versions={}, command="c"), tmp_path)
     assert page.stat().st_size < 15_000_000
     assert len(data_of(page.read_text())["rows"]) == 2000
+    card = planted_card(shipped(per_cell=10), lambda _, cell: 0.4 if cell.unseen else 0.8)
+    episodes = [
+        Episode(
+            arm=row.condition, replicate=row.replicate, cell=cell, scene=str(i), instruction=f"Do {cell}", steps=40,
+            outcome="success" if i < won else "failure", reason="" if i < won else "not_lifted",
+            bag=f"evaluate/{row.condition}.{row.replicate}/episodes/{i}",
+            drawn={f"factor {k}": f"{rng.random():.4f}" for k in range(12)},
+            start=(float(rng.uniform(0.3, 0.6)), float(rng.uniform(-0.2, 0.2))),
+        )
+        for row in card.evaluations for cell, (won, met, _) in row.by_cell.items() for i in range(met)
+    ]  # fmt: skip
+    films = {int(number): frames for number in rng.choice(len(episodes), FILMS, replace=False)}
+    text = experiment_page(ExperimentPage(card=card, episodes=episodes, films=films))
+    assert len(text.encode()) < 15_000_000
+    assert len(data_of(text)["rows"]) == len(episodes) >= 2000
 
 
 # ------------------------------------------------------------------ recorded factors
