@@ -165,6 +165,6 @@ def test_a_policy_that_ignores_words_guesses_in_the_shipped_scenes_where_only_wo
         experiment=str(tmp_path / "mine.yaml"), scale="smoke", out=tmp_path / "out", trainer="external",
         policies={"leave_out": guesser, "baseline": guesser},
     )).card  # fmt: skip
-    assert card.scores["absolute"][0] < 0.35, "one of the eight that a scene with four objects allows"
+    assert card.scores["absolute"][0] < 0.35, "one of the six: two skills, three objects"
     assert card.scores["words"][0] == pytest.approx(0.0, abs=0.2)
     assert any("not shown to use its words" in text for text in (*card.warnings, *card.sentences))

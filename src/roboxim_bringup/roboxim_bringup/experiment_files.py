@@ -21,6 +21,8 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.merging import merged
 from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
+from roboxim_eval.experiments.config import FULL
+from roboxim_eval.experiments.design import require_different
 from roboxim_eval.experiments.reductions import reductions
 from roboxim_eval.experiments.telling import PARTS, differing, undistinguished
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
@@ -46,13 +48,35 @@ def load_experiment(
     """
     path = named_config("experiments", name)
     data = located(load_yaml(path), str(path))
-    config = experiment_config(merged(data, changes or {}), source=str(path), scale=scale)
-    if reduced := reductions(experiment_config(data, source=str(path)), config):
-        config = replace(config, deviations=(*config.deviations, f"Scale {scale}: {reduced}."))
-    config = with_trainer(config, trainer)
+    further = [Path(trainer).stem] if is_path(trainer) else []
+    whole, config = (
+        with_trainer(experiment_config(read, source=str(path), scale=chosen, trainers=further), trainer)
+        for read, chosen in ((data, FULL), (merged(data, changes or {}), scale))
+    )
     chosen = trainer_name(config, trainer) or next(iter(config.trainers), "")
     require_readable(config, config.trainers.get(chosen, TrainerConfig()))
-    return config
+    return _stating_reductions(config, whole, f"Scale {scale}", trainer)
+
+
+def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: str = "") -> ExperimentConfig:
+    """Return an experiment whose numbers a budget has chosen, with deviations that state these numbers.
+
+    Args:
+        name: Its name or path, see `load_experiment`.
+        scale: The scale before the budget chose.
+        config: The experiment with the chosen numbers.
+        trainer: See `load_experiment`.
+    """
+    return _stating_reductions(config, load_experiment(name, trainer=trainer), f"Scale {scale} in a budget", trainer)
+
+
+def _stating_reductions(
+    config: ExperimentConfig, whole: ExperimentConfig, what: str, trainer: str
+) -> ExperimentConfig:  # fmt: skip
+    """Return an experiment whose last deviation says where it differs from the whole one."""
+    reduced = reductions(whole, config, trainer_name(config, trainer))
+    said = (f"{what}: {reduced}.",) if reduced else ()
+    return replace(config, deviations=(*whole.deviations, *said))
 
 
 def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
@@ -147,10 +171,11 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
         trainer: One of its trainers as it was given to `load_experiment`; empty: the first one.
 
     Raises:
-        ConfigError: When the experiment or one of its task mixes is invalid, or no proof could tell a held-out cell
-            from a cell of a dataset.
+        ConfigError: When the experiment or one of its task mixes is invalid, no proof could tell a held-out cell from a
+            cell of a dataset, or two conditions would be trained alike.
     """
     design = design_of(config, trainer_name(config, trainer))
+    require_different(design)
     once = {cell.key: 1 for cell in design.cells}
     changes = [condition.set for condition in config.conditions.values()]
     for number, change in enumerate(changes):

@@ -77,8 +77,8 @@ def _named_by_user(design: Design) -> str:
     """Return which policies of an experiment the user names; empty: none."""
     elsewhere = design.trainings and not design.trainer.command
     given = any(condition.given for condition in design.config.conditions.values())
-    kinds = [*(["trained elsewhere"] if elsewhere else []), *(["that exist already"] if given else [])]
-    return f"the policies {' and '.join(kinds)}" if kinds else ""
+    kinds = [*(["are trained elsewhere"] if elsewhere else []), *(["exist already"] if given else [])]
+    return f"the policies that {' or '.join(kinds)}" if kinds else ""
 
 
 def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:

@@ -17,6 +17,7 @@ from roboxim_bringup.commands.experiment import command, duration_s
 from roboxim_bringup.experiment_files import (
     benchmark_experiments,
     checked_design,
+    fitted_experiment,
     load_benchmark,
     load_experiment,
     mixes,
@@ -30,7 +31,7 @@ from roboxim_bringup.runs import calibration
 from roboxim_bringup.runs.experiment_policies import require_trainers_policy
 from roboxim_bringup.runs.rates import rates_file, store_rates, stored_rates
 from roboxim_bringup.runs.training import BCConfig, read_bc_config
-from roboxim_core.config import to_plain
+from roboxim_core.config import named_config, to_plain
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
@@ -193,34 +194,56 @@ def test_octo_is_fine_tuned_in_whole_or_its_head_alone(tmp_path):
         checked_design("cross_domain", load_experiment("cross_domain", trainer="smolvla"), "smolvla")
 
 
-def test_what_a_scale_reduces_and_what_trains_is_stated():
-    for name in ("area", "area_outside", "camera", "camera_opposite", "colors", "objects", "skills", "pick_cube"):
-        text = " ".join(load_experiment(name).deviations)
-        for words in ("bc", "Octo-Small", "128 x 128", "laptop", "night", "smoke"):
-            assert words in text, (name, words)
-        for scale in ("laptop", "night"):
-            small = load_experiment(name, scale)
-            steps = small.conditions["long"].steps if name == "pick_cube" else small.trainers["bc"].steps
-            assert f"{steps:,}" in text, (name, scale)
-
-
 def test_what_a_scale_changes_is_among_the_deviations(tmp_path):
-    assert load_experiment("skill_object", "laptop").deviations[-1] == (
+    def stated(name, scale, **chosen):
+        return load_experiment(name, scale, **chosen).deviations[-1]
+
+    assert stated("skill_object", "laptop") == (
         "Scale laptop: trainers.bc.steps 4,000 instead of 10,000; evaluate.per_cell 5 instead of 20; "
-        "evaluate.per_unseen_cell 20 instead of 0; replicates.count 3 instead of 5."
+        "replicates.count 3 instead of 5."
+    ), "held-out cells have 20 rollouts at both"
+    assert "without factors.task.rotate; factors.target cube, soda_can instead of cube, apple, soda_can" in (
+        stated("skill_object", "smoke")
     )
-    assert (
-        "Scale smoke: without factors.task rotate; factors.target cube, soda_can instead of cube, apple, soda_can"
-        in (load_experiment("skill_object", "smoke").deviations[-1])
-    )
-    assert load_experiment("area", "laptop").deviations[-1].endswith("; without curve.")
-    assert "Scale full" not in " ".join(load_experiment("skill_object").deviations)
+    assert "; unseen 2 instead of 6 entries; " in stated("skill_object", "smoke")
+    assert stated("area", "laptop").endswith("; without curve.")
+    assert "conditions.long.steps 4,000 instead of 100,000" in stated("pick_cube", "laptop")
+    assert "Scale full" not in stated("skill_object", "full")
+    assert "steps" not in stated("skill_object", "laptop", trainer="external"), "which trains as long"
+    assert "trainers.octo.steps 4,000 instead of 10,000" in stated("skill_object", "laptop", trainer="octo")
+    for name in config_names("experiments"):
+        for scale in ("smoke", "laptop", "night"):
+            said = stated(name, scale)
+            assert said.startswith(f"Scale {scale}: ") or to_plain(load_experiment(name, scale)) == to_plain(
+                load_experiment(name)
+            ), (name, scale)
     at_night = benchmark_experiments(load_benchmark("transfer"), "night")["skill_object"]
     for said in ("trainers.bc.steps 8,000 instead of 10,000", "evaluate.cells.baseline unseen instead of all",
-                 "replicates.count 3 instead of 5", "compare 2 entries instead of 3 entries"):  # fmt: skip
+                 "replicates.count 3 instead of 5", "compare 2 instead of 3 entries"):  # fmt: skip
         assert said in at_night.deviations[-1]
     write_experiment(at_night, tmp_path / "mine.yaml")
     assert load_experiment(str(tmp_path / "mine.yaml")).deviations == at_night.deviations
+
+
+def test_what_a_budget_chose_is_among_the_deviations():
+    config = load_experiment("skill_object", "laptop")
+    chosen = replace(config, replicates=replace(config.replicates, count=4))
+    found = fitted_experiment("skill_object", "laptop", chosen)
+    assert len(found.deviations) == len(config.deviations)
+    assert found.deviations[-1].startswith("Scale laptop in a budget: ")
+    assert "replicates.count 4 instead of 5" in found.deviations[-1]
+
+
+def test_arguments_may_name_a_trainer_by_the_name_of_its_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("{command: 'train {dataset} {out} {seed} {steps}', policy: bc}")
+    with pytest.raises(ConfigError, match="arguments are for octo alone, so trainer 'mine'"):
+        checked_design("cross_domain", load_experiment("cross_domain", trainer=str(file)), str(file))
+    text = named_config("experiments", "cross_domain").read_text()
+    own = tmp_path / "own.yaml"
+    own.write_text(text.replace("octo: full", "mine: -a").replace("octo: head_only", "mine: -b"))
+    design = checked_design("own", load_experiment(str(own), trainer=str(file)), str(file))
+    assert [training.arguments for training in design.trainings] == ["-a", "-b"]
 
 
 def test_datasets_are_balanced_over_the_levels_of_both_factors():
@@ -326,7 +349,7 @@ def test_a_plan_of_trainings_side_by_side_says_how_their_rate_was_measured():
     elsewhere = design_of(load_experiment("skill_object", "laptop"), "external")
     text = "\n".join(plan_lines("skill_object", "laptop", elsewhere, RATES, 2))
     assert "trainings elsewhere" in text
-    assert "without what the policies trained elsewhere take to answer" in text
+    assert "without what the policies that are trained elsewhere take to answer" in text
     given = "\n".join(plan_lines("zero_shot", "full", design_of(load_experiment("zero_shot")), RATES))
     assert "training" not in given.partition("  rates ")[0], "it has none"
     assert "without what the policies that exist already take to answer" in given

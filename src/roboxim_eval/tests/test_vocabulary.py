@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from roboxim_eval.experiments.cells import cells_of
 from roboxim_eval.experiments.config import ConditionConfig
 from roboxim_eval.report.vocabulary import NEW_COMBINATION, NEW_OBJECT, NEW_PAIR, Names, vocabulary
 from roboxim_eval.testing import shipped
@@ -53,6 +54,13 @@ def test_an_object_that_no_training_has_is_a_new_one():
     assert named("cross_domain")["target"] == NEW_OBJECT
     assert named("skill_object")["target"] == Names(), "each is seen with some skill"
     assert named("objects")["target"] == Names()
+
+
+def test_a_new_object_does_not_hide_a_new_combination():
+    config = shipped().config
+    config = replace(config, unseen=({"task": "pick_up", "target": "cube"}, {"target": "knife"}))
+    found = {one.what: one.names for one in vocabulary(config, cells_of(config))}
+    assert (found["target"], found["task and target"]) == (NEW_OBJECT, NEW_PAIR)
 
 
 def test_an_experiment_that_varies_nothing_has_no_table():

@@ -89,6 +89,7 @@ def plan(
     from roboxim_bringup.experiment_files import (
         benchmark_experiments,
         checked_design,
+        fitted_experiment,
         load_benchmark,
         load_experiment,
         trainer_name,
@@ -127,7 +128,7 @@ def plan(
                 raise ConfigError(
                     f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
                 )
-            configs[key] = sized
+            configs[key] = fitted_experiment(key, scale, sized, trainer)
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
         plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]

@@ -27,7 +27,6 @@ from roboxim_bringup.runs.experiment_report import STATE_FILE as EXPERIMENT_STAT
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.results_log import write_atomically
-from roboxim_core.config import to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, one_of
@@ -39,7 +38,7 @@ from roboxim_eval.benchmark import (
     experiment_changes,
 )
 from roboxim_eval.experiments.card import Card
-from roboxim_eval.experiments.reductions import WORDING
+from roboxim_eval.experiments.reductions import deciding
 
 STATE_FILE = "benchmark.json"
 
@@ -170,9 +169,8 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
             there, here = (f"'{one}'" if one else "the first trainer of its file" for one in
                            (card.experiment.trainer, trainer))  # fmt: skip
             raise ConfigError(f"{path} has {there}, and --trainer is {here}")
-        asked = to_plain(planned[name])
-        ran = to_plain(card.experiment.config)
-        if changed := differences(ran, asked, ignore=WORDING, words=("in the card", "here")):
+        ran, asked = deciding(card.experiment.config), deciding(planned[name])
+        if changed := differences(ran, asked, words=("in the card", "here")):
             raise ConfigError(
                 f"{path}: its experiment '{name}' differs from the one of this benchmark at scale {config.scale} "
                 f"({changed}); run it by --experiment {name}"

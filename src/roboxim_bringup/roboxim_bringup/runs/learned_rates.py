@@ -100,8 +100,8 @@ def _training_rates(
     """Yield the rate of each number of trainings at a time that a run shows with enough steps.
 
     A training shows it if that number ran during nearly all its time: the last training of an odd number of them shows
-    the rate of one alone, and one that was alone for half its time shows none. The median of the trainings counts, so
-    that a few that were disturbed do not.
+    the rate of one alone, and one that was alone for half its time shows none. The median of the trainings counts: of
+    three or more, one that was disturbed changes little.
 
     Args:
         entries: The log of stages.
@@ -115,7 +115,8 @@ def _training_rates(
     for entry in entries:
         at_once = float(entry.get("at_once", 1.0))
         number = round(at_once)
-        if (training := trainings.get(entry["stage"])) and abs(at_once - number) <= NEARLY * number:
+        training = trainings.get(entry["stage"])
+        if training is not None and training.steps and abs(at_once - number) <= NEARLY * number:
             starts = 1 + len(training.checkpoints)
             shown.setdefault(number, []).append((float(entry["wall_s"]), training.steps, starts))
     alone = before.steps_per_s

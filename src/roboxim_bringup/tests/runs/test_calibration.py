@@ -113,6 +113,17 @@ def test_trainings_that_something_else_disturbed_teach_no_rate(tmp_path):
     assert rates_of_run("mine", "night", tmp_path, design, 2, fast).at_once(2) is None, "one alone would be faster"
 
 
+def test_a_training_of_unknown_length_teaches_no_rate(tmp_path):
+    text = TEXT.replace("steps: 1000", "steps: 0").replace(
+        "all: {train: all}", "all: {train: all}\n  long: {train: all, steps: 5000}"
+    )
+    design = finished(tmp_path, text)
+    assert [training.steps for training in design.trainings] == [0, 5000]
+    episodes(evaluation_folder(tmp_path, "evaluate/long.0"), 6.0, 6.0)
+    found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)
+    assert found.steps_per_s == pytest.approx(5000 / (210 - 10)), "of the other one"
+
+
 def test_a_run_without_a_training_alone_keeps_the_rate_of_one(tmp_path):
     design = finished(tmp_path, training={"train/all.0": {"wall_s": 240.0, "at_once": 2.0}})
     found = rates_of_run("mine", "night", tmp_path, design, 2, BEFORE)

@@ -7,7 +7,7 @@ cannot disagree. `roboxim_eval.experiments.cells` expands it to ordinary task mi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -309,19 +309,22 @@ class ExperimentConfig:
         )
 
 
-def experiment_config(data: Any, *, source: str = "experiment", scale: str = FULL) -> ExperimentConfig:
+def experiment_config(
+    data: Any, *, source: str = "experiment", scale: str = FULL, trainers: Collection[str] = ()
+) -> ExperimentConfig:  # fmt: skip
     """Build an experiment from plain data, at a scale.
 
     Args:
         data: As returned by `roboxim_core.config.parse_yaml`.
         source: Name of the data's source, for messages.
         scale: Name of one of the file's scales; ``full`` is the file as it stands unless the file redefines it.
+        trainers: Further trainers that ``arguments`` may name, besides those of the file and of ``config/trainers``.
 
     Raises:
         ConfigError: When keys are wrong; names each with its path, its line and the allowed values.
     """
     config: ExperimentConfig = from_plain(data, ExperimentConfig, source=source)
-    _check(config, data, source)
+    _check(config, data, source, trainers)
     names = scale_names(config)
     if scale not in names:
         raise ConfigError(f"{source} has no scale '{scale}'; {one_of(names, scale)}")
@@ -330,7 +333,7 @@ def experiment_config(data: Any, *, source: str = "experiment", scale: str = FUL
     scaled = merged(data, {**config.scales[scale], "scales": None})
     where = f"{source}, scale '{scale}'"
     small: ExperimentConfig = from_plain(scaled, ExperimentConfig, source=where)
-    _check(small, scaled, where)
+    _check(small, scaled, where, trainers)
     return replace(small, scales=config.scales)
 
 
@@ -339,7 +342,7 @@ def scale_names(config: ExperimentConfig) -> tuple[str, ...]:
     return (*(name for name in config.scales if name != FULL), FULL)
 
 
-def _check(config: ExperimentConfig, data: Any, source: str) -> None:
+def _check(config: ExperimentConfig, data: Any, source: str, trainers: Collection[str]) -> None:
     """Check that names refer to what the file defines.
 
     Raises:
@@ -372,7 +375,8 @@ def _check(config: ExperimentConfig, data: Any, source: str) -> None:
         if condition.train:
             require(condition.train, config.datasets, "conditions", name, "train")
         for trainer in condition.arguments:
-            require(trainer, {*config.trainers, *config_names(TRAINERS)}, "conditions", name, "arguments", trainer)
+            known = dict.fromkeys((*config.trainers, *config_names(TRAINERS), *trainers))
+            require(trainer, known, "conditions", name, "arguments", trainer)
         if condition.checkpoint_of:
             trained = [other for other, c in config.conditions.items() if not c.checkpoint_of]
             require(condition.checkpoint_of, trained, "conditions", name, "checkpoint_of")

@@ -119,7 +119,7 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
 
     Raises:
         ConfigError: When a dataset has no cell, a comparison or the scores need cells that a condition is not evaluated
-            in, trainings would be equal, or a condition has arguments for other trainers alone.
+            in, trainings of a condition would be equal, or a condition has arguments for other trainers alone.
     """
     _check_replicates(config)
     cells = cells_of(config)
@@ -154,6 +154,24 @@ def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
     return design
 
 
+def require_different(design: Design) -> None:
+    """Refuse conditions that a trainer's command would train alike: equal seeds would make them one policy.
+
+    Raises:
+        ConfigError: Naming two of them.
+    """
+    known: dict[tuple[Any, ...], str] = {}
+    for training in design.trainings if design.trainer.command else ():
+        recipe = training.replicate, training.seed, training.dataset, training.steps, training.arguments
+        other = known.setdefault(recipe, training.condition)
+        if other != training.condition:
+            raise ConfigError(
+                f"conditions.{training.condition}: would be trained like '{other}', with the same dataset, steps and "
+                f"arguments. If it is evaluated in another way, write checkpoint_of: {other} in place of train; if "
+                "not, give it another dataset (train), steps, or arguments for this trainer"
+            )
+
+
 def _check_replicates(config: ExperimentConfig) -> None:
     """Check that trainings of a condition differ: equal ones would be one training that counts several times."""
     if not config.replicates.vary and any(condition.train for condition in config.conditions.values()):
@@ -186,7 +204,6 @@ def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: s
                 f"'{trainer_name}' would train it like conditions without arguments; add what it needs there, e.g. "
                 f'{trainer_name}: "--learning-rate 1e-4"'
             )
-    _require_different(config, trainer, trainer_name)
     for replicate in range(config.replicates.count):
         for name, condition in config.conditions.items():
             if condition.train:
@@ -197,20 +214,6 @@ def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: s
                     arguments=condition.arguments.get(trainer_name, ""),
                     checkpoints=_checkpoints(config, trainer, steps, replicate),
                 )  # fmt: skip
-
-
-def _require_different(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: str) -> None:
-    """Refuse conditions that a trainer's command would train alike: equal seeds would make them one policy."""
-    known: dict[tuple[str, int, str], str] = {}
-    for name, condition in config.conditions.items():
-        if condition.train and trainer.command:
-            recipe = condition.train, condition.steps or trainer.steps, condition.arguments.get(trainer_name, "")
-            other = known.setdefault(recipe, name)
-            if other != name:
-                raise ConfigError(
-                    f"conditions.{name}: trainer '{trainer_name}' would train it like '{other}', with the same "
-                    f"dataset, steps and arguments; expected another train, steps or arguments.{trainer_name}"
-                )
 
 
 def _checkpoints(config: ExperimentConfig, trainer: TrainerConfig, steps: int, replicate: int) -> tuple[int, ...]:

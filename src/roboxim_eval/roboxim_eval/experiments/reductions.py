@@ -9,48 +9,73 @@ from typing import Any
 from roboxim_core.config import to_plain
 from roboxim_eval.experiments.config import ExperimentConfig
 
-WORDING = frozenset({"about", "deviations", "scales"})
-"""Keys of an experiment that change nothing of what it does."""
+WORDING = ("about", "thesis", "deviations", "scales")
+"""Keys of an experiment that change nothing of what it does; so does ``about`` of a condition."""
+ZEROS = {"max_steps": "as the task says", "steps": "as the trainer says"}
+"""Keys whose 0 stands for a number of another file."""
 
 
-def reductions(whole: ExperimentConfig, small: ExperimentConfig) -> str:
+def deciding(config: ExperimentConfig) -> dict[str, Any]:
+    """Return what decides what an experiment does, as plain data: all but its wording."""
+    plain: dict[str, Any] = json.loads(json.dumps(to_plain(config)))
+    conditions = {name: {**one, "about": ""} for name, one in plain["conditions"].items()}
+    return {key: value for key, value in {**plain, "conditions": conditions}.items() if key not in WORDING}
+
+
+def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -> str:
     """Return where an experiment at a scale differs from the whole one.
 
     Args:
         whole: The experiment at full scale.
         small: The same at another scale.
+        trainer: The trainer that is chosen; others are left out. Empty: the first one.
 
     Returns:
-        For example ``without factors.task rotate; evaluate.per_cell 5 instead of 20``; empty: nowhere.
+        For example ``without factors.task.rotate; evaluate.per_cell 5 instead of 20``; empty: nowhere.
     """
-    full, here = (json.loads(json.dumps(to_plain(one))) for one in (whole, small))
-    return "; ".join(_changes((), {**full, **dict.fromkeys(WORDING)}, {**here, **dict.fromkeys(WORDING)}))
+    full, here = (_resolved(config, trainer or next(iter(small.trainers), "")) for config in (whole, small))
+    return "; ".join(_changes((), full, here))
+
+
+def _resolved(config: ExperimentConfig, trainer: str) -> dict[str, Any]:
+    """Return what decides, with one trainer, and with numbers in place of zeros that stand for another key's."""
+    plain = deciding(config)
+    plain["trainers"] = {trainer: plain["trainers"][trainer]} if trainer in plain["trainers"] else {}
+    evaluate = plain["evaluate"]
+    evaluate["per_unseen_cell"] = evaluate["per_unseen_cell"] or evaluate["per_cell"]
+    if plain["curve"]:
+        plain["curve"]["replicates"] = plain["curve"]["replicates"] or plain["replicates"]["count"]
+    return plain
 
 
 def _changes(path: tuple[str, ...], before: Any, now: Any) -> Iterator[str]:
     if before == now:
         return
     name = ".".join(path)
-    if isinstance(before, Mapping) and now is None:
-        yield f"without {name}"
-        return
-    if not (isinstance(before, Mapping) and isinstance(now, Mapping)):
-        yield f"{name} {_text(now)} instead of {_text(before, of=now)}"
-        return
-    for word, keys in (("without", before.keys() - now), ("with", now.keys() - before)):
-        if keys:
-            yield f"{word} {name} {', '.join(sorted(keys))}"
-    for key in now:
-        if key in before:
-            yield from _changes((*path, key), before[key], now[key])
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        for word, keys in (("without", before.keys() - now), ("with", now.keys() - before)):
+            if keys:
+                yield f"{word} {', '.join(f'{name}.{key}' if name else key for key in sorted(keys))}"
+        for key in now:
+            if key in before:
+                yield from _changes((*path, key), before[key], now[key])
+    elif isinstance(before, Mapping) or isinstance(now, Mapping):
+        yield f"{'without' if isinstance(before, Mapping) else 'with'} {name}"
+    elif _entries(before) and _entries(now):
+        yield f"{name} {'other entries' if len(now) == len(before) else f'{len(now)} instead of {len(before)} entries'}"
+    else:
+        yield f"{name} {_text(path, now)} instead of {_text(path, before)}"
 
 
-def _text(value: Any, *, of: Any = None) -> str:
-    """Return a value in words: of a list of mappings their number, or that they are others than those of ``of``."""
-    if isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
-        return "others" if isinstance(of, list) and len(of) == len(value) else f"{len(value)} entries"
+def _entries(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
+
+
+def _text(path: tuple[str, ...], value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
+    if value == 0 and path[-1] in ZEROS:
+        return ZEROS[path[-1]]
     if isinstance(value, int) and not isinstance(value, bool):
         return f"{value:,}"
-    return "none" if value in (None, "", {}) else str(value)
+    return "none" if value in (None, "") else str(value)

@@ -46,7 +46,7 @@ class BenchmarkRow:
     experiments: tuple[str, ...] = ()
     """Of a dimension, the experiments whose mean it is."""
     links: Mapping[str, str] = field(default_factory=dict)
-    """Score to the episodes that it is from; none: they are on no page beside this one."""
+    """Score to the address of its episodes; empty: they are on no page beside this one."""
 
     @property
     def absolute_text(self) -> str:

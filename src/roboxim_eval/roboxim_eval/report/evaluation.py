@@ -297,7 +297,7 @@ def _heat_maps(runs: Sequence[PolicyRun]) -> list[HeatMap]:
 
 
 def _by_cell(run: PolicyRun, keys: Mapping[str, str]) -> dict[str, Count]:
-    cells = {episode: keys[drawn[CELL]] for episode, drawn in run.drawn.items() if CELL in drawn}
+    cells = {episode: keys[name] for episode, drawn in run.drawn.items() if (name := drawn.get(CELL))}
     rates = _rates_by_name(run.results, cells)
     return {key: Count(successes=rate.successes, episodes=rate.episodes) for key, rate in rates.items()}
 

@@ -18,6 +18,7 @@ from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_car
 from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
+from roboxim_eval.experiments.proofs import PICTURES
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
@@ -115,7 +116,7 @@ def experiment_page(page: ExperimentPage) -> str:
         data=episodes_json([*page.episodes, *page.checkpoints], films),
         has_episodes=bool(page.episodes),
         vocabulary=vocabulary(card.experiment.config, design.cells),
-        unproved=any(passed < made for name, (passed, made) in card.proofs.items() if not name.endswith("pictures")),
+        unproved=any(passed < made for name, (passed, made) in card.proofs.items() if PICTURES not in name),
         provenance=provenance_of(card),
         command=page.command,
     )
@@ -282,7 +283,7 @@ def heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -
     """
     if len(design.cells) < 2:
         return []
-    maps = rate_maps(design, arms, link)
+    maps = _rate_maps(design, arms, link)
     primary = card.experiment.config.primary
     if primary is not None and primary.first != primary.second:
         both = any_of((primary.first, primary.second))
@@ -293,7 +294,7 @@ def heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -
     return maps
 
 
-def rate_maps(design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
+def _rate_maps(design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
     """Return the heat map of each condition.
 
     Args:

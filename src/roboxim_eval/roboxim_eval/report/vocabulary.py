@@ -33,9 +33,9 @@ class Varied:
     """Something that an experiment varies."""
 
     what: str
-    """A factor or a condition of the experiment."""
+    """A factor or a condition of the experiment, or factors that held-out cells combine anew."""
     key: str
-    """Keys of the task that it changes, or the role whose object it changes."""
+    """Keys of the task that it changes, or the key of the experiment that says so."""
     names: Names | None
     """What other suites call it; none: not known here."""
 
@@ -119,7 +119,7 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
             found.append(Varied(what=factor, key=", ".join(keys) or factor, names=_names([factor, *keys])))
         elif len(levels) > 1:
             key = "tasks" if factor == TASK else f"objects.{factor}.models"
-            new = factor != TASK and _only_held_out(cells, (factor,))
+            new = factor != TASK and _only_held_out(cells, factor)
             found.append(Varied(what=factor, key=key, names=NEW_OBJECT if new else NO_NAMES))
     for factors in _new_together(config, cells):
         of_object = TASK in factors and any(f != TASK and not _is_mapping(config.factors[f]) for f in factors)
@@ -137,20 +137,25 @@ def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied,
 
 def _new_together(config: ExperimentConfig, cells: tuple[Cell, ...]) -> Iterable[tuple[str, ...]]:
     """Yield the smallest groups of factors whose levels are seen one by one, but not together."""
-    known: list[tuple[str, ...]] = [(factor,) for factor in config.factors if _only_held_out(cells, (factor,))]
-    for size in range(2, len(config.factors) + 1):
-        new = [factors for factors in combinations(config.factors, size)
-               if _only_held_out(cells, factors) and not any(set(one) <= set(factors) for one in known)]  # fmt: skip
-        known += new
-        yield from new
+    seen = [cell.levels for cell in cells if not cell.unseen]
+    found: set[tuple[str, ...]] = set()
+    for levels in (cell.levels for cell in cells if cell.unseen):
+        known: list[tuple[str, ...]] = []
+        for size in range(1, len(levels) + 1):
+            for factors in combinations(levels, size):
+                new = all(any(other[f] != levels[f] for f in factors) for other in seen)
+                if new and not any(set(one) <= set(factors) for one in known):
+                    known.append(factors)
+        found.update(factors for factors in known if len(factors) > 1)
+    yield from sorted(found, key=lambda factors: [list(config.factors).index(factor) for factor in factors])
 
 
-def _only_held_out(cells: Iterable[Cell], factors: tuple[str, ...]) -> bool:
-    """Tell whether a held-out cell has levels of these factors that no seen cell has."""
-    by_unseen: dict[bool, set[tuple[str, ...]]] = {True: set(), False: set()}
+def _only_held_out(cells: Iterable[Cell], factor: str) -> bool:
+    """Tell whether a level of a factor is in held-out cells alone."""
+    levels: dict[bool, set[str]] = {True: set(), False: set()}
     for cell in cells:
-        by_unseen[cell.unseen].add(tuple(cell.levels[factor] for factor in factors))
-    return bool(by_unseen[True] - by_unseen[False])
+        levels[cell.unseen].add(cell.levels[factor])
+    return bool(levels[True] - levels[False])
 
 
 def _is_mapping(value: Any) -> bool:
