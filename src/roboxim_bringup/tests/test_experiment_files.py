@@ -35,6 +35,7 @@ from roboxim_core.config import named_config, to_plain
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of, scale_names, stages_of
+from roboxim_eval.experiments.reductions import deciding
 from roboxim_eval.testing import RATES, experiment_of
 from roboxim_tasks.config import load_task_config, task_mix
 
@@ -244,6 +245,18 @@ def test_arguments_may_name_a_trainer_by_the_name_of_its_file(tmp_path):
     own.write_text(text.replace("octo: full", "mine: -a").replace("octo: head_only", "mine: -b"))
     design = checked_design("own", load_experiment(str(own), trainer=str(file)), str(file))
     assert [training.arguments for training in design.trainings] == ["-a", "-b"]
+
+
+@pytest.mark.parametrize("name", [name for name in config_names("experiments") if name.endswith("_workspace_only")])
+def test_a_sibling_without_a_wrist_camera_differs_in_that_alone(name):
+    def whole(name):
+        plain = deciding(load_experiment(name))
+        plain["set"].setdefault("reset", {})
+        return plain
+
+    sibling, original = whole(name), whole(name.removesuffix("_workspace_only"))
+    assert sibling["set"]["reset"].pop("cameras") == {"names": ["workspace"]}
+    assert sibling == original
 
 
 def test_datasets_are_balanced_over_the_levels_of_both_factors():
