@@ -225,7 +225,8 @@ def test_a_benchmarks_numbers_lead_into_the_reports_of_its_experiments(card):
     assert [met for _, met in listed(there, [absolute, baseline, gap, relative])] == [
         leave_out, other, leave_out + other, leave_out + other,
     ]  # fmt: skip
-    assert 'id="dimension-object"><b>object</b><br><span class="soft">mean of <a href="#skill_object">' in page
+    assert '<a href="#dimension-object">object</a>' in page
+    assert 'id="dimension-object"><b>object</b>' in page
     assert "leave_out - baseline, points" in page, "the map of differences"
     assert "By target, success in %" in html.unescape(page)
     assert '<a href="skill_object/report.html">skill_object</a>' in page

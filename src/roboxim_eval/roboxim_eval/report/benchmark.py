@@ -43,8 +43,6 @@ class BenchmarkRow:
     """Ratio to the baseline; none: refused."""
     published: ReferenceScore | None = None
     """Published scores of the same; none: there are none."""
-    experiments: tuple[str, ...] = ()
-    """Of a dimension, the experiments whose mean it is."""
     links: Mapping[str, str] = field(default_factory=dict)
     """Score to the address of its episodes; empty: they are on no page beside this one."""
 
@@ -89,7 +87,6 @@ def benchmark_rows(card: BenchmarkCard, pages: Mapping[str, str] | None = None) 
         yield BenchmarkRow(
             name=name, dimension=True, absolute=score.absolute,
             baseline=score.baseline, gap=score.gap, relative=score.relative, published=reference.dimensions.get(name),
-            experiments=score.experiments,
         )  # fmt: skip
     for name, one in card.experiments.items():
         assert one.scores is not None, "a benchmark's card has no dimensions otherwise"
