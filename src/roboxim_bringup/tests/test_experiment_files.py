@@ -208,6 +208,7 @@ def test_what_a_scale_changes_is_among_the_deviations(tmp_path):
     )
     assert "; unseen 2 instead of 6 entries; " in stated("skill_object", "smoke")
     assert stated("area", "laptop").endswith("; without curve.")
+    assert "per_cell 5 instead of 20; replicates" in stated("bc_ablation", "laptop"), "which has no held-out cells"
     assert "conditions.long.steps 4,000 instead of 100,000" in stated("pick_cube", "laptop")
     assert "Scale full" not in stated("skill_object", "full")
     assert "steps" not in stated("skill_object", "laptop", trainer="external"), "which trains as long"

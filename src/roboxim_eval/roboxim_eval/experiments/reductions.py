@@ -34,6 +34,10 @@ def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -
         For example ``without factors.task.rotate; evaluate.per_cell 5 instead of 20``; empty: nowhere.
     """
     full, here = (_resolved(config, trainer or next(iter(small.trainers), "")) for config in (whole, small))
+    rollouts = [one["evaluate"] for one in (full, here)]
+    if all(one["per_unseen_cell"] == one["per_cell"] for one in rollouts):
+        for one in rollouts:
+            del one["per_unseen_cell"]
     return "; ".join(_changes((), full, here))
 
 
