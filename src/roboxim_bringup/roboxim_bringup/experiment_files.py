@@ -55,7 +55,7 @@ def load_experiment(
     )
     chosen = trainer_name(config, trainer) or next(iter(config.trainers), "")
     require_readable(config, config.trainers.get(chosen, TrainerConfig()))
-    return _stating_reductions(config, whole, f"Scale {scale}", trainer)
+    return _stating_reductions(config, whole, _scale_words(scale), trainer)
 
 
 def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: str = "") -> ExperimentConfig:
@@ -67,16 +67,22 @@ def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: 
         config: The experiment with the chosen numbers.
         trainer: See `load_experiment`.
     """
-    return _stating_reductions(config, load_experiment(name, trainer=trainer), f"Scale {scale} in a budget", trainer)
+    before = _scale_words(scale)
+    config = replace(config, deviations=tuple(one for one in config.deviations if not one.startswith(before)))
+    whole = load_experiment(name, trainer=trainer)
+    return _stating_reductions(config, whole, f"Scale {scale} in a budget: ", trainer)
+
+
+def _scale_words(scale: str) -> str:
+    return f"Scale {scale}: "
 
 
 def _stating_reductions(
-    config: ExperimentConfig, whole: ExperimentConfig, what: str, trainer: str
+    config: ExperimentConfig, whole: ExperimentConfig, words: str, trainer: str
 ) -> ExperimentConfig:  # fmt: skip
-    """Return an experiment whose last deviation says where it differs from the whole one."""
+    """Return an experiment with one more deviation, which says where it differs from the whole one."""
     reduced = reductions(whole, config, trainer_name(config, trainer))
-    said = (f"{what}: {reduced}.",) if reduced else ()
-    return replace(config, deviations=(*whole.deviations, *said))
+    return replace(config, deviations=(*config.deviations, f"{words}{reduced}.")) if reduced else config
 
 
 def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
