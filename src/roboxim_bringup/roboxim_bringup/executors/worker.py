@@ -71,9 +71,9 @@ def _serve(connection: Connection[Any, Any], send: Send) -> int | None:
             worker.close()
     if code is None:
         del worker
-        gc.unfreeze()
-        gc.collect()  # of graphs and policies, whose parts refer to one another
         send("resting")
+        gc.unfreeze()
+        gc.collect()  # of graphs and policies, whose parts refer to one another; nobody waits for it
     return code
 
 
@@ -103,7 +103,6 @@ def _run_jobs(worker: Worker, connection: Connection[Any, Any], send: Send) -> i
             send("done", worker.run(job, lambda note: send("note", note)))
             if first:
                 first = False
-                gc.collect()
                 gc.freeze()  # what is loaded stays: a search for garbage among it takes 0.15 s, every few episodes
         except WorkerBrokenError as broken:
             send("broken", str(broken))
