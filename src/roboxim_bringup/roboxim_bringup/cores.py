@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.surroundings import Surroundings
 from roboxim_planner.pipeline import MotionOptions, Planner
-from roboxim_planner.scene import AllowedContact, PlanningScene
+from roboxim_planner.scene import SceneMaker
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.states import StateRenderer
-from roboxim_tasks.planning import Surroundings
 from roboxim_tasks.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
@@ -35,7 +33,7 @@ class CoreSegmentation:
         """Return what the cameras of a scene see; see `roboxim_tasks.visible.SegmentationPort`."""
         if self._states is None:
             self._states = StateRenderer(make_renderer(self._name), self._library)
-        images = self._states.draw(scene, state)
+        images = self._states.draw(scene, state, colour=False)
         return {name: seen.segmentation for name, seen in images.items() if seen.segmentation is not None}
 
     def close(self) -> None:
@@ -52,19 +50,19 @@ class CorePlanner:
         """Use the models of a library; each robot is loaded on first use."""
         self._library = library
         self._planners: dict[str, Planner] = {}
-        self._last: tuple[tuple[object, ...], PlanningScene] | None = None
+        self._scenes = SceneMaker(library)
 
     def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
         """Return a collision-free joint path to a pose; see `roboxim_tasks.planning.PlannerPort`."""
         planner, options = self._planner(around), MotionOptions(seed=seed)
-        plan = planner.plan_to_pose(self._scene(around), joints, [pose_tcp_in_world], options)
+        plan = planner.plan_to_pose(self._scenes.scene(around), joints, [pose_tcp_in_world], options)
         return plan.sample(SAMPLE_PERIOD_S).positions
 
     def check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
         """Return the fault of a joint path; empty when it is valid."""
         options = MotionOptions(padding_m=around.padding_m)
         times = np.arange(len(path)) * period_s
-        finding = self._planner(around).check_trajectory(self._scene(around), path, times, options=options)
+        finding = self._planner(around).check_trajectory(self._scenes.scene(around), path, times, options=options)
         return "" if finding.valid else str(finding)
 
     def _planner(self, around: Surroundings) -> Planner:
@@ -72,18 +70,3 @@ class CorePlanner:
         if robot not in self._planners:
             self._planners[robot] = Planner(self._library.robot(robot))
         return self._planners[robot]
-
-    def _scene(self, around: Surroundings) -> PlanningScene:
-        scene = self._snapshot(around)
-        if around.held:
-            pose = next(body.pose for body in scene.bodies if body.name == around.held)
-            scene = scene.attach(around.held, pose @ around.held_in_tcp.inverse())
-        allowed = tuple(AllowedContact(body_a=a, body_b=b) for a, b in around.touching)
-        return replace(scene, gripper_opening=around.opening, allowed=allowed)
-
-    def _snapshot(self, around: Surroundings) -> PlanningScene:
-        """Return the scene's snapshot, cached because many motions are planned in the same surroundings."""
-        asked = (around.scene, around.state, around.moved)
-        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], asked, strict=True)):
-            self._last = asked, PlanningScene.from_state(around.scene, around.state_then, self._library)
-        return self._last[1]

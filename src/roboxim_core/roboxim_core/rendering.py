@@ -101,12 +101,16 @@ class Renderer(Protocol):
         """Replace the world."""
         ...
 
-    def render(self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> dict[str, CameraImages]:
+    def render(
+        self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]], *, colour: bool = True
+    ) -> dict[str, CameraImages]:
         """Draw all cameras of a tick.
 
         Args:
             poses: Body key to pose in the world; static bodies left out stay at the identity.
             cameras: Cameras with the pose of their optical frames in the world.
+            colour: False: the caller needs no colour, so that a renderer may leave ``rgb`` black; depth and
+                segmentation are the same.
 
         Returns:
             Camera name to images, with depth and segmentation if the camera's specification requests them.

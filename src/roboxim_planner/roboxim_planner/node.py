@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -44,15 +44,17 @@ from roboxim_core.errors import (
     UnavailableError,
 )
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Array
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.surroundings import Surroundings
 from roboxim_planner import conversions as convert
 from roboxim_planner import query_conversions as queries
 from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
 from roboxim_planner.paths import Watch
-from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig
+from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner, PlannerConfig
 from roboxim_planner.queries import Answer, Query, run_query
-from roboxim_planner.scene import PlanningScene
+from roboxim_planner.scene import PlanningScene, SceneMaker
 from roboxim_planner.scene_conversions import scene_from_msg
 from roboxim_planner.tracker import SceneTracker
 from roboxim_ros import local_ticks, qos
@@ -62,6 +64,8 @@ from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 
+P = ParamSpec("P")
+R = TypeVar("R")
 FEEDBACK_PERIOD_S = 0.1
 BUSY_S = 120.0
 """Longest wait of a service for the request before it, e.g. an action with a long time-out [s]."""
@@ -101,6 +105,7 @@ class PlannerNode(RoboximNode):
         self._library = ModelLibrary()
         self._planners: dict[str, Planner] = {}
         self._busy = threading.Lock()
+        self._scenes = SceneMaker(self._library)
         self._planner(self._config.robot)
         self._tracker = SceneTracker(self._library)
         self.hear(
@@ -125,6 +130,7 @@ class PlannerNode(RoboximNode):
             (CheckTrajectory, "check_trajectory", self._on_check_trajectory),
         ):
             self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests, inline=True)
+        self.offer("planner/check_path", self._one_at_a_time(self._check_path), inline=True)
         self._actions = [
             self.serve_action(kind, f"planner/{name}", execute, callback_group=ReentrantCallbackGroup())
             for kind, name, execute in (
@@ -191,12 +197,12 @@ class PlannerNode(RoboximNode):
         if self.executor is not None:
             self.executor.wake()
 
-    def _one_at_a_time(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
-        def guarded(request: Any, response: Any) -> None:
+    def _one_at_a_time(self, handler: Callable[P, R]) -> Callable[P, R]:
+        def guarded(*given: P.args, **named: P.kwargs) -> R:
             if not self._busy.acquire(timeout=BUSY_S):
                 raise RequestTimeoutError(f"the planner has been busy with another request for {BUSY_S:g} s")
             try:
-                handler(request, response)
+                return handler(*given, **named)
             finally:
                 self._busy.release()
 
@@ -366,6 +372,14 @@ class PlannerNode(RoboximNode):
         response.first_invalid_index = finding.index
         response.contacts = [convert.contact_to_msg(contact) for contact in finding.contacts]
         response.violations = list(finding.violations)
+
+    def _check_path(self, path: Array, period_s: float, around: Surroundings) -> str:
+        """Return the fault of a joint path; empty when it is valid. The path has shape (N, dof) [rad]."""
+        watch = self._watch(0.0)
+        planner = self._planner(around.scene.robot.model)
+        times, options = np.arange(len(path)) * period_s, MotionOptions(padding_m=around.padding_m)
+        finding = planner.check_trajectory(self._scenes.scene(around), path, times, options=options, watch=watch)
+        return "" if finding.valid else str(finding)
 
     def _execute_motion(self, goal: ServerGoalHandle) -> PlanMotion.Result:
         return self._execute(goal, "plan_motion", PlanMotion.Result(goal_index=-1), PlanMotion.Feedback())

@@ -17,6 +17,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.surroundings import Surroundings
 
 TABLE = "table"
 ROBOT = "robot"
@@ -241,6 +242,34 @@ class PlanningScene:
             joint_command=state.robot.joint_commands,
             pose_tcp=state.robot.pose_tcp_measured,
         )
+
+
+class SceneMaker:
+    """Makes the scenes of motions. Many motions have the same surroundings, so the last snapshot is kept."""
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Take the geometry of a library."""
+        self._library = library
+        self._last: tuple[tuple[object, ...], PlanningScene] | None = None
+
+    def scene(self, around: Surroundings) -> PlanningScene:
+        """Return what is around the robot, with the held body in the gripper.
+
+        Raises:
+            ConfigError: If an entity names a model that the library does not have.
+        """
+        scene = self._snapshot(around)
+        if around.held:
+            body = next(body for body in scene.bodies if body.name == around.held)
+            scene = scene.without([around.held]).holding(Attached(body=replace(body, pose=around.held_in_tcp)))
+        allowed = tuple(AllowedContact(body_a=a, body_b=b) for a, b in around.touching)
+        return replace(scene, gripper_opening=around.opening, allowed=allowed)
+
+    def _snapshot(self, around: Surroundings) -> PlanningScene:
+        asked = (around.scene, around.state, around.moved)
+        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], asked, strict=True)):
+            self._last = asked, PlanningScene.from_state(around.scene, around.state_then, self._library)
+        return self._last[1]
 
 
 def table_body(spec: SceneSpec) -> Body:

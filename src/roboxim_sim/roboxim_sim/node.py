@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 from roboxim_interfaces.msg import CameraImage
@@ -90,6 +91,7 @@ class SimNode(SimServer):
         self.serve(TakeSnapshot, "sim/take_snapshot", self._on_take_snapshot)
         self.serve(RestoreSnapshot, "sim/restore_snapshot", self._on_restore_snapshot)
         self.serve(RenderState, "sim/render_state", self._on_render_state)
+        self.offer("sim/segment", self._segment)
         self._standard = StandardServices(self)
         self._motions = MotionActions(self)
         if self.config.scene:
@@ -267,17 +269,26 @@ class SimNode(SimServer):
 
     def _on_render_state(self, request: RenderState.Request, response: RenderState.Response) -> None:
         scene, state = from_msg(request.scene, SceneSpec), from_msg(request.state, StateRecord)
-        name = request.renderer or self.config.renderer
-        if name not in self._states:
-            self._states[name] = StateRenderer(self._renderer(name, "states"), self.library)
-        renderer = self._states[name].renderer
-        images = self._states[name].draw(scene, state)
+        states = self._state_renderer(request.renderer)
+        renderer = states.renderer
+        images = states.draw(scene, state)
         answers = {"image": response.images, "depth": response.depth, "segmentation": response.segmentation}
         for camera in scene.cameras:
             for kind, msg in camera_msgs(state.stamp_ns, camera, images[camera.name]).items():
                 if kind in answers:
                     answers[kind].append(CameraImage(camera=camera.name, image=msg))
         response.renderer = f"{renderer.name} ({renderer.device})"
+
+    def _state_renderer(self, name: str) -> StateRenderer:
+        name = name or self.config.renderer
+        if name not in self._states:
+            self._states[name] = StateRenderer(self._renderer(name, "states"), self.library)
+        return self._states[name]
+
+    def _segment(self, scene: SceneSpec, state: StateRecord, renderer: str) -> dict[str, npt.NDArray[np.uint16]]:
+        """Return the segmentation images of a state by camera, as ``sim/render_state`` does."""
+        images = self._state_renderer(renderer).draw(scene, state, colour=False)
+        return {name: one.segmentation for name, one in images.items() if one.segmentation is not None}
 
     def _refuse_foreign(self, episode_id: str, holder: str = "") -> None:
         """Reject another episode while one holds the sim, unless both have the same holder.

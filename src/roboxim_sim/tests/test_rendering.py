@@ -162,6 +162,18 @@ def test_segmentation_names_entities_and_leaves_the_background_zero(renderer: Re
     assert red[0] > 2 * red[1]
 
 
+def test_geometry_is_the_same_without_colour(renderer: Renderer) -> None:
+    world, poses = example()
+    renderer.load(world)
+    cameras = [(camera("a"), EYE), (camera("b", width=50, height=70, far=1.6), EYE)]
+    whole, bare = renderer.render(poses, cameras), renderer.render(poses, cameras, colour=False)
+    for name in ("a", "b"):
+        assert np.array_equal(whole[name].segmentation, bare[name].segmentation)
+        assert np.array_equal(whole[name].depth, bare[name].depth)
+        assert whole[name].rgb.shape == bare[name].rgb.shape
+    assert digest(renderer.render(poses, cameras)) == digest(whole)
+
+
 def test_a_camera_returns_the_requested_images_and_owns_them(renderer: Renderer) -> None:
     world, poses = example()
     renderer.load(world)

@@ -21,9 +21,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import EntityState
+from roboxim_core.surroundings import Surroundings
 from roboxim_ros.conversions import fill_pose
 from roboxim_tasks.motion import TABLE
-from roboxim_tasks.planning import Surroundings
 
 
 def motion_request(robot: str, joints: Array, around: Surroundings, seed: int) -> MotionRequest:

@@ -13,10 +13,10 @@ from roboxim_interfaces.srv import CheckTrajectory, PlanToPose, RenderState
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.surroundings import Surroundings
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import image_from_msg, to_msg
 from roboxim_tasks.conversions import motion_request, pose_stamped, trajectory
-from roboxim_tasks.planning import Surroundings
 from roboxim_tasks.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
@@ -58,6 +58,9 @@ class PlannerClient:
             UnavailableError: When the planner is not there.
             RequestTimeoutError: When it answers late.
         """
+        call = self._clients.send_local("planner/check_path", path, period_s, around)
+        if call is not None:
+            return str(self._clients.value_of(call, "planner/check_path", self._timeout_s))
         request = CheckTrajectory.Request(trajectory=trajectory(path, period_s))
         request.request = motion_request(around.scene.robot.model, path[0], around, 0)
         answer = self._clients.call(CheckTrajectory, "planner/check_trajectory", request, timeout_s=self._timeout_s)
@@ -90,11 +93,15 @@ class SegmentationClient:
             UnavailableError: When the simulator is not there.
             RequestTimeoutError: When it answers late.
         """
+        call = self._clients.send_local("sim/segment", scene, state, self._renderer)
+        if call is not None:
+            seen: dict[str, Segmentation] = self._clients.value_of(call, "sim/segment", self._timeout_s)
+            return seen
         request = RenderState.Request(
             scene=to_msg(scene, SceneSpecMsg), state=to_msg(state, StateRecordMsg), renderer=self._renderer
         )
         answer = self._clients.call(RenderState, "sim/render_state", request, timeout_s=self._timeout_s)
-        return {seen.camera: image_from_msg(seen.image) for seen in answer.segmentation}
+        return {one.camera: image_from_msg(one.image) for one in answer.segmentation}
 
 
 def _evenly_timed(points: Sequence[Any]) -> Array:

@@ -17,8 +17,9 @@ from roboxim_core.errors import PlannerError, PolicyError
 from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController, delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose, distance
+from roboxim_core.surroundings import Surroundings
 from roboxim_tasks.motion import GRIPPER, TABLE, ExpertScene, Stage
-from roboxim_tasks.planning import PlannerPort, Surroundings
+from roboxim_tasks.planning import PlannerPort
 from roboxim_tasks.reference import Leg, ReferencePoint, SpeedConfig, make_reference
 from roboxim_tasks.roles import task_distractors
 

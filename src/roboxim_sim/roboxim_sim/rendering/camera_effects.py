@@ -85,7 +85,9 @@ class CameraRig:
         return {camera.name: self._held[camera.name] for camera, _ in views}
 
 
-def draw_frames(renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
+def draw_frames(
+    renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: Views, *, colour: bool = True
+) -> dict[str, CameraImages]:
     """Take a frame with every camera, regardless of its rate.
 
     Args:
@@ -93,13 +95,15 @@ def draw_frames(renderer: Renderer, seq: int, poses: Mapping[str, Pose], views: 
         seq: The tick, which the noise depends on.
         poses: Poses in the world by body key.
         views: Cameras with the poses of their optical frames in the world.
+        colour: See `Renderer.render`.
 
     Raises:
         InvalidRequestError: On a pose of an unknown body, two cameras with the same name, or an impossible lens.
         SimError: As the renderer's `render`.
     """
     lenses = {camera.name: _lens(camera) for camera, _ in views}
-    images = renderer.render(poses, [(lens.source if (lens := lenses[c.name]) else c, pose) for c, pose in views])
+    pinholes = [(lens.source if (lens := lenses[c.name]) else c, pose) for c, pose in views]
+    images = renderer.render(poses, pinholes, colour=colour)
     frames = {}
     for camera, _ in views:
         frame, lens = images[camera.name], lenses[camera.name]

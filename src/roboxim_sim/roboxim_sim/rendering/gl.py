@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import moderngl
@@ -60,6 +62,23 @@ def create_context() -> moderngl.Context:
         f"Ubuntu: apt-get install {PACKAGES}. Without GL choose renderer 'tiny'.",
         ErrorCode.RENDERER_UNAVAILABLE,
     ) from problem
+
+
+def wait_for_drawing() -> None:
+    """Wait until the current context has drawn everything, while other threads may use Python.
+
+    moderngl keeps Python's lock while it reads an image, and so while the driver draws it.
+    """
+    _gl_finish()()
+
+
+@cache
+def _gl_finish() -> Callable[[], None]:
+    """Return ``glFinish``, or what does nothing if it is not found: then reading waits."""
+    egl = ctypes.CDLL("libEGL.so.1")
+    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+    address = egl.eglGetProcAddress(b"glFinish")
+    return ctypes.CFUNCTYPE(None)(address) if address else lambda: None
 
 
 class Shader:

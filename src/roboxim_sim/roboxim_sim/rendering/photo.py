@@ -144,7 +144,9 @@ class PhotoRenderer:
         self._receive()
         self._keys = tuple(body.key for body in world.bodies)
 
-    def render(self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> dict[str, CameraImages]:
+    def render(
+        self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]], *, colour: bool = True
+    ) -> dict[str, CameraImages]:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:

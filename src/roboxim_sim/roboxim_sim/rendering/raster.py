@@ -32,7 +32,7 @@ from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.draw_lists import CONTACT_REACH_M, MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import Packer, check_request, check_world, texture_names
-from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context
+from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context, wait_for_drawing
 from roboxim_sim.rendering.occlusion import OcclusionBaker
 from roboxim_sim.rendering.owner import Owner
 
@@ -103,7 +103,7 @@ class RasterRenderer:
                 self._world[0].release()
             self._world = fresh, world.look
 
-    def render(self, poses: Mapping[str, Pose], cameras: Cameras) -> dict[str, CameraImages]:
+    def render(self, poses: Mapping[str, Pose], cameras: Cameras, *, colour: bool = True) -> dict[str, CameraImages]:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:
@@ -120,18 +120,21 @@ class RasterRenderer:
             frame = Frame(world.packed, look, poses)
             self._upload(frame, cameras)
             ctx.front_face, ctx.depth_func = "cw", "<="
-            self._cast_shadows(world, frame)
-            self._find_contacts(world, frame)
-            self._textures.use(SAMPLERS["textures"])
+            if colour:
+                self._cast_shadows(world, frame)
+                self._find_contacts(world, frame)
+                self._textures.use(SAMPLERS["textures"])
             targets = self._targets_of(cameras)
             for i, ((camera, pose), target) in enumerate(zip(cameras, targets, strict=True)):
                 self._views.bind_to_uniform_block(SAMPLERS["View"], offset=i * VIEW_BYTES, size=VIEW_BYTES)
-                self._shade(world, frame, target, camera, pose)
+                self._shade(world, frame, target, camera, pose, colour=colour)
             # Smooth and read last: the driver rasterises one image while the next one's vertices are processed.
-            for target in targets:
+            wait_for_drawing()
+            for target in targets if colour else ():
                 self._smooth(target)
+            wait_for_drawing()
             for (camera, _), target in zip(cameras, targets, strict=True):
-                images[camera.name] = _read(camera, target)
+                images[camera.name] = _read(camera, target, colour=colour)
         return images
 
     def close(self) -> None:
@@ -206,7 +209,9 @@ class RasterRenderer:
         self._fill("CONTACT_SHADE_FRAGMENT", texels=CONTACT_SIZE * box[2])
         self._contact.colors[0].use(SAMPLERS["contact_map"])
 
-    def _shade(self, world: GpuWorld, frame: Frame, target: _Target, camera: CameraSpec, pose: Pose) -> None:
+    def _shade(
+        self, world: GpuWorld, frame: Frame, target: _Target, camera: CameraSpec, pose: Pose, *, colour: bool
+    ) -> None:
         """Draw the scene as a camera sees it."""
         geometry = ("GEOMETRY",) if target.geometry else ()
         lights = (*(["LAMP"] if frame.lights[:1] and frame.lights[0].kind == "lamp" else []),)
@@ -215,7 +220,8 @@ class RasterRenderer:
         target.raw.fbo.clear(depth=1.0)
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for batch in frame.batches(camera, pose):
-            world.draw(self._shader("SCENE_VERTEX", "SCENE_FRAGMENT", *geometry, *lights, *batch.flags), batch.ranges)
+            flags = (*lights, *batch.flags) if colour else ("COLOURLESS",)
+            world.draw(self._shader("SCENE_VERTEX", "SCENE_FRAGMENT", *geometry, *flags), batch.ranges)
         self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
 
     def _smooth(self, target: _Target) -> None:
@@ -277,10 +283,11 @@ class _Target:
         self.final.release()
 
 
-def _read(camera: CameraSpec, target: _Target) -> CameraImages:
+def _read(camera: CameraSpec, target: _Target, *, colour: bool) -> CameraImages:
     """Read a camera's images."""
     depth = segmentation = None
-    rgb = target.final.read(0, 3, np.uint8).copy()
+    black = (camera.height, camera.width, 3)
+    rgb = target.final.read(0, 3, np.uint8).copy() if colour else np.zeros(black, np.uint8)
     if target.geometry:
         geometry = target.raw.read(1, 2, np.float32)
         depth = geometry[..., 0].copy() if camera.depth else None

@@ -164,6 +164,9 @@ vec3 reflected(Surface s, vec4 light, vec3 radiance) {
 }
 
 void main() {
+#ifdef COLOURLESS
+    out_color = vec4(0.0);
+#else
     vec3 n = normalize(normal);
     vec3 v = normalize(eye.xyz - position);
     vec3 base = color.rgb;
@@ -213,6 +216,7 @@ void main() {
     vec3 s1 = sqrt(c), s2 = sqrt(s1);      // linear to sRGB without pow; off by < 0.5 / 255 above the linear toe
     c = 0.585122381 * s1 + 0.783140355 * s2 - 0.368262736 * sqrt(s2);
     out_color = vec4(c, dot(c, vec3(0.299, 0.587, 0.114)));
+#endif
 #ifdef GEOMETRY
     out_geometry = vec2(1.0 / gl_FragCoord.w, surface.z);
 #endif

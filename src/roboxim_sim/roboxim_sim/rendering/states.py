@@ -23,8 +23,13 @@ class StateRenderer:
         self._loaded: SceneSpec | None = None
         self._arms: dict[str, ArmKinematics] = {}
 
-    def draw(self, scene: SceneSpec, state: StateRecord) -> dict[str, CameraImages]:
+    def draw(self, scene: SceneSpec, state: StateRecord, *, colour: bool = True) -> dict[str, CameraImages]:
         """Return the images of a state from each camera of a scene; loads a scene once for many states and cameras.
+
+        Args:
+            scene: The scene.
+            state: Poses of its robot and entities.
+            colour: See `Renderer.render`.
 
         Raises:
             ConfigError: On an unknown model, texture or link.
@@ -42,4 +47,4 @@ class StateRenderer:
         poses = ScenePoses(scene, self._library, self._arms[model])
         cameras = poses.camera_poses(state.robot)
         views = [(camera, cameras[camera.name]) for camera in scene.cameras]
-        return draw_frames(self.renderer, state.seq, poses.body_poses(state), views)
+        return draw_frames(self.renderer, state.seq, poses.body_poses(state), views, colour=colour)

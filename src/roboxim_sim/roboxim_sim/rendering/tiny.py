@@ -77,7 +77,9 @@ class TinyRenderer:
         self._look = world.look
         self._parts = tuple(parts)
 
-    def render(self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]]) -> dict[str, CameraImages]:
+    def render(
+        self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]], *, colour: bool = True
+    ) -> dict[str, CameraImages]:
         """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
 
         Raises:
