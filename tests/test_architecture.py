@@ -27,7 +27,7 @@ ALLOWED = {
     | {f"roboxim_{room}" for room in ROOMS},
     "roboxim": {"roboxim_core", "roboxim_bringup"},
 }
-ROS_FREE_KIT = {"roboxim_ros.conversions", "roboxim_ros.schemas", "roboxim_ros.serialising"}
+ROS_FREE_KIT = {f"roboxim_ros.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
 """Modules of the node kit that need no rclpy, so that a core may use them."""
 
 

@@ -6,7 +6,7 @@ import array
 import json
 import threading
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rclpy.context import Context
@@ -55,7 +55,7 @@ from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.local_calls import LocalCall
 from roboxim_ros.policy_service import PolicyClient
-from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""
@@ -115,6 +115,8 @@ class SimClient:
         """
         self._clients = clients
         self._holder = holder
+        self.meanwhile: Callable[[], None] = lambda: None
+        """What is done in the caller's thread while the sim computes a tick; it raises nothing."""
         self._arrived = threading.Condition()
         self._notice: TickNotice | None = None
         self._images: dict[str, dict[int, Image]] = {}
@@ -159,10 +161,11 @@ class SimClient:
         """Execute an action; return tick ``seq``."""
         call = self._clients.send_local("sim/tick", episode_id, seq, action)
         if call is not None:
+            self.meanwhile()
             record: StateRecord = self._clients.value_of(call, "sim/tick", SERVICE_TIMEOUT_S)
             return record
         request = Tick.Request(episode_id=episode_id, seq=seq, action=array.array("f", action.tolist()))
-        answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S)
+        answer = self._clients.call(Tick, "sim/tick", request, timeout_s=SERVICE_TIMEOUT_S, meanwhile=self.meanwhile)
         return from_msg(answer.state, StateRecord)
 
     def release(self, episode_id: str) -> None:
@@ -309,6 +312,10 @@ class RecorderClient:
             )
         raise_for_code(last.error_code, last.error_msg)
 
+    def store(self) -> None:
+        """Store what a recorder of this process has taken. Call it while nobody waits: it compresses images."""
+        self._clients.send_local(RECORD_STORE)
+
     def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:
         """Close the bag; return its path relative to the output folder.
 
@@ -359,6 +366,7 @@ class RosPorts:
         self.tasks = TaskClient(self.clients)
         self.sim = SimClient(self.clients, holder="evaluator")
         self.recorder = RecorderClient(self.clients, "")
+        self.sim.meanwhile = self.recorder.store
 
     def for_run(self, actor: str, timeout_s: float, output_dir: str) -> tuple[PolicyClient, RecorderClient]:
         """Return the actor and the recorder of a run.

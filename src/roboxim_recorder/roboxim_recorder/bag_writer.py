@@ -13,18 +13,17 @@ from collections.abc import Iterator, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from textwrap import indent
-from typing import Any, cast
+from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_recorder.cdr import Cdr
+from roboxim_recorder.mcap_writer import McapWriter
 from roboxim_recorder.topics import OF_SCENE
 from roboxim_ros.schemas import MessageSchema
 
-Cdr = bytes | bytearray | memoryview
-"""A serialised message."""
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 """How an episode is kept to the folder that it is kept in."""
 PARTIAL = ".partial"
@@ -72,10 +71,12 @@ def disk_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the folder"
-        raise RecorderError(
-            f"cannot write {path}: {error.strerror or error}; {advice} and run again", ErrorCode.DISK
-        ) from error
+        raise _disk_error(path, error) from error
+
+
+def _disk_error(path: Path, error: OSError) -> RecorderError:
+    advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the folder"
+    return RecorderError(f"cannot write {path}: {error.strerror or error}; {advice} and run again", ErrorCode.DISK)
 
 
 def find_episode(output_dir: Path, episode_id: str) -> Path | None:
@@ -92,20 +93,18 @@ class McapFile:
         folder.mkdir(parents=True)
         self.path = folder / mcap_name(name)
         self._file = self.path.open("wb")
-        self._writer = Writer(self._file, chunk_size=16 << 20, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        self._writer.start(profile="ros2", library="roboxim")
+        self._writer = McapWriter(self._file, profile="ros2", library="roboxim")
         self._channels: dict[str, int] = {}
         self._schema_ids: dict[str, int] = {}
         self._schemas: dict[str, MessageSchema] = {}
         self.counts: dict[str, int] = {}
-        self._span = (0, 0)
 
     def add_topic(self, topic: str, schema: MessageSchema) -> None:
         """Announce a topic."""
         if schema.name not in self._schema_ids:
             data = schema.text.encode()
-            self._schema_ids[schema.name] = self._writer.register_schema(schema.name, "ros2msg", data)
-        self._channels[topic] = self._writer.register_channel(
+            self._schema_ids[schema.name] = self._writer.add_schema(schema.name, "ros2msg", data)
+        self._channels[topic] = self._writer.add_channel(
             topic,
             "cdr",
             self._schema_ids[schema.name],
@@ -118,28 +117,25 @@ class McapFile:
         self.counts[topic] = 0
 
     def write(self, topic: str, cdr: Cdr, stamp_ns: int) -> None:
-        """Append a serialised message."""
-        data = cast(bytes, cdr)  # any buffer does as well, without a copy
-        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self.counts[topic])
-        first, last = self._span if any(self.counts.values()) else (stamp_ns, stamp_ns)
-        self._span = (min(first, stamp_ns), max(last, stamp_ns))
+        """Append a serialised message, which may not change until its chunk ends."""
+        self._writer.add_message(self._channels[topic], stamp_ns, cdr, self.counts[topic])
         self.counts[topic] += 1
 
     def flush(self) -> None:
         """End the chunk and hand everything to the operating system."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the index and ``metadata.yaml`` and close the file."""
         if metadata:
-            self._writer.add_metadata(METADATA, dict(metadata))
-        self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.add_metadata(METADATA, metadata)
+        self._writer.finish()
         self._file.close()
         topics = {
             topic: (self._schemas[topic].name, self._schemas[topic].type_hash, count)
             for topic, count in self.counts.items()
         }
-        description = bag_description(self.path.name, topics, self._span, metadata)
+        description = bag_description(self.path.name, topics, self._writer.span, metadata)
         (self.path.parent / METADATA_FILE).write_text(metadata_text(description))
 
     def abandon(self) -> None:
@@ -270,8 +266,10 @@ class BagWriter:
             cdr: The message as CDR with its encapsulation header.
             stamp_ns: Time of its tick [ns].
         """
-        with disk_errors(self.partial):
+        try:  # a context manager costs more than the message
             self._mcap.write(topic, cdr, stamp_ns)
+        except OSError as error:
+            raise _disk_error(self.partial, error) from error
 
     def flush(self) -> None:
         """Hand everything to the operating system: a SIGKILL of this process loses only later messages."""

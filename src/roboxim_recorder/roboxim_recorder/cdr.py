@@ -22,6 +22,8 @@ from rosbags.typesys.store import Typestore
 from roboxim_core.errors import InvalidRequestError
 from roboxim_ros.schemas import MessageSchema, typestore
 
+Cdr = bytes | bytearray | memoryview
+"""A serialised message."""
 ORIGIN = 4
 """Where alignment counts from: behind the encapsulation header [B]."""
 _SIZES = {

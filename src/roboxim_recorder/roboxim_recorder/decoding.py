@@ -7,8 +7,8 @@ from typing import Any
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_recorder.cdr import MessageLayout, message_layout
+from roboxim_ros.packing import packer
 from roboxim_ros.schemas import MessageSchema, typestore
-from roboxim_ros.serialising import filled
 
 
 class Decoder:
@@ -39,4 +39,4 @@ class Decoder:
 
     def encode_result(self, topic: str, result: EpisodeResult) -> bytes:
         """Serialise an episode's result as a message of a topic."""
-        return self.encode(topic, filled(result, self.types[topic], self._store))
+        return bytes(packer(type(result), self.types[topic], self._store)(result))

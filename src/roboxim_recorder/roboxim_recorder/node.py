@@ -9,15 +9,15 @@ An evaluator of the same process hands the step over by a call (`roboxim_ros.rec
 the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
 
 A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local_ticks`). The recorder then
-does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The values are taken in the
-evaluator's thread; the recorder's thread makes, compresses and stores the messages while the episode goes on. At the
-end of a chunk the evaluator waits until the chunk before is stored, so that at most two are kept.
+does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The evaluator's thread does
+this, and it compresses and stores the chunk while the sim computes the next tick: the other cores are idle then, and
+compressing leaves Python to the sim. A thread of the recorder's own would get Python too late, in the middle of the
+sim's drawing, which needs all cores.
 """
 
 from __future__ import annotations
 
 import importlib
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 
 from roboxim_core import limits
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
-from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RequestTimeoutError, RoboximError, one_of
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
@@ -48,13 +48,9 @@ from roboxim_ros.conversions import from_msg
 from roboxim_ros.local_ticks import LocalTick
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
-from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP
+from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
 from roboxim_ros.serialising import to_cdr
 
-STORE_S = 60.0
-"""Longest wait for a chunk to be stored [s]."""
-HEAD_START_S = 0.001
-"""Time for which storing a chunk waits [s], so that a policy whose turn it is begins first: both need Python."""
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005
@@ -83,7 +79,6 @@ class RecorderNode(RoboximNode):
         self._failed = ""
         self._opened_ns = 0
         self._called = False  # the open episode's steps come by calls
-        self._storing: _Storing | None = None
         self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
@@ -97,6 +92,7 @@ class RecorderNode(RoboximNode):
         self.offer(RECORD_STEP, self._on_step_call, inline=True)
         self.offer(RECORD_ARRIVING, self._on_arriving_call)
         self.offer(RECORD_RECEIVED, self._on_received_call)
+        self.offer(RECORD_STORE, self._on_store_call, inline=True)
 
     def destroy_node(self) -> None:
         """Destroy the node; an open bag is removed."""
@@ -228,7 +224,7 @@ class RecorderNode(RoboximNode):
         self._abort(str(error))
 
     def _on_step_call(self, step: EpisodeStep) -> bool:
-        """Take the values of the tick that a step ends, in the thread of the evaluator; the node's thread stores them.
+        """Take the values of the tick that a step ends, in the thread of the evaluator.
 
         Returns:
             Whether it was taken. If not, its messages come from the middleware: call `_on_arriving_call`.
@@ -238,16 +234,17 @@ class RecorderNode(RoboximNode):
         if tick is None or recording.next_seq != step.seq:
             return False
         try:
-            ends_chunk = recording.add_tick(step.stamp_ns, lambda: _content(tick, step))
+            recording.add_tick(step.stamp_ns, lambda: _content(tick, step))
         except RoboximError as error:
             self._drop_faulty(recording, error)
             raise
-        if ends_chunk:
-            if self._storing is not None:
-                self._storing.wait()
-            recording.end_chunk()
-            self._store(recording)
         return True
+
+    def _on_store_call(self) -> None:
+        """Store the last chunk, if that is not done, in the thread of the evaluator."""
+        recording = self._recording
+        if recording is not None:
+            recording.flush()
 
     def _on_arriving_call(self, step: EpisodeStep) -> None:
         """Record the tick that a step ends, whose messages come from the middleware."""
@@ -255,7 +252,6 @@ class RecorderNode(RoboximNode):
         self._record_arriving(recording, step)
         if self._fault is not None:
             raise self._fault
-        self._store(recording)
 
     def _open_recording(self, step: EpisodeStep) -> EpisodeRecording:
         recording = self._recording
@@ -263,12 +259,6 @@ class RecorderNode(RoboximNode):
             raise self._not_open(step.episode_id)
         self._called, self._fault = True, None
         return recording
-
-    def _store(self, recording: EpisodeRecording) -> None:
-        """Let the node's thread make, compress and store the messages of the last chunk."""
-        self._storing = _Storing(self, recording)
-        if not self.executor.post(self._storing):
-            self._storing.abandon()
 
     def _record_arriving(self, recording: EpisodeRecording, step: EpisodeStep) -> None:
         """Record the tick whose messages come from the middleware."""
@@ -285,11 +275,6 @@ class RecorderNode(RoboximNode):
                 )
             time.sleep(RETRY_S)
             self._of_ticks.take()
-
-    def flush(self, recording: EpisodeRecording) -> None:
-        """Store a recording's last chunk, unless it is closed."""
-        if self._recording is recording:
-            recording.flush()
 
     # ---------------------------------------------------------------- extra topics
 
@@ -316,36 +301,6 @@ class RecorderNode(RoboximNode):
             ),
             durability=DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL,
         )
-
-
-class _Storing:
-    """The end of a chunk, for the recorder's executor."""
-
-    lockstep = True
-
-    def __init__(self, node: RecorderNode, recording: EpisodeRecording) -> None:
-        self._node, self._recording = node, recording
-        self._done = threading.Event()
-
-    def __call__(self) -> None:
-        time.sleep(HEAD_START_S)
-        try:
-            self._node.flush(self._recording)
-        finally:
-            self._done.set()
-
-    def abandon(self) -> None:
-        """Store nothing: the node's end removes the bag."""
-        self._done.set()
-
-    def wait(self) -> None:
-        """Wait for the end.
-
-        Raises:
-            RequestTimeoutError: When it takes too long.
-        """
-        if not self._done.wait(STORE_S):
-            raise RequestTimeoutError(f"a chunk of the bag is not stored after {STORE_S:g} s; does the disk answer?")
 
 
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:

@@ -9,30 +9,31 @@ Nothing here knows rclpy.
 from __future__ import annotations
 
 import json
-import math
+import threading
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import wraps
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from rosbags.serde import SerdeError
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
-from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter, Cdr
-from roboxim_recorder.cdr import CleanMessage, message_layout
+from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter
+from roboxim_recorder.cdr import Cdr, CleanMessage, message_layout
 from roboxim_ros.conversions import stamp_to_ns
 from roboxim_ros.schemas import message_schema, typestore
 
+P = ParamSpec("P")
+R = TypeVar("R")
 FLUSH_TICKS = 4
 """Ticks per chunk. Two 256 x 256 cameras, 53 ticks, measured: 7.2 MiB with one tick per chunk, 4.6 with four, 4.3 with
 eight; at zstd's levels 1, 3 and 4: 6.8, 4.5, 4.4 MiB in 49, 72, 88 ms."""
-NOTHING_DUE = -1
-"""The last tick of a chunk that does not exist."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +71,19 @@ def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequenc
     }
 
 
+def _alone(method: Callable[Concatenate[EpisodeRecording, P], R]) -> Callable[Concatenate[EpisodeRecording, P], R]:
+    """Let one thread at a time use a recording."""
+
+    @wraps(method)
+    def locked(self: EpisodeRecording, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        with self._lock:
+            return method(self, *args, **kwargs)
+
+    return locked
+
+
 class EpisodeRecording:
-    """The bag of a running episode."""
+    """The bag of a running episode. Several threads may use it."""
 
     def __init__(
         self, output_dir: Path, info: EpisodeInfo, info_cdr: bytes, extra_topics: Mapping[str, str] | None = None
@@ -87,6 +99,7 @@ class EpisodeRecording:
         Raises:
             RoboximError: See `BagWriter`; ``INVALID_REQUEST`` on a message type that is not installed.
         """
+        self._lock = threading.RLock()
         self.info = info
         self.expected = topics.scene_topics(info.scene)
         self.extra = {name: kind for name, kind in (extra_topics or {}).items() if name not in self.expected}
@@ -100,9 +113,9 @@ class EpisodeRecording:
         self._steps: dict[int, CleanMessage] = {}
         self._arrived: dict[tuple[str, int], CleanMessage] = {}
         self._stampless: dict[str, CleanMessage] = {}
-        self._extras: list[tuple[str, CleanMessage]] = []
-        self._due: deque[tuple[int, int, Callable[[], TickContent]]] = deque()
-        self._flush_until = NOTHING_DUE
+        self._extras: deque[tuple[str, CleanMessage]] = deque()
+        self._due: deque[tuple[int, int, Callable[[], TickContent], list[tuple[str, CleanMessage]]]] = deque()
+        self._flush_due = False
         self._flush_error: RecorderError | None = None
         self._writer = BagWriter(output_dir, info.episode_id)
         for topic, schema in schemas.items():
@@ -138,6 +151,7 @@ class EpisodeRecording:
         """Tell whether a topic, by its name in the bag, is recorded."""
         return topic in self.expected or topic in self.extra
 
+    @_alone
     def message(self, topic: str, cdr: bytes | memoryview) -> list[int]:
         """Add a message.
 
@@ -203,40 +217,41 @@ class EpisodeRecording:
                 ErrorCode.EPISODE_GAP,
             )
 
-    def add_tick(self, stamp_ns: int, content: Callable[[], TickContent]) -> bool:
-        """Add the next tick, whose messages can be made at any time.
-
-        The messages of several ticks are made together, when their chunk ends: at once they cost less than half. Ticks
-        may be added while another thread is in `flush`.
+    @_alone
+    def add_tick(self, stamp_ns: int, content: Callable[[], TickContent]) -> None:
+        """Add the next tick. The messages of a chunk's ticks are made together, when it ends: it costs less than half.
 
         Args:
             stamp_ns: Its stamp [ns].
-            content: Returns the tick's messages, without undefined bytes; called by `flush` or `close`.
-
-        Returns:
-            Whether the tick ends a chunk: call `end_chunk` and then `flush`.
+            content: Returns the tick's messages, without undefined bytes; called by this method or by `close`.
 
         Raises:
-            RecorderError: What an earlier `flush` met with.
+            RecorderError: When a tick cannot be made, or what an earlier `flush` met with.
         """
         self._raise_flush_error()
-        self._due.append((self._next, stamp_ns, content))
+        extras = [self._extras.popleft() for _ in range(len(self._extras))]  # another thread may append
+        self._due.append((self._next, stamp_ns, content, extras))
         self._next += 1
-        return (self._next - 1) % FLUSH_TICKS == 0
+        if (self._next - 1) % FLUSH_TICKS == 0:
+            self._write_due()
+            self._raise_flush_error()
 
-    def end_chunk(self) -> None:
-        """Let the next `flush` store the ticks so far, and none that are added later; no thread may be in `flush`."""
-        self._flush_until = self._next - 1
-
-    def _write_due(self, until: float = math.inf) -> None:
-        """Write the added ticks up to one."""
-        while self._due and self._due[0][0] <= until:
-            seq, stamp_ns, content = self._due.popleft()
-            made = content()
-            self._require_expected(f"tick {seq} of '{self.info.episode_id}'", made.messages)
+    def _write_due(self) -> None:
+        """Make and write the messages of the added ticks, and store each chunk before the next one begins."""
+        while self._due and self._flush_error is None:
+            self.flush()
+            seq, stamp_ns, content, extras = self._due.popleft()
+            tick = f"tick {seq} of '{self.info.episode_id}'"
+            try:
+                made = content()
+            except Exception as error:
+                raise RecorderError(f"{tick} cannot be recorded: {type(error).__name__}: {error}") from error
+            self._require_expected(tick, made.messages)
             notice = made.messages[topics.NOTICE]
             others = [(topic, made.messages[topic]) for topic in sorted(made.messages) if topic != topics.NOTICE]
             self._write(stamp_ns, notice, others, self._clean(topics.STEP, made.step).data)
+            self._write_extras(extras)
+            self._flush_due = seq % FLUSH_TICKS == 0
 
     def missing(self, seq: int) -> list[str]:
         """Return the names of what tick ``seq`` lacks."""
@@ -272,23 +287,22 @@ class EpisodeRecording:
             self._next += 1
         return written
 
+    @_alone
     def flush(self) -> None:
         """Compress and store the last ticks, if it is their turn; call it when nobody waits for the recording.
 
         An error is raised by the next `message`, `add_tick` or `close`, which somebody waits for.
         """
-        if self._flush_until == NOTHING_DUE:
+        if not self._flush_due:
             return
-        until, self._flush_until = self._flush_until, NOTHING_DUE
+        self._flush_due = False
         try:
-            self._write_due(until)
             self._writer.flush()
         except RecorderError as error:
             self._flush_error = error
         except Exception as error:
             self._flush_error = RecorderError(
-                f"a tick of '{self.info.episode_id}' before tick {self._next} cannot be recorded: "
-                f"{type(error).__name__}: {error}"
+                f"the ticks of '{self.info.episode_id}' cannot be stored: {type(error).__name__}: {error}"
             )
 
     def _raise_flush_error(self) -> None:
@@ -307,12 +321,13 @@ class EpisodeRecording:
     def _write_tick(
         self, seq: int, stamp_ns: int, notice: CleanMessage, others: Mapping[str, CleanMessage], step: CleanMessage
     ) -> None:
+        self._write_due()
         self.flush()
         self._raise_flush_error()
-        self._write_due()
         self._write(stamp_ns, notice.data, [(topic, message.data) for topic, message in others.items()], step.data)
-        if seq % FLUSH_TICKS == 0:
-            self._flush_until = seq
+        self._write_extras(self._extras)
+        self._extras.clear()
+        self._flush_due = seq % FLUSH_TICKS == 0
 
     def _write(self, stamp_ns: int, notice: Cdr, others: Iterable[tuple[str, Cdr]], step: Cdr) -> None:
         self._last_stamp_ns = stamp_ns
@@ -320,13 +335,13 @@ class EpisodeRecording:
         for topic, message in others:
             self._writer.write(topic, message, stamp_ns)
         self._writer.write(topics.STEP, step, stamp_ns)
-        self._write_extras()
 
-    def _write_extras(self) -> None:
-        for topic, message in sorted(self._extras, key=itemgetter(0)):
+    def _write_extras(self, extras: Iterable[tuple[str, CleanMessage]]) -> None:
+        """Write messages on additional topics, with the stamp of the last tick."""
+        for topic, message in sorted(extras, key=itemgetter(0)):
             self._writer.write(topic, message.data, self._last_stamp_ns)
-        self._extras.clear()
 
+    @_alone
     def close(self, result: EpisodeResult, result_cdr: bytes, keep: str, received: Sequence[str] = ()) -> str:
         """Write the result and finish the bag; a bag with a gap is removed.
 
@@ -347,10 +362,10 @@ class EpisodeRecording:
             self.drop()
             raise RecorderError(gap, ErrorCode.EPISODE_GAP)
         try:
+            self._write_due()
             self.flush()
             self._raise_flush_error()
-            self._write_due()
-            self._write_extras()
+            self._write_extras(self._extras)
             self._writer.write(topics.RESULT, self._clean(topics.RESULT, result_cdr).data, self._last_stamp_ns)
         except RecorderError:
             self.drop()
@@ -367,6 +382,8 @@ class EpisodeRecording:
         shown = "; ".join(ticks[:5]) + (f"; and {len(ticks) - 5} more ticks" if len(ticks) > 5 else "")
         return f"'{self.info.episode_id}' has a gap and is not kept: {shown}"
 
+    @_alone
     def drop(self) -> None:
         """Remove the bag."""
+        self._flush_due = False
         self._writer.drop()

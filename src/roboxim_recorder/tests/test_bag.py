@@ -14,9 +14,11 @@ from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 from rosbags.highlevel import AnyReader
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import BagWriter, McapFile
 from roboxim_recorder.check import check_bag
+from roboxim_recorder.recording import TickContent
 from roboxim_ros.conversions import to_msg
 
 
@@ -160,6 +162,32 @@ def test_extra_topics_are_recorded_with_the_tick_that_they_came_in(tmp_path, fak
             recording.message(topic, serialize_message(message))
     reader = BagReader(tmp_path / episode.close(recording))
     assert [(stamp, m.data) for _, stamp, m in reader.messages(["/mine"])] == [(0, "hi"), (100_000_000, "hi")]
+
+
+@pytest.mark.parametrize("flushed", [True, False])
+def test_extra_topics_are_recorded_with_the_tick_that_they_came_in_if_ticks_are_made_later(tmp_path, fake, flushed):
+    episode = fake(steps=3, settle=0)
+    recording = episode.open(tmp_path, extra_topics={"/mine": "std_msgs/msg/String"})
+    for seq in range(4):
+        recording.message("/mine", b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00")
+        messages = {topic: memoryview(serialize_message(message)) for topic, message in episode.tick(seq).items()}
+        content = TickContent(step=messages.pop(topics.STEP), messages=messages)
+        recording.add_tick(seq * 100_000_000, lambda content=content: content)
+        if flushed:
+            recording.flush()
+    reader = BagReader(tmp_path / episode.close(recording))
+    assert [stamp for _, stamp, _ in reader.messages(["/mine"])] == [seq * 100_000_000 for seq in range(4)]
+
+
+def test_a_tick_that_cannot_be_made_is_named(tmp_path, fake):
+    def fail():
+        raise ValueError("no such number")
+
+    episode = fake()
+    recording = episode.open(tmp_path)
+    with pytest.raises(RecorderError, match=r"tick 0 of .* cannot be recorded: ValueError: no such number"):
+        recording.add_tick(0, fail)
+    recording.drop()
 
 
 def test_an_episode_is_not_recorded_twice(tmp_path, fake):

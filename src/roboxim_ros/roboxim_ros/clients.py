@@ -114,6 +114,7 @@ class Clients:
         timeout_s: float = 120.0,
         wait_s: float | None = None,
         check: bool = True,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> Any:
         """Call a service and return its response. Request and response may be shared with a node of this process.
 
@@ -124,6 +125,7 @@ class Clients:
             timeout_s: Longest wait for the answer [s]; handlers that run in the caller's thread have their own limits.
             wait_s: Longest wait for the service to appear [s]; None: `APPEARANCE_S`.
             check: Raise the error in the response's ``error_code``; false: return the response with any code.
+            meanwhile: Called when the request has been sent, before the wait for its answer.
 
         Raises:
             UnavailableError: When the service does not appear in time, or disappears before it answers.
@@ -133,9 +135,10 @@ class Clients:
         local = local_calls.find_service(self.node.context, self._full_name(name))
         sent = None if local is None else local.send(srv_type, request)
         if sent is not None:
+            meanwhile()
             response = self.value_of(sent, name, timeout_s)
         else:
-            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s)
+            response = self._answer_of_middleware(srv_type, name, request, timeout_s, wait_s, meanwhile)
         if check:
             raise_for_code(getattr(response, "error_code", 0), getattr(response, "error_msg", ""))
         return response
@@ -194,12 +197,19 @@ class Clients:
         return call.value
 
     def _answer_of_middleware(
-        self, srv_type: Any, name: str, request: Any, timeout_s: float, wait_s: float | None
+        self,
+        srv_type: Any,
+        name: str,
+        request: Any,
+        timeout_s: float,
+        wait_s: float | None,
+        meanwhile: Callable[[], None],
     ) -> Any:
         """Return the answer of any server."""
         direct = self._borrow(srv_type, name)
         try:
-            return self._answer(direct, request, timeout_s, APPEARANCE_S if wait_s is None else wait_s)
+            wait_s = APPEARANCE_S if wait_s is None else wait_s
+            return self._answer(direct, request, timeout_s, wait_s, meanwhile)
         except rclpy_implementation.InvalidHandle:
             raise self._closed_during(name) from None
         finally:
@@ -219,7 +229,9 @@ class Clients:
             except InvalidServiceNameException as error:
                 raise InvalidRequestError(str(error)) from None
 
-    def _answer(self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float) -> Any:
+    def _answer(
+        self, direct: DirectClient, request: Any, timeout_s: float, wait_s: float, meanwhile: Callable[[], None]
+    ) -> Any:
         """Send a request and return its answer."""
         client = direct.client
         if not wait_until(client.service_is_ready, wait_s):
@@ -227,6 +239,7 @@ class Clients:
                 f"service '{client.service_name}' is not available after {wait_s:g} s; is its node running?"
             )
         number = direct.send(request)
+        meanwhile()
         deadline = time.monotonic() + timeout_s
         while (answer := direct.receive(number, min(1.0, deadline - time.monotonic()))) is None:
             if time.monotonic() >= deadline:

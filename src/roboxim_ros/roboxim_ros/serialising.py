@@ -1,30 +1,24 @@
 """Serialises the core's values with `rosbags`, without rclpy.
 
 rclpy copies a Python message field by field into a C message before it serialises that one, and the Python message must
-be made first. `rosbags` serialises objects by the definition of their type. `to_cdr` serialises a whole dataclass, by
-the rules of `roboxim_ros.conversions.to_msg`. The bytes are those of rclpy, except that padding is 0 and that nothing
-follows the last field.
+be made first. `rosbags` serialises objects by the definition of their type. `to_cdr` serialises a whole dataclass
+(`roboxim_ros.packing`), by the rules of `roboxim_ros.conversions.to_msg`. The bytes are those of rclpy, except that
+padding is 0 and that nothing follows the last field.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
-from enum import Enum
-from functools import cache, lru_cache
-from typing import Any, get_args, get_origin, get_type_hints
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from roboxim_core.errors import RoboximError
 from roboxim_core.poses import Pose
+from roboxim_ros.packing import HEADER, packer
 from roboxim_ros.schemas import message_schema, typestore
-
-HEADER = "std_msgs/msg/Header"
-Convert = Callable[[Any], Any]
 
 
 @cache
@@ -55,14 +49,13 @@ def to_cdr(value: Any, name: str) -> memoryview:
 
     Args:
         value: The dataclass.
-        name: Full name of a message type with the same field names.
+        name: Full name of a message type with the same field names; see `packer`.
 
     Raises:
         InvalidRequestError: If the type is not installed on this machine.
         RoboximError: When the message has a field of a kind that is not converted here.
     """
-    store = _store(name)
-    return store.serialize_cdr(filled(value, name, store), name, little_endian=True)
+    return packer(type(value), name, _store(name))(value)
 
 
 def time_message(stamp_ns: int) -> Any:
@@ -97,58 +90,3 @@ def pose_message(pose: Pose) -> Any:
 def doubles(values: Sequence[float]) -> npt.NDArray[np.float64]:
     """Return the value of a field of type ``float64[]``."""
     return np.array(values, np.float64)
-
-
-def filled(value: Any, name: str, store: Typestore) -> Any:
-    """Return a dataclass as a message of a store, whose definition may be of an earlier version.
-
-    Args:
-        value: The dataclass.
-        name: Full name of a message type with the same field names.
-        store: Store that knows the type.
-
-    Raises:
-        RoboximError: When the message has a field of a kind that is not converted here.
-    """
-    return _filler(type(value), name, store)(value)  # type: ignore[arg-type]  # classes are hashable
-
-
-@lru_cache(maxsize=256)
-def _filler(cls: type, name: str, store: Typestore) -> Convert:
-    hints, made = get_type_hints(cls), store.types[name]
-    fields: list[tuple[str, Convert]] = []
-    for field, kind in store.fielddefs[name][1]:
-        if kind == (Nodetype.NAME, HEADER) and field not in hints:
-            fields.append(("stamp_ns", lambda stamp_ns: header_message(stamp_ns, "")))
-        else:
-            convert = _converter(hints.get(field), kind, store)
-            if convert is None:
-                raise RoboximError(f"field '{field}' of {name}: {hints.get(field)} is not converted here; add it")
-            fields.append((field, convert))
-    return lambda value: made(*[convert(getattr(value, field)) for field, convert in fields])
-
-
-def _converter(hint: Any, kind: Any, store: Typestore) -> Convert | None:
-    """Return what converts a field, by its annotation in the dataclass and its type in the message."""
-    node, what = kind
-    if hint is Pose:
-        return pose_message
-    if node == Nodetype.BASE:
-        text = isinstance(hint, type) and issubclass(hint, str | Enum)
-        return _same if (text if what[0] == "string" else hint in (bool, int, float)) else None
-    if node == Nodetype.NAME:
-        return _filler(hint, what, store) if dataclasses.is_dataclass(hint) else None  # type: ignore[arg-type]
-    origin, args, element = get_origin(hint), get_args(hint), what[0][1]
-    if origin is dict and args == (str, float):
-        pair = store.types[element]
-        return lambda values: [pair(name, value) for name, value in values.items()]
-    if origin is not tuple:
-        return None
-    if dataclasses.is_dataclass(args[0]):
-        fill = _filler(args[0], element, store)  # type: ignore[arg-type]  # classes are hashable
-        return lambda values: [fill(value) for value in values]
-    return {(float, "float64"): doubles, (str, "string"): _same}.get((args[0], element[0]))
-
-
-def _same(value: Any) -> Any:
-    return value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -22,13 +23,14 @@ from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
 from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
+from roboxim_ros.packing import ENCAPSULATION
 from roboxim_ros.serialising import (
     doubles,
     header_message,
     message,
     quaternion_message,
     serialise,
-    time_message,
+    to_cdr,
     vector_message,
 )
 
@@ -72,7 +74,7 @@ def arrays_of(images: CameraImages) -> dict[str, npt.NDArray[Any]]:
 
 def clock_cdr(stamp_ns: int) -> memoryview:
     """Return a serialised ``rosgraph_msgs/Clock``."""
-    return serialise("rosgraph_msgs/msg/Clock", clock=time_message(stamp_ns))
+    return memoryview(ENCAPSULATION + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)))
 
 
 def text_cdr(text: str) -> memoryview:
@@ -80,16 +82,31 @@ def text_cdr(text: str) -> memoryview:
     return serialise("std_msgs/msg/String", data=text)
 
 
+@dataclass(frozen=True, slots=True)
+class _JointState:
+    """A ``sensor_msgs/JointState``."""
+
+    stamp_ns: int
+    frame_id: str
+    name: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
 def joint_state_cdr(record: StateRecord, model: RobotModel) -> memoryview:
     """Return the serialised joint states of the arm and the fingers."""
     robot = record.robot
-    return serialise(
+    return to_cdr(
+        _JointState(
+            stamp_ns=record.stamp_ns,
+            frame_id=f"{model.id}_base",
+            name=(*robot.joint_names, *model.gripper.joint_names),
+            position=(*robot.joint_positions, *robot.finger_positions),
+            velocity=(*robot.joint_velocities, *robot.finger_velocities),
+            effort=(*robot.joint_efforts, *robot.finger_efforts),
+        ),
         "sensor_msgs/msg/JointState",
-        header=header_message(record.stamp_ns, f"{model.id}_base"),
-        name=(*robot.joint_names, *model.gripper.joint_names),
-        position=doubles((*robot.joint_positions, *robot.finger_positions)),
-        velocity=doubles((*robot.joint_velocities, *robot.finger_velocities)),
-        effort=doubles((*robot.joint_efforts, *robot.finger_efforts)),
     )
 
 
@@ -138,16 +155,30 @@ def camera_topics(camera: CameraSpec) -> list[str]:
 
 def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encoding: str) -> memoryview:
     """Return a camera's serialised image; the array is C-contiguous and of the encoding's type."""
-    return serialise(
+    content, stamp_at = _image_start(camera.name, image.shape[0], image.shape[1], image.strides[0], encoding)
+    found = bytearray(content)
+    STAMP.pack_into(found, stamp_at, *divmod(stamp_ns, 1_000_000_000))
+    found += image.data.cast("B")
+    return memoryview(found)
+
+
+@lru_cache(maxsize=64)
+def _image_start(camera: str, height: int, width: int, step: int, encoding: str) -> tuple[bytes, int]:
+    """Return a serialised image up to its pixels, and where its stamp is."""
+    size = height * step
+    whole = serialise(
         "sensor_msgs/msg/Image",
-        header=header_message(stamp_ns, optical_frame(camera.name)),
-        height=image.shape[0],
-        width=image.shape[1],
+        header=header_message(MARK_NS, optical_frame(camera)),
+        height=height,
+        width=width,
         encoding=encoding,
         is_bigendian=0,
-        step=image.strides[0],
-        data=image.reshape(-1).view(np.uint8),
+        step=step,
+        data=np.zeros(size, np.uint8),
     )
+    content = bytes(whole[:-size])
+    (stamp_at,) = _places(content, STAMP.pack(*divmod(MARK_NS, 1_000_000_000)))
+    return content, stamp_at
 
 
 def camera_info_cdr(stamp_ns: int, camera: CameraSpec) -> memoryview:

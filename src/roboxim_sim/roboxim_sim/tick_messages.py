@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from roboxim_interfaces.msg import StateRecord as StateRecordMsg
 from roboxim_interfaces.msg import TickNotice
 from rosgraph_msgs.msg import Clock
@@ -22,7 +21,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros.serialising import serialise, time_message, to_cdr
+from roboxim_ros.serialising import to_cdr
 from roboxim_sim.conversions import (
     arrays_of,
     camera_cdrs,
@@ -198,12 +197,24 @@ def notice_cdr(record: StateRecord, topics: Sequence[str], images: Mapping[str, 
         for name, one in images.items()
         for kind, array in arrays_of(one).items()
     }
-    return serialise(
-        "roboxim_interfaces/msg/TickNotice",
+    notice = _Notice(
         episode_id=record.episode_id,
         seq=record.seq,
-        stamp=time_message(record.stamp_ns),
-        topics=topics,
-        image_crc32=np.array([checksums.get(topic, 0) for topic in topics], np.uint32),
+        stamp_ns=record.stamp_ns,
+        topics=tuple(topics),
+        image_crc32=tuple([checksums.get(topic, 0) for topic in topics]),
         reset=record.seq == 0,
     )
+    return to_cdr(notice, "roboxim_interfaces/msg/TickNotice")
+
+
+@dataclass(frozen=True, slots=True)
+class _Notice:
+    """A ``roboxim_interfaces/TickNotice``."""
+
+    episode_id: str
+    seq: int
+    stamp_ns: int
+    topics: tuple[str, ...]
+    image_crc32: tuple[int, ...]
+    reset: bool
