@@ -2,11 +2,15 @@
 
 An evaluation runs as in an experiment, with one worker, whose process is ready from the evaluation before. Before every
 tenth of its episodes, the next ten run without nodes in this process, while the worker waits. There the time of each
-port of the episode loop is taken: drawing the scene, simulator (building the world, settling, physics, rendering),
-observation (proprioception), policy, judge, recorder and the loop itself. The evaluation's own share is what it takes
-longer than simulator and policy take here, its start and end included. Both sides take turns within seconds, so a
-machine whose speed drifts is slow for both; the range over groups of episodes tells what noise is left. This process
-has the settings of a worker: libraries with one thread each, and no search for garbage among what is loaded.
+part is taken: choosing the scene, simulator (loading itself, building the world, settling, physics, rendering; the
+pictures that tell what is visible in a scene are rendering), observation (proprioception), policy (loading it, reset,
+answers), judge, recorder and the loop itself. The evaluation's own share is what it takes longer than simulator and
+policy take here, its start and end included. Both sides begin with a process that has run episodes, and load simulator
+and policy anew. Loading and the pictures that tell what is visible have rows of their own.
+
+Both sides take turns within seconds, so a machine whose speed drifts is slow for both; the range over groups of
+episodes tells what noise is left. This process has the settings of a worker: libraries with one thread each, and no
+search for garbage among what is loaded.
 
 The headline is the share of wall time. What a worker does beside its simulator (compressing a tick while the next one
 is simulated) counts as processor time but not as wall time. The simulator draws with several threads, so two workers on
@@ -34,6 +38,7 @@ from unittest.mock import patch
 
 from benchmarks._harness import Bench
 
+from roboxim_bringup import core_graph
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.executors import KeptProcesses, LocalExecutor, local
 from roboxim_bringup.executors.worker_process import WorkerProcess
@@ -51,6 +56,10 @@ GROUP = 20
 """Episodes of a group, whose share is printed."""
 ONE_THREAD = dict.fromkeys(THREAD_COUNTS, "1")
 """Environment variables of a worker."""
+LOADING, VISIBLE = "loading policy and simulator", "simulator: what is visible"
+"""Parts that belong to policy and simulator; the second one is within choosing a scene."""
+WANTED = ("policy", "simulator", VISIBLE)
+"""Parts of an episode that are not the evaluation's own."""
 TURN = 10
 """Episodes that one side runs before it is the other's turn: after a pause a process has cold caches."""
 
@@ -64,12 +73,62 @@ class Spent:
     wall_s: float
     """Wall time [s]."""
 
+    def __add__(self, other: Spent) -> Spent:
+        """Return the sum."""
+        return Spent(cpu_s=self.cpu_s + other.cpu_s, wall_s=self.wall_s + other.wall_s)
+
+    def __sub__(self, other: Spent) -> Spent:
+        """Return the difference."""
+        return Spent(cpu_s=self.cpu_s - other.cpu_s, wall_s=self.wall_s - other.wall_s)
+
+
+NOTHING = Spent(cpu_s=0.0, wall_s=0.0)
+
+
+class Times:
+    """Processor time and wall time of parts. What is within another part counts for the inner one alone."""
+
+    def __init__(self) -> None:
+        """Start at zero."""
+        self.cpu: Counter[str] = Counter()
+        """Processor time of each part [s]."""
+        self.wall: Counter[str] = Counter()
+        """Its wall time [s]."""
+        self._inner = [NOTHING]
+
+    @contextlib.contextmanager
+    def of(self, part: str) -> Iterator[None]:
+        """Count the block for a part."""
+        self._inner.append(NOTHING)
+        cpu, wall = time.process_time(), time.monotonic()
+        try:
+            yield
+        finally:
+            passed = Spent(cpu_s=time.process_time() - cpu, wall_s=time.monotonic() - wall)
+            own = passed - self._inner.pop()
+            self.cpu[part] += own.cpu_s  # type: ignore[assignment]
+            self.wall[part] += own.wall_s  # type: ignore[assignment]
+            self._inner[-1] += passed
+
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that counts its calls for a part."""
+
+        def timed(*given: Any, **named: Any) -> Any:
+            with self.of(part):
+                return function(*given, **named)
+
+        return timed
+
+    def total(self, *parts: str) -> Spent:
+        """Return the sum over some parts."""
+        return Spent(cpu_s=sum(self.cpu[part] for part in parts), wall_s=sum(self.wall[part] for part in parts))
+
 
 class Ports:
     """Runs episodes in this process and takes the time of their parts; belongs to the thread that made it."""
 
     def __init__(self, folder: Path, size: int, policy: str, given: dict[str, str]) -> None:
-        """Make the rooms and run an episode, which loads and compiles.
+        """Make the rooms and run an episode, which imports and compiles; then make the rooms that are measured.
 
         Args:
             folder: Folder of the bags.
@@ -77,74 +136,59 @@ class Ports:
             policy: The policy.
             given: Its arguments.
         """
-        self.cpu: Counter[str] = Counter()
-        """Processor time of each part [s]."""
-        self.wall: Counter[str] = Counter()
-        """Its wall time [s]."""
+        self.times = Times()
+        """Times of the parts."""
         self.steps: list[int] = []
         """Steps of each episode."""
         self.wanted: list[Spent] = []
         """Time of policy and simulator in each episode."""
-        self.graph = CoreGraph(folder, policy=load_policy(policy, **given))
-        ports = self.graph.ports
-        names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
-        timed: Any = replace(
-            ports,
-            scenes=self._timed(ports.scenes, lambda name: names[name]),
-            judge=self._timed(ports.judge, lambda name: "judge"),
-            sim=self._timed(ports.sim, lambda name: "observation" if name == "observe" else "simulator"),
-            actor=self._timed(ports.actor, lambda name: "policy"),
-            recorder=self._timed(ports.recorder, lambda name: "recorder"),
-        )
         config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=size, image_height=size)
-        self._runner = EpisodeRunner(timed, replace(config, run_seed=1))
-        self._runner.run_index(0)
+        with CoreGraph(folder, policy=load_policy(policy, **given)) as before:
+            EpisodeRunner(before.ports, replace(config, run_seed=1)).run_index(0)
+        del before
         gc.collect()
-        gc.freeze()  # as a worker's process does after its first episode
-        self._runner = EpisodeRunner(timed, config)
-        self.cpu.clear()
-        self.wall.clear()
+        with self.times.of(LOADING):
+            loaded = load_policy(policy, **given)
+        with patch.object(core_graph, "CoreSim", self.times.timed(LOADING, core_graph.CoreSim)):
+            self.graph = CoreGraph(folder, policy=loaded)
+        self.loading = self.times.total(LOADING)
+        """Time of loading policy and simulator, without what the first episode loads."""
+        self._runner = EpisodeRunner(self._timed_ports(), config)
+
+    def _timed_ports(self) -> Any:
+        """Return the ports with the parts that their methods belong to."""
+        timed, ports, segmentation = self.times.timed, self.graph.ports, self.graph.segmentation
+        setattr(segmentation, "segment", timed(VISIBLE, segmentation.segment))  # noqa: B010 (replaced on purpose)
+        names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
+        return replace(
+            ports,
+            scenes=_Timed(ports.scenes, names.__getitem__, timed),
+            judge=_Timed(ports.judge, lambda name: "judge", timed),
+            sim=_Timed(ports.sim, lambda name: "observation" if name == "observe" else "simulator", timed),
+            actor=_Timed(ports.actor, lambda name: "policy", timed),
+            recorder=_Timed(ports.recorder, lambda name: "recorder", timed),
+        )
 
     def run(self, index: int) -> None:
         """Run an episode."""
-        cpu, wall = self.cpu.copy(), self.wall.copy()
-        cpu_began, wall_began = time.process_time(), time.monotonic()
-        self.steps.append(self._runner.run_index(index).steps)
-        passed = Spent(cpu_s=time.process_time() - cpu_began, wall_s=time.monotonic() - wall_began)
-        parts = Spent(cpu_s=self.cpu.total() - cpu.total(), wall_s=self.wall.total() - wall.total())
-        self.cpu["loop"] += passed.cpu_s - parts.cpu_s  # type: ignore[assignment]
-        self.wall["loop"] += passed.wall_s - parts.wall_s  # type: ignore[assignment]
-        self.wanted.append(
-            Spent(
-                cpu_s=sum(self.cpu[part] - cpu[part] for part in ("policy", "simulator")),
-                wall_s=sum(self.wall[part] - wall[part] for part in ("policy", "simulator")),
-            )
-        )
-
-    def _timed(self, port: Any, name_of: Callable[[str], str]) -> Any:
-        return _Timed(port, name_of, self.cpu, self.wall)
+        before = self.times.total(*WANTED)
+        with self.times.of("loop"):
+            self.steps.append(self._runner.run_index(index).steps)
+        self.wanted.append(self.times.total(*WANTED) - before)
+        if len(self.wanted) == 1:
+            gc.collect()
+            gc.freeze()  # as a worker's process does after its first episode
 
 
 class _Timed:
-    """A port whose calls are timed, in processor time and in wall time."""
+    """A port whose calls are timed."""
 
-    def __init__(self, port: Any, name_of: Callable[[str], str], cpu: Counter[str], wall: Counter[str]) -> None:
-        self._port, self._name_of, self._cpu, self._wall = port, name_of, cpu, wall
+    def __init__(self, port: Any, name_of: Callable[[str], str], timed: Callable[..., Any]) -> None:
+        self._port, self._name_of, self._timed = port, name_of, timed
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._port, name)
-        if not callable(found):
-            return found
-
-        def timed(*given: Any, **named: Any) -> Any:
-            cpu, wall = time.process_time(), time.monotonic()
-            try:
-                return found(*given, **named)
-            finally:
-                self._cpu[self._name_of(name)] += time.process_time() - cpu  # type: ignore[assignment]
-                self._wall[self._name_of(name)] += time.monotonic() - wall  # type: ignore[assignment]
-
-        return timed
+        return self._timed(self._name_of(name), found) if callable(found) else found
 
 
 class Turns:
@@ -162,7 +206,7 @@ class Turns:
         """The ports, made before the first episode."""
         self.episodes: list[Spent] = []
         """Time of each of the evaluation's episodes."""
-        self.away = Spent(cpu_s=0.0, wall_s=0.0)
+        self.away = NOTHING
         """Time that the evaluation waited for the ports."""
         self._count, self._make, self._kept = count, make, kept
 
@@ -171,9 +215,7 @@ class Turns:
         """Count the time of the block as that for which the evaluation waits."""
         cpu, wall = time.process_time(), time.monotonic()
         yield
-        self.away = Spent(
-            cpu_s=self.away.cpu_s + time.process_time() - cpu, wall_s=self.away.wall_s + time.monotonic() - wall
-        )
+        self.away += Spent(cpu_s=time.process_time() - cpu, wall_s=time.monotonic() - wall)
 
     def worker(self) -> type[WorkerProcess]:
         """Return the class of the evaluation's worker."""
@@ -226,24 +268,21 @@ def main() -> None:
     assert ports is not None
     if steps != ports.steps:
         raise SystemExit(f"steps of the episodes: {steps} in the evaluation, {ports.steps} in one process")
-    whole = Spent(cpu_s=whole.cpu_s - turns.away.cpu_s, wall_s=whole.wall_s - turns.away.wall_s)
+    whole -= turns.away
     wanted, episodes = _total(ports.wanted), _total(turns.episodes)
-    for part, value in ports.cpu.most_common():
-        bench.row(
-            part=f"episode in one process: {part}", cpu_ms=round(1000 * value / count, 1),
-            wall_ms=round(1000 * ports.wall[part] / count, 1), percent=_percent(value, ports.cpu.total()),
-        )  # fmt: skip
-    start = Spent(cpu_s=whole.cpu_s - episodes.cpu_s, wall_s=whole.wall_s - episodes.wall_s)
-    early = _total(turns.episodes[:2])
+    for part, value in ports.times.cpu.most_common():
+        if part != LOADING:
+            bench.row(
+                part=f"episode in one process: {part}", cpu_ms=round(1000 * value / count, 1),
+                wall_ms=round(1000 * ports.times.wall[part] / count, 1),
+                percent=_percent(value, ports.times.cpu.total()),
+            )  # fmt: skip
     for part, spent, times in (
         ("policy and simulator in one process", wanted, count),
         ("episode of an evaluation", episodes, count),
-        ("start and end of an evaluation", start, 1),
-        (
-            "start and end of the first one",
-            Spent(cpu_s=first.cpu_s - early.cpu_s, wall_s=first.wall_s - early.wall_s),
-            1,
-        ),
+        (f"{LOADING} in one process", ports.loading, 1),
+        ("start and end of an evaluation", whole - episodes, 1),
+        ("start and end of the first one", first - _total(turns.episodes[:2]), 1),
     ):
         bench.row(
             part=part, cpu_ms=round(1000 * spent.cpu_s / times, 1), wall_ms=round(1000 * spent.wall_s / times, 1),
@@ -254,17 +293,20 @@ def main() -> None:
     for part, share in (
         (f"share of wall time, without start and end: least of {len(groups)} groups", min(shares)),
         (f"share of wall time, without start and end: most of {len(groups)} groups", max(shares)),
-        (f"share of processor time, {count} episodes, start and end included", _own(wanted.cpu_s, whole.cpu_s)),
+        (
+            f"share of processor time, {count} episodes, start and end included",
+            _own((wanted + ports.loading).cpu_s, whole.cpu_s),
+        ),
     ):
         bench.row(part=part, cpu_ms="", wall_ms="", percent=share)
     bench.finish(
         f"share of an evaluation's wall time beside policy and simulator, {count} episodes, start and end included",
-        _own(wanted.wall_s, whole.wall_s), "%", at_most=10,
+        _own((wanted + ports.loading).wall_s, whole.wall_s), "%", at_most=10,
     )  # fmt: skip
 
 
 def _total(spent: list[Spent]) -> Spent:
-    return Spent(cpu_s=sum(one.cpu_s for one in spent), wall_s=sum(one.wall_s for one in spent))
+    return sum(spent, NOTHING)
 
 
 def _own(wanted: float, whole: float) -> float:

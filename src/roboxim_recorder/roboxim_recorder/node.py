@@ -20,7 +20,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,7 @@ TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005
 """Time between two looks for it [s]."""
+_NO_WALL_TIMES: dict[str, Any] = dict.fromkeys(topics.WALL_TIMES[topics.STEP], 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +307,7 @@ class RecorderNode(RoboximNode):
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:
     """Return the messages of a tick of this process."""
     messages = {topics.absolute(topic): cdr for topic, cdr in tick.messages().items()}
-    return TickContent(messages=messages, step=_step_cdr(step))
+    return TickContent(messages=messages, step=_step_cdr(replace(step, **_NO_WALL_TIMES)))
 
 
 def _step_cdr(step: EpisodeStep) -> memoryview:

@@ -56,7 +56,7 @@ class TickContent:
     """The sim's messages by their topics in the bag, the notice among them, without undefined bytes (`CleanMessage`),
     as `roboxim_ros.serialising` makes them (`tests/test_serialised_ticks.py` asserts it)."""
     step: memoryview
-    """The loop's step."""
+    """The loop's step, in the same way and without wall times (`topics.WALL_TIMES`)."""
 
 
 def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequence[str] = ()) -> dict[str, str]:
@@ -223,7 +223,7 @@ class EpisodeRecording:
 
         Args:
             stamp_ns: Its stamp [ns].
-            content: Returns the tick's messages, without undefined bytes; called by this method or by `close`.
+            content: Returns the tick's messages; called by this method or by `close`.
 
         Raises:
             RecorderError: When a tick cannot be made, or what an earlier `flush` met with.
@@ -249,7 +249,7 @@ class EpisodeRecording:
             self._require_expected(tick, made.messages)
             notice = made.messages[topics.NOTICE]
             others = [(topic, made.messages[topic]) for topic in sorted(made.messages) if topic != topics.NOTICE]
-            self._write(stamp_ns, notice, others, self._clean(topics.STEP, made.step).data)
+            self._write(stamp_ns, notice, others, made.step)
             self._write_extras(extras)
             self._flush_due = seq % FLUSH_TICKS == 0
 
