@@ -113,6 +113,8 @@ class GuardedPolicy:
                 raise PolicyError(f"{self._label}: describe must return a PolicyDescription, got {description!r}")
         self.description = description
         """The policy's description."""
+        self.any_thread = bool(getattr(policy, "any_thread", False))
+        """Whether any thread may call the policy, one at a time; see `roboxim_policies.base.BasePolicy`."""
         self._label = f"policy '{description.name}'"
         self._episode: str | None = None
         self._given: dict[str, None] = {}

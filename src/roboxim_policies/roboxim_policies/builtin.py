@@ -35,6 +35,7 @@ class ZeroPolicy(BasePolicy):
     """A policy that holds still with an open gripper, at any rate."""
 
     name = "zero"
+    any_thread = True
     semantics = ActionSemantics(rate_hz=ANY_RATE)
 
     def act(self, window: ObservationWindow) -> ActionArray:

@@ -29,6 +29,11 @@ class RewordedPolicy:
         self._policy = Overheard(load_policy(policy, **options))
         self._instruction = instruction
 
+    @property
+    def any_thread(self) -> bool:
+        """Whether the other policy may be called by any thread, see `BasePolicy`."""
+        return bool(getattr(self._policy.policy, "any_thread", False))
+
     def another(self) -> RewordedPolicy | None:
         """Return a policy with an episode of its own that shares the other policy's model; none: it cannot."""
         another = getattr(self._policy.policy, "another", None)

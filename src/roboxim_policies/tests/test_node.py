@@ -1,5 +1,8 @@
 """A user's policy class, served by a node."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
@@ -13,14 +16,15 @@ from roboxim_interfaces.srv import Act, DescribePolicy, ResetPolicy
 from sensor_msgs.msg import Image
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.errors import ErrorCode
-from roboxim_core.policies import ActionChunk, PolicyDescription
+from roboxim_core.errors import ErrorCode, PolicyError
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_ros.clients import Clients
 from roboxim_ros.conversions import fill_image, from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.policy_service import PolicyClient
 from roboxim_ros.testing import PATIENCE_S, graph_host
 
 pytestmark = pytest.mark.ros
@@ -73,6 +77,42 @@ class Users(BasePolicy):
         if self.fail:
             raise ZeroDivisionError("the user's bug")
         return self.answer
+
+
+class Traced(BasePolicy):
+    def __init__(self, *, any_thread, delay_s=0.0):
+        self.any_thread, self.delay_s = any_thread, delay_s
+        self.threads = []
+
+    def act(self, window):
+        self.threads.append(threading.current_thread())
+        time.sleep(self.delay_s)
+        return [0.0] * 7
+
+
+def ask(host, policy, timeout_s=PATIENCE_S):
+    """Serve a policy from a node and ask it from this thread."""
+    host.add(lambda context: PolicyNode(policy, context=context, namespace="mine"))
+    with Clients("test_clients", context=host.context) as clients:
+        PolicyClient(clients, "mine", PATIENCE_S).reset(EpisodeStart(episode_id="e", instruction="", seed=1))
+        observation = Observation(seq=0, stamp_ns=0, images={}, proprio=PROPRIO)
+        return PolicyClient(clients, "mine", timeout_s).act(
+            ObservationWindow(instruction="", observations=[observation], pad_mask=(True,), episode_id="e", seq=0)
+        )
+
+
+@pytest.mark.parametrize("any_thread", [False, True])
+def test_a_policy_is_asked_in_the_callers_thread_only_if_it_says_so(graph_host, any_thread):
+    policy = Traced(any_thread=any_thread)
+    ask(graph_host, policy)
+    assert (policy.threads == [threading.current_thread()]) is any_thread
+
+
+@pytest.mark.parametrize("any_thread", [False, True])
+def test_a_late_answer_is_refused_in_whichever_thread_the_policy_was_asked(graph_host, any_thread):
+    with pytest.raises(PolicyError, match=r"did not answer within 0\.1 s") as caught:
+        ask(graph_host, Traced(any_thread=any_thread, delay_s=0.5), timeout_s=0.1)
+    assert caught.value.code == ErrorCode.POLICY_LATE
 
 
 @pytest.fixture

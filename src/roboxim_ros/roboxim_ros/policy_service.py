@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -163,20 +165,28 @@ class PolicyService:
             namespace: Namespace of the services below the node's, e.g. ``expert``; empty: the node's own.
         """
         self.guard = guard
+        self._alone = threading.Lock()
         prefix = f"{namespace}/" if namespace else ""
         node.serve(DescribePolicy, f"{prefix}describe_policy", self._on_describe)
         node.serve(ResetPolicy, f"{prefix}reset_policy", self._on_reset)
         node.serve(Act, f"{prefix}act", self._on_act)
-        node.offer(f"{prefix}act", guard.act)
+        node.offer(f"{prefix}act", self._act, inline=guard.any_thread)
 
     def _on_describe(self, _: DescribePolicy.Request, response: DescribePolicy.Response) -> None:
         response.description = to_msg(self.guard.description, PolicyDescriptionMsg)
 
     def _on_reset(self, request: ResetPolicy.Request, _: ResetPolicy.Response) -> None:
-        self.guard.reset(decode_start(request, privileged=self.guard.description.privileged))
+        start = decode_start(request, privileged=self.guard.description.privileged)
+        with self._alone:
+            self.guard.reset(start)
 
     def _on_act(self, request: Act.Request, response: Act.Response) -> None:
-        fill_answer(response, self.guard.act(decode_window(request, privileged=self.guard.description.privileged)))
+        fill_answer(response, self._act(decode_window(request, privileged=self.guard.description.privileged)))
+
+    def _act(self, window: ObservationWindow) -> ActionChunk:
+        """Ask the policy, in the node's thread, or in the caller's if any thread may call it."""
+        with self._alone:
+            return self.guard.act(window)
 
 
 class PolicyClient:
@@ -226,11 +236,15 @@ class PolicyClient:
             PolicyError: With the failure's code, e.g. ``POLICY_LATE``, ``POLICY_DIED``, ``INVALID_ACTION``.
         """
         description = self._description or self.describe()
-        name = f"{self._namespace}/act"
+        name, deadline = f"{self._namespace}/act", time.monotonic() + self._timeout_s
         with _policys_faults():
             call = self._clients.send_local(name, window)
             if call is not None:
-                return checked_answer(self._clients.value_of(call, name, self._timeout_s), description)
+                answer = checked_answer(self._clients.value_of(call, name, self._timeout_s), description)
+                if time.monotonic() > deadline:  # it was asked in this thread, which could not give up
+                    label = f"policy '{description.name}'"
+                    raise RequestTimeoutError(f"{label} did not answer within {self._timeout_s:g} s")
+                return answer
         return decode_answer(self._call(Act, "act", encode_window(window)), description)
 
     def _call(self, srv_type: Any, name: str, request: Any) -> Any:

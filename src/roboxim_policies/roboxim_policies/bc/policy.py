@@ -37,6 +37,7 @@ class BCPolicy(BasePolicy):
     """
 
     name = "bc"
+    any_thread = True
 
     def __init__(self, checkpoint: str | Path, *, execute: int = 0) -> None:
         """Load a checkpoint and compile the network.
