@@ -39,7 +39,6 @@ from unittest.mock import patch
 from benchmarks._harness import Bench
 
 from roboxim_bringup import core_graph
-from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.executors import KeptProcesses, LocalExecutor, local
 from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_bringup.process import THREAD_COUNTS
@@ -57,7 +56,7 @@ GROUP = 20
 ONE_THREAD = dict.fromkeys(THREAD_COUNTS, "1")
 """Environment variables of a worker."""
 LOADING, VISIBLE = "loading policy and simulator", "simulator: what is visible"
-"""Parts that belong to policy and simulator; the second one is within choosing a scene."""
+"""Parts that belong to policy and simulator: before the first episode, and while a scene is chosen."""
 WANTED = ("policy", "simulator", VISIBLE)
 """Parts of an episode that are not the evaluation's own."""
 TURN = 10
@@ -143,14 +142,14 @@ class Ports:
         self.wanted: list[Spent] = []
         """Time of policy and simulator in each episode."""
         config = RunConfig(task_config=task_text(TASK), output_dir=str(folder), image_width=size, image_height=size)
-        with CoreGraph(folder, policy=load_policy(policy, **given)) as before:
+        with core_graph.CoreGraph(folder, policy=load_policy(policy, **given)) as before:
             EpisodeRunner(before.ports, replace(config, run_seed=1)).run_index(0)
         del before
-        gc.collect()
+        gc.collect()  # as a worker's process does when it rests
         with self.times.of(LOADING):
             loaded = load_policy(policy, **given)
         with patch.object(core_graph, "CoreSim", self.times.timed(LOADING, core_graph.CoreSim)):
-            self.graph = CoreGraph(folder, policy=loaded)
+            self.graph = core_graph.CoreGraph(folder, policy=loaded)
         self.loading = self.times.total(LOADING)
         """Time of loading policy and simulator, without what the first episode loads."""
         self._runner = EpisodeRunner(self._timed_ports(), config)
@@ -159,7 +158,7 @@ class Ports:
         """Return the ports with the parts that their methods belong to."""
         timed, ports, segmentation = self.times.timed, self.graph.ports, self.graph.segmentation
         setattr(segmentation, "segment", timed(VISIBLE, segmentation.segment))  # noqa: B010 (replaced on purpose)
-        names = {"draw": "drawing the scene", "judge": "judge", "start": "judge"}
+        names = {"draw": "choosing the scene", "judge": "judge", "start": "judge"}
         return replace(
             ports,
             scenes=_Timed(ports.scenes, names.__getitem__, timed),
@@ -270,14 +269,13 @@ def main() -> None:
         raise SystemExit(f"steps of the episodes: {steps} in the evaluation, {ports.steps} in one process")
     whole -= turns.away
     wanted, episodes = _total(ports.wanted), _total(turns.episodes)
-    for part, value in ports.times.cpu.most_common():
-        if part != LOADING:
-            bench.row(
-                part=f"episode in one process: {part}", cpu_ms=round(1000 * value / count, 1),
-                wall_ms=round(1000 * ports.times.wall[part] / count, 1),
-                percent=_percent(value, ports.times.cpu.total()),
-            )  # fmt: skip
-    for part, spent, times in (
+    parts = Counter({part: spent for part, spent in ports.times.cpu.items() if part != LOADING})
+    for part, spent in parts.most_common():
+        bench.row(
+            part=f"episode in one process: {part}", cpu_ms=round(1000 * spent / count, 1),
+            wall_ms=round(1000 * ports.times.wall[part] / count, 1), percent=_percent(spent, parts.total()),
+        )  # fmt: skip
+    for part, passed, times in (
         ("policy and simulator in one process", wanted, count),
         ("episode of an evaluation", episodes, count),
         (f"{LOADING} in one process", ports.loading, 1),
@@ -285,7 +283,7 @@ def main() -> None:
         ("start and end of the first one", first - _total(turns.episodes[:2]), 1),
     ):
         bench.row(
-            part=part, cpu_ms=round(1000 * spent.cpu_s / times, 1), wall_ms=round(1000 * spent.wall_s / times, 1),
+            part=part, cpu_ms=round(1000 * passed.cpu_s / times, 1), wall_ms=round(1000 * passed.wall_s / times, 1),
             percent="",
         )  # fmt: skip
     groups = [slice(at, at + GROUP) for at in range(0, count, GROUP)]

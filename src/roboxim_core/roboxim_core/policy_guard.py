@@ -114,7 +114,7 @@ class GuardedPolicy:
         self.description = description
         """The policy's description."""
         self.any_thread = bool(getattr(policy, "any_thread", False))
-        """Whether any thread may call the policy, one at a time; see `roboxim_policies.base.BasePolicy`."""
+        """Whether any thread may call the policy, one at a time; false unless the policy has this attribute."""
         self._label = f"policy '{description.name}'"
         self._episode: str | None = None
         self._given: dict[str, None] = {}

@@ -110,8 +110,8 @@ class BasePolicy(ABC):
     gripper: GripperRule = GripperRule()
     """When the gripper opens and closes, unless the run says otherwise."""
     any_thread: bool = False
-    """Whether any thread may call `act`, and an answer always comes: it waits for nothing outside this process. Then an
-    evaluator of the same process asks the policy in its own thread, which saves two changes of threads."""
+    """Whether any thread may call `act`, and `act` waits for nothing outside this process. Then an evaluator of the
+    same process asks the policy in its own thread, which saves two changes of threads; it cannot give up an answer."""
 
     def describe(self) -> PolicyDescription:
         """Return the policy's description, built from the attributes.

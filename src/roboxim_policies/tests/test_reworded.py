@@ -74,3 +74,8 @@ def test_its_policy_must_exist_and_take_its_arguments():
         load_policy("reworded", policy="randon")
     with pytest.raises(ConfigError, match="scael"):
         load_policy("reworded", policy="random", scael=1.0)
+
+
+@pytest.mark.parametrize(("policy", "any_thread"), [("zero", True), ("random", False)])
+def test_any_thread_may_call_it_if_any_thread_may_call_the_other_policy(policy, any_thread):
+    assert GuardedPolicy(RewordedPolicy(policy=policy)).any_thread is any_thread
