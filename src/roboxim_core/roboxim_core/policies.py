@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionSemantics, Chunking, GripperRule
+from roboxim_core.actions.lag import require_lag
 from roboxim_core.errors import InvalidRequestError, printable
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.specs import SceneSpec, TaskSpec
@@ -73,6 +74,9 @@ class PolicyDescription:
     """How its chunks are executed unless the run says otherwise."""
     gripper: GripperRule = GripperRule()
     """When the gripper opens and closes."""
+    lag: tuple[float, ...] = ()
+    """Lag of the arm that the policy was trained with, which its executed motions get, see `MotionLag`: one number for
+    each of x, y, z and the rotations about them. Empty: none."""
 
     def __post_init__(self) -> None:
         """Check types and ranges, because the author of a policy writes them.
@@ -95,6 +99,12 @@ class PolicyDescription:
                 raise InvalidRequestError(
                     f"policy '{self.name}': {name} must be a {kind.__name__}, got {getattr(self, name)!r}"
                 )
+        require_lag(self.lag)
+        if self.lag and not self.semantics.is_vector_delta:
+            raise InvalidRequestError(
+                f"policy '{self.name}': a lag needs end-effector deltas with three rotation numbers, not "
+                f"'{self.semantics.control}' with '{self.semantics.rotation}'"
+            )
         for camera in self.cameras:
             if not isinstance(camera, CameraRequirement):
                 raise InvalidRequestError(f"policy '{self.name}': a camera must be a CameraRequirement, got {camera!r}")

@@ -109,6 +109,8 @@ class BasePolicy(ABC):
     """How chunks are executed, unless the run says otherwise: actions per request, ensemble, late answers."""
     gripper: GripperRule = GripperRule()
     """When the gripper opens and closes, unless the run says otherwise."""
+    lag: tuple[float, ...] = ()
+    """Lag of the arm that the policy was trained with, see `PolicyDescription.lag`; empty: none."""
     any_thread: bool = False
     """Whether any thread may call `act`, and `act` waits for nothing outside this process. Then an evaluator of the
     same process asks the policy in its own thread, which saves two changes of threads; it cannot give up an answer."""
@@ -130,6 +132,7 @@ class BasePolicy(ABC):
             version=self.version,
             chunking=self.chunking,
             gripper=self.gripper,
+            lag=self.lag,
         )
 
     def reset(self, start: EpisodeStart) -> None:  # noqa: B027 - most policies have nothing to forget

@@ -120,6 +120,7 @@ class RemotePolicy(BasePolicy):
         self.semantics = self.convention.semantics
         self.chunking = self.convention.chunking.execution
         self.gripper = self.convention.action.gripper.rule
+        self.lag = self.convention.action.lag
         self._fits: Metadata | None = None
         self._without_states = replace(self.convention, states=())
 

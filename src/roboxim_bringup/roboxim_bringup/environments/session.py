@@ -49,6 +49,8 @@ class SessionConfig:
     """Meaning of the actions; none: that of ``control``, with the default for the rest."""
     gripper: GripperRule = GripperRule()
     """When the gripper opens and closes."""
+    lag: tuple[float, ...] = ()
+    """Lag of executed motions, see `PolicyDescription.lag`."""
     cameras: tuple[CameraRequirement, ...] = ()
     """Cameras to observe; empty: all of the scene's."""
     rate: float = 0.0
@@ -88,7 +90,8 @@ class _Outside(BasePolicy):
     """Declares what the caller of a session needs; never asked."""
 
     def __init__(self, config: SessionConfig, cameras: tuple[CameraRequirement, ...]) -> None:
-        self.name, self.semantics, self.gripper, self.cameras = "outside", config.actions, config.gripper, cameras
+        self.name, self.semantics, self.cameras = "outside", config.actions, cameras
+        self.gripper, self.lag = config.gripper, config.lag
 
     def act(self, window: ObservationWindow) -> npt.ArrayLike:
         raise NotImplementedError("the actions of a session come from its caller")

@@ -190,6 +190,7 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
                 task=task,
                 semantics=self._convention.semantics,
                 gripper=self._convention.action.gripper.rule,
+                lag=self._convention.action.lag,
                 cameras=self._convention.cameras,
                 max_steps=self._max_steps,
                 renderer=self._renderer,

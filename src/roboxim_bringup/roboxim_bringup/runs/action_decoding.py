@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionContext, ActionSemantics, ActionTransform
 from roboxim_core.actions.gripper import GripperSwitch
+from roboxim_core.actions.lag import MotionLag
 from roboxim_core.conventions import Convention, load_convention, to_actions
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.specs import SceneSpec
@@ -69,7 +70,8 @@ class ActionDecoder:
         """Return the conversion of one pass through the episode; a gripper's rule begins anew."""
         if self._convention is not None:
             convention = replace(self._convention, rate_hz=self.rate_hz)
-            return partial(self._by_convention, convention, GripperSwitch(convention.action.gripper.rule))
+            action = convention.action
+            return partial(self._by_convention, convention, GripperSwitch(action.gripper.rule), MotionLag(action.lag))
         if self.semantics.differing(self.executed):
             return partial(self._by_transform, ActionTransform.between(self.semantics, self.executed))
         return lambda action, state: np.asarray(action, np.float32)
@@ -83,6 +85,11 @@ class ActionDecoder:
         return np.asarray(transform.apply(action, self._context(state)), np.float32)
 
     def _by_convention(
-        self, convention: Convention, gripper: GripperSwitch, action: npt.NDArray[np.float32], state: StateRecord
+        self,
+        convention: Convention,
+        gripper: GripperSwitch,
+        lag: MotionLag,
+        action: npt.NDArray[np.float32],
+        state: StateRecord,
     ) -> ActionArray:
-        return np.asarray(to_actions(convention, action, self._context(state), gripper)[0], np.float32)
+        return np.asarray(to_actions(convention, action, self._context(state), gripper, lag)[0], np.float32)

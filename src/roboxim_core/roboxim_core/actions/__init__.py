@@ -8,6 +8,7 @@ droll, dpitch, dyaw are the extrinsic XYZ Euler angles of ``R_next R_commanded^T
 from roboxim_core.actions.chunking import ActionPlan, Chunking, Ensemble, LateRows
 from roboxim_core.actions.chunks import ACTION_SIZE, ActionArray, check_chunk, hold_action
 from roboxim_core.actions.gripper import GripperRule, GripperSwitch
+from roboxim_core.actions.lag import MotionLag
 from roboxim_core.actions.semantics import (
     ActionSemantics,
     ControlMode,
@@ -37,6 +38,7 @@ __all__ = [
     "GripperSwitch",
     "Kinematics",
     "LateRows",
+    "MotionLag",
     "ReferenceFrame",
     "RotationRepresentation",
     "check_chunk",

@@ -182,6 +182,11 @@ class ActionSemantics:
             rate_hz=rate_hz, max_translation_m=self.max_translation_m, max_rotation_rad=self.max_rotation_rad
         )
 
+    @property
+    def is_vector_delta(self) -> bool:
+        """Whether an action is an end-effector delta with three rotation numbers, which may be scaled one by one."""
+        return self.control == ControlMode.END_EFFECTOR_DELTA and self.rotation.size == 3
+
     def dimension(self, robot_joints: int = 0) -> int:
         """Return the number of components of an action.
 

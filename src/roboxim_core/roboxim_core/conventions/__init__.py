@@ -21,12 +21,14 @@ from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import Normalisation, NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
+from roboxim_core.conventions.response import ControllerResponse
 from roboxim_core.conventions.states import ArmReadings, StateField, StateInput, StatePart
 
 __all__ = [
     "ActionOutput",
     "ArmReadings",
     "Chunking",
+    "ControllerResponse",
     "Convention",
     "Frames",
     "GripperOutput",

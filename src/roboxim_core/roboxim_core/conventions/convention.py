@@ -28,6 +28,7 @@ import numpy.typing as npt
 from roboxim_core import actions, limits
 from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
 from roboxim_core.actions.gripper import GripperSwitch
+from roboxim_core.actions.lag import MotionLag
 from roboxim_core.actions.rows import ArmTrack, convert_rows
 from roboxim_core.config import from_plain, load_yaml, named_config
 from roboxim_core.conventions.frames import Frames
@@ -170,7 +171,7 @@ class Convention:
 def load_convention(name: str) -> Convention:
     """Load a convention by its name in ``config/conventions``, or from the path of a YAML file.
 
-    Statistics that the file names are read, so the result depends on no other file.
+    Statistics and responses that the file names are read, so the result depends on no other file.
 
     Raises:
         ConfigError: When there is no such convention (the message suggests names), or its file is invalid.
@@ -178,13 +179,15 @@ def load_convention(name: str) -> Convention:
     path = named_config("conventions", name)
     data = load_yaml(path)
     convention = from_plain({} if data is None else data, Convention, source=str(path))
-    normalisation = convention.action.normalisation
-    if normalisation:
-        try:
-            action = replace(convention.action, normalisation=normalisation.resolved(path.parent))
-        except InvalidRequestError as error:
-            raise ConfigError(f"{path} is not valid: action: {error}") from None
-        convention = replace(convention, action=action)
+    action = convention.action
+    try:
+        if action.normalisation:
+            action = replace(action, normalisation=action.normalisation.resolved(path.parent))
+        if action.response:
+            action = replace(action, response=action.response.resolved(path.parent))
+    except InvalidRequestError as error:
+        raise ConfigError(f"{path} is not valid: action: {error}") from None
+    convention = replace(convention, action=action)
     return convention if convention.name else replace(convention, name=path.stem)
 
 
@@ -294,6 +297,7 @@ def to_actions(
     raw: npt.ArrayLike,
     track: ArmTrack | ActionContext,
     gripper: GripperSwitch | None = None,
+    lag: MotionLag | None = None,
 ) -> Floats:
     """Return actions of the meaning `Convention.run_semantics`, as the simulator executes them.
 
@@ -304,6 +308,7 @@ def to_actions(
             one (deltas to the measured state are then refused from the second action on).
         gripper: State of the gripper's rule in the running episode; None: the rule begins with these actions and an
             open gripper.
+        lag: State of the lag in the running episode; None: the motions do not lag.
 
     Returns:
         float64, shape (n, 7), or (n, joints + 1) in joint space.
@@ -314,6 +319,8 @@ def to_actions(
     rows = decode_actions(convention, raw)
     switch = gripper or GripperSwitch(convention.action.gripper.rule)
     rows[:, -1] = [switch.step(float(opening)) for opening in rows[:, -1]]
+    if lag:
+        rows = np.stack([lag.step(row) for row in rows])
     return _converted(rows, track, convention.semantics, convention.run_semantics)
 
 
@@ -326,7 +333,8 @@ def from_actions(
 ) -> Floats:
     """Return the policy's numbers that mean given actions, e.g. of a whole episode; the inverse of `to_actions`.
 
-    A number outside of its range is returned as it is: it shows that the convention cannot express the action.
+    A number outside of its range is returned as it is: it shows that the convention cannot express the action. A lag is
+    not inverted: the numbers are those of a steady motion.
 
     Args:
         convention: The convention.

@@ -69,9 +69,10 @@ class ImageInput:
     """Width that the camera renders [px]; 0: as in the scene."""
     render_height: int = 0
     """Height that the camera renders [px]; 0: as in the scene."""
-    turn_180: bool = False
-    """Whether the picture is turned by 180 degrees. RoboXim's pictures are upright. A client that turns the pictures of
-    a simulator whose pictures are upside down (LIBERO) sends upright ones as well: nothing must be turned here."""
+    mirror: bool = False
+    """Whether left and right are exchanged. RoboXim's pictures are upright, as a camera sees the scene. Clients of
+    LIBERO turn robosuite's raw pictures by 180 degrees; these are flipped from top to bottom, so the policies were
+    trained on upright, mirrored ones."""
     jpeg_quality: int = 0
     """Quality of a JPEG round trip before resizing, as for data stored as JPEG; 0: none."""
     resize: Resize = Resize.LANCZOS3
@@ -111,8 +112,8 @@ class ImageInput:
                 f"the picture of camera '{self.camera}' must be uint8 of shape (height, width, 3), "
                 f"got {picture.dtype} of shape {picture.shape}"
             )
-        if self.turn_180:
-            picture = picture[::-1, ::-1]
+        if self.mirror:
+            picture = picture[:, ::-1]
         if self.jpeg_quality:
             picture = _through_jpeg(picture, self.jpeg_quality)
         picture = self._cropped(self._resized(picture))

@@ -15,6 +15,7 @@ from roboxim_core.actions import ActionSemantics, ControlMode, DeltaBase, Refere
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.normalisation import Normalisation
+from roboxim_core.conventions.response import ControllerResponse
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.rotations import (
     Floats,
@@ -71,6 +72,9 @@ class ActionOutput:
     """Radians of a rotation of 1; for Euler angles and rotation vectors."""
     joint_scale: float = 1.0
     """Radians, or radians per second, of a joint's number of 1."""
+    response: ControllerResponse | None = None
+    """Response of the controller that the policy was trained with, for deltas with three rotation numbers; none: every
+    delta is executed in full within its tick."""
     gripper: GripperOutput = GripperOutput()
     """Meaning of the last component."""
     max_translation_m: float = 0.05
@@ -114,6 +118,11 @@ class ActionOutput:
             raise InvalidRequestError(
                 f"normalisation has {len(self.normalisation.first)} components, an action has {size}"
             )
+        if self.response and not meaning.is_vector_delta:
+            raise InvalidRequestError(
+                f"response needs control 'end_effector_delta' and a rotation of {_SCALABLE}, got '{self.control}' and "
+                f"'{self.rotation}'"
+            )
         if not self.keys:
             raise InvalidRequestError("keys: at least one key of the answer is needed")
 
@@ -123,6 +132,11 @@ class ActionOutput:
             control=self.control, frame=self.frame, rotation=self.rotation, delta_base=self.delta_base,
             rate_hz=rate_hz, max_translation_m=self.max_translation_m, max_rotation_rad=self.max_rotation_rad,
         )  # fmt: skip
+
+    @property
+    def lag(self) -> tuple[float, ...]:
+        """Lag that executed motions get, see `PolicyDescription.lag`; empty: none."""
+        return self.response.lag if self.response else ()
 
     @property
     def natural_size(self) -> int:
@@ -195,7 +209,8 @@ class ActionOutput:
         return self.normalisation.apply(raw) if self.normalisation else raw
 
     def _scales(self) -> Floats:
-        return np.array([self.translation_scale_m] * 3 + [self.rotation_scale_rad] * self.rotation.size)
+        scales = np.array([self.translation_scale_m] * 3 + [self.rotation_scale_rad] * self.rotation.size)
+        return scales * self.response.gains if self.response else scales
 
     @property
     def _in_tool(self) -> bool:

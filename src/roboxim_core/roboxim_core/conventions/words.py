@@ -13,6 +13,7 @@ from roboxim_core.actions import ControlMode, DeltaBase, Ensemble, ReferenceFram
 from roboxim_core.conventions.convention import Convention, decode_actions
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
+from roboxim_core.conventions.outputs import ActionOutput
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
 from roboxim_core.rotations import Floats, RotationRepresentation, decode
 
@@ -102,15 +103,15 @@ def _picture(image: ImageInput) -> str:
     steps = [f"camera {image.camera}"]
     if image.render_width and image.render_height:
         steps.append(f"rendered at {image.render_width} x {image.render_height} px")
-    if image.turn_180:
-        steps.append("turned by 180 degrees")
+    if image.mirror:
+        steps.append("left and right exchanged")
     if image.jpeg_quality:
         steps.append(f"through JPEG of quality {image.jpeg_quality}")
     steps.append(_RESIZED[image.resize].format(size=f"{image.width} x {image.height} px"))
     if image.crop_area < 1.0:
         steps.append(f"the middle {100 * image.crop_area:g} % of its area, scaled up again")
     channels = "channels first" if image.layout == Layout.CHW else "channels last"
-    return ", ".join(steps) + f"; RGB, uint8, {channels}{'' if image.turn_180 else ', upright'}"
+    return ", ".join(steps) + f"; RGB, uint8, {channels}, upright"
 
 
 def _windowed(convention: Convention) -> str:
@@ -175,8 +176,29 @@ def _meaning(convention: Convention) -> list[str]:
             lines.append(f"Numbers of {what} are clipped to {bounds[0]:g} .. {bounds[1]:g}.")
     if action.control.is_joint_space:
         return [*lines, "The limits of the robot's joints apply; what exceeds them is clipped and counted."]
+    if action.response:
+        lines += _response(action)
     limits = f"{1e3 * action.max_translation_m:.4g} mm and {action.max_rotation_rad:.4g} rad"
     return [*lines, f"At most {limits} per tick are executed; more is clipped and counted."]
+
+
+def _response(action: ActionOutput) -> list[str]:
+    """Return what a controller's response does, with the numbers of the x axis."""
+    assert action.response is not None
+    gain, lag = action.response.gain[0], action.response.lag[0]
+    full = 1e3 * action.translation_scale_m
+    lines = [
+        f"A number of 1 commands {full:.4g} mm or {action.rotation_scale_rad:.4g} rad. The controller of the training "
+        f"moves {gain:.0%} of that per tick in steady motion, and {gain * (1 - lag):.0%} in the first tick (along x). "
+        "RoboXim's arm moves as it does."
+    ]
+    if action.response.description:
+        lines.append(f"Controller: {action.response.description}")
+    if action.response.error_mm:
+        lines.append(
+            f"Error of a tick against it: {action.response.error_mm:g} mm, {action.response.error_mrad:g} mrad (RMS)."
+        )
+    return lines
 
 
 def _base(convention: Convention) -> str:

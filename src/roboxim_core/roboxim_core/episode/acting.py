@@ -14,6 +14,7 @@ from roboxim_core.actions import (
     ActionSemantics,
     ActionTransform,
     GripperSwitch,
+    MotionLag,
     hold_action,
 )
 from roboxim_core.actions.transforms import Target, action_of
@@ -73,6 +74,7 @@ class Acting:
         self._transform = None if same_motion else ActionTransform.between(self._declared, semantics)
         self._rule = config.gripper(description.gripper)
         self._switch: GripperSwitch | None = None
+        self._lag = MotionLag(description.lag)
         self.delays: list[int] = []
         """Delay of each answer [ticks]."""
 
@@ -110,8 +112,9 @@ class Acting:
         """
         planned = self._plan.action(state.seq)
         if planned is None:
+            self._lag.rest()
             return TickAction(action=holding_action(state, self.semantics), held=True)
-        action = self._switched(self._converted(planned.action, state), state)
+        action = self._switched(self._converted(self._lag.step(planned.action), state), state)
         return TickAction(action=action, phase=planned.phase)
 
     def _converted(self, action: ActionArray, state: StateRecord) -> ActionArray:

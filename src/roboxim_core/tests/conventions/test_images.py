@@ -27,12 +27,12 @@ def test_a_picture_of_the_right_size_is_not_touched():
         np.testing.assert_array_equal(image(resize=resize).prepare(picture), picture)
 
 
-def test_half_a_turn_puts_the_first_pixel_last():
-    turned = image(width=100, height=100, turn_180=True).prepare(quarters())
-    assert turned[0, 0].tolist() == [255, 255, 255]
-    assert turned[-1, -1].tolist() == [255, 0, 0]
-    assert turned[0, -1].tolist() == [0, 0, 255]
-    assert turned.flags.c_contiguous
+def test_a_mirrored_picture_has_left_and_right_exchanged_and_stays_upright():
+    mirrored = image(width=100, height=100, mirror=True).prepare(quarters())
+    assert mirrored[0, -1].tolist() == [255, 0, 0]
+    assert mirrored[0, 0].tolist() == [0, 255, 0]
+    assert mirrored[-1, -1].tolist() == [0, 0, 255]
+    assert mirrored.flags.c_contiguous
 
 
 def test_padding_keeps_the_shape_and_adds_black_bars():

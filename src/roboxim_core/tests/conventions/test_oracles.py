@@ -3,13 +3,14 @@
 The expected values are literals, or matrices written out here; none of them comes from our transforms.
 """
 
+from dataclasses import replace
 from math import cos, pi, sin, sqrt
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.actions import ActionContext
+from roboxim_core.actions import ActionContext, MotionLag
 from roboxim_core.actions.rows import ArmTrack, PoseRows
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import ArmReadings, decode_actions, load_convention, observe, to_actions
@@ -24,14 +25,14 @@ AT_REST = ActionContext(
     pose_commanded=DOWN, pose_measured=DOWN, joints_commanded=(0.0,) * 7, joints_measured=(0.0,) * 7
 )
 
-OSC = {  # robosuite's osc_pose.json: 1 is 0.05 m, 0.5 rad; what a client passes on to it
-    (1, 0, 0, 0, 0, 0): (0.05, 0, 0, 0, 0, 0),
-    (0, -1, 0, 0, 0, 0): (0, -0.05, 0, 0, 0, 0),
-    (0, 0, 0.5, 0, 0, 0): (0, 0, 0.025, 0, 0, 0),
-    (0, 0, 0, 1, 0, 0): (0, 0, 0, 0.5, 0, 0),
-    (0, 0, 0, 0, -0.2, 0): (0, 0, 0, 0, -0.1, 0),
-    (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.5),
-    (3, 0, 0, 0, 0, -3): (0.05, 0, 0, 0, 0, -0.5),  # OSC clips its input to [-1, 1]
+OSC = {  # robosuite's osc_pose.json: 1 is 0.05 m, 0.5 rad, of which its arm moves a quarter per step of steady motion
+    (1, 0, 0, 0, 0, 0): (0.242 * 0.05, 0, 0, 0, 0, 0),
+    (0, -1, 0, 0, 0, 0): (0, -0.228 * 0.05, 0, 0, 0, 0),
+    (0, 0, 0.5, 0, 0, 0): (0, 0, 0.251 * 0.025, 0, 0, 0),
+    (0, 0, 0, 1, 0, 0): (0, 0, 0, 0.235 * 0.5, 0, 0),
+    (0, 0, 0, 0, -0.2, 0): (0, 0, 0, 0, -0.196 * 0.1, 0),
+    (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.215 * 0.5),
+    (3, 0, 0, 0, 0, -3): (0.242 * 0.05, 0, 0, 0, 0, -0.215 * 0.5),  # OSC clips its input to [-1, 1]
 }
 METRES = {  # metres and radians as they are
     (0.02, 0, 0, 0, 0, 0): (0.02, 0, 0, 0, 0, 0),
@@ -49,14 +50,6 @@ RT1 = {  # SimplerEnv: 1.75 is 0.05 m and 1.4 is 0.25 rad, clipped
     (0, 0, 0, 0, -0.7, 0): (0, 0, 0, 0, -0.125, 0),
     (0, 0, 0, 0, 0, 1.57): (0, 0, 0, 0, 0, 0.25),
 }
-SOFT = {  # the steady motion of robosuite's arm, see the test below
-    (1, 0, 0, 0, 0, 0): (0.013275, 0, 0, 0, 0, 0),
-    (0, -1, 0, 0, 0, 0): (0, -0.013275, 0, 0, 0, 0),
-    (0, 0, 2, 0, 0, 0): (0, 0, 0.013275, 0, 0, 0),
-    (0, 0, 0, 1, 0, 0): (0, 0, 0, 0.13275, 0, 0),
-    (0, 0, 0, 0, -1, 0): (0, 0, 0, 0, -0.13275, 0),
-    (0, 0, 0, 0, 0, 1): (0, 0, 0, 0, 0, 0.13275),
-}
 UNITY = {  # x right, y up, z forward, left-handed: positive turns are the other way round
     (0.02, 0, 0, 0, 0, 0): (0, -0.02, 0, 0, 0, 0),
     (0, 0.03, 0, 0, 0, 0): (0, 0, 0.03, 0, 0, 0),
@@ -70,7 +63,6 @@ MOTIONS = {
     **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], OSC),
     **dict.fromkeys(["bridge", "fractal", *OCTO, "roboxim", "rt1_fractal"], METRES),
     "rt1_widowx": RT1,
-    "libero_soft": SOFT,
     "unity": UNITY,
 }
 JOINT_MOTIONS = {  # DROID: a velocity of 1 is 0.2 rad per step, clipped to [-1, 1]; positions are radians
@@ -81,7 +73,6 @@ JOINT_MOTIONS = {  # DROID: a velocity of 1 is 0.2 rad per step, clipped to [-1,
 }
 GRIPPERS = {  # number to opening, 1 = open
     "libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
-    "libero_soft": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     "vla_eval_libero": {-1.0: 1, 1.0: 0, -0.1: 1, 0.1: 0},
     **dict.fromkeys(["oft_libero", "openvla_libero", "groot_libero"], {1.0: 1, 0.0: 0, 0.6: 1, 0.4: 0}),
     **dict.fromkeys(
@@ -97,7 +88,7 @@ GRIPPERS = {  # number to opening, 1 = open
     **dict.fromkeys(["roboxim", "unity"], {1.0: 1, 0.0: 0, 0.25: 0.25}),
 }
 RATES = {
-    **dict.fromkeys(["libero", "libero_soft", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
+    **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "groot_libero", "vla_eval_libero"], 20),
     **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras"], 5),
     **dict.fromkeys(["fractal", "octo_fractal", "rt1_widowx", "rt1_fractal"], 3),
     **dict.fromkeys(JOINT_MOTIONS, 15),
@@ -107,7 +98,7 @@ RATES = {
 BASES = {  # what a delta is added to
     **dict.fromkeys(MOTIONS, "measured"),
     **dict.fromkeys(["bridge", "octo_bridge", "octo_two_cameras", "octo_finetuned", "rt1_widowx"], "commanded"),
-    **dict.fromkeys(["roboxim", "unity", "libero_soft"], "commanded"),
+    **dict.fromkeys(["roboxim", "unity", *(name for name in MOTIONS if MOTIONS[name] is OSC)], "commanded"),
 }
 
 
@@ -136,15 +127,34 @@ def test_joint_motions_have_the_units_and_the_order_of_the_source(name):
             np.testing.assert_allclose(to_actions(convention, raw, AT_REST), [wanted], atol=1e-12)
 
 
-def test_robosuites_soft_arm_moves_a_quarter_of_its_input_per_step():
-    """Integrate robosuite's law, acceleration = 150 (goal - x) - 2 sqrt(150) v, with a goal 1 ahead at every step."""
-    x = v = 0.0
-    for _ in range(20):
-        start = x
-        for _ in range(2000):
-            v += (150 * (start + 1 - x) - 2 * sqrt(150) * v) * 0.05 / 2000
-            x += v * 0.05 / 2000
-    assert x - start == pytest.approx(0.2655, abs=2e-4)
+OSC_CONVENTIONS = sorted(name for name in MOTIONS if MOTIONS[name] is OSC)
+
+
+@pytest.mark.parametrize("name", OSC_CONVENTIONS)
+def test_liberos_arm_begins_slowly_and_stops_late_as_robosuites_does(name):
+    """Compare with robosuite 1.4.1 along x: 5.8, 9.7, 10.5, 10.9, 11.3 mm in the first steps, then 12 to 13."""
+    convention = load_convention(name)
+    forwards = [1.0, 0, 0, 0, 0, 0, convention.action.gripper.open]
+    lag = MotionLag(convention.action.lag)
+    steps = [to_actions(convention, forwards, AT_REST, lag=lag)[0, 0] * 1e3 for _ in range(20)]
+    np.testing.assert_allclose(steps[:5], [5.8, 9.7, 10.5, 10.9, 11.3], atol=1.1)
+    assert steps[-1] == pytest.approx(12.1, abs=0.1)
+    still = [0.0, 0, 0, 0, 0, 0, convention.action.gripper.open]
+    after = [to_actions(convention, still, AT_REST, lag=lag)[0, 0] * 1e3 for _ in range(12)]
+    assert after[0] == pytest.approx(0.525 * 12.1, abs=0.1)
+    assert sum(steps) + sum(after) == pytest.approx(20 * 12.1, abs=0.1)  # all that was commanded is moved in the end
+
+
+@pytest.mark.parametrize("name", OSC_CONVENTIONS)
+def test_liberos_pictures_are_upright_and_mirrored(name):
+    """A client of LIBERO turns robosuite's raw picture, which is upside down but not turned, by 180 degrees."""
+    convention = load_convention(name)
+    optical = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
+    raw = optical[::-1]
+    for image in convention.images:
+        plain = replace(image, mirror=False)
+        np.testing.assert_array_equal(image.prepare(optical), plain.prepare(raw[::-1, ::-1]))
+        assert not np.array_equal(image.prepare(optical), plain.prepare(optical))
 
 
 def test_droid_velocity_closes_at_1():
@@ -215,16 +225,14 @@ def about_z(a):
     return np.array([[cos(a), -sin(a), 0], [sin(a), cos(a), 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("name", sorted(MOTIONS.keys() - {"libero_soft"}))  # which turns by 8 degrees at most
+@pytest.mark.parametrize("name", sorted(name for name in MOTIONS if MOTIONS[name] is not OSC))
 def test_large_rotations_are_those_of_the_source(name):
     """Test a rotation of 40 degrees and more about a skew axis, where the representations differ by degrees."""
     convention = load_convention(name)
-    a, b, c = (0.4, -0.45, 0.48) if MOTIONS[name] is OSC else (0.6, -0.7, 0.8)
-    numbers = 2.0 if MOTIONS[name] is OSC else 1.0  # OSC: 1 is 0.5 rad
+    (a, b, c), numbers = (0.6, -0.7, 0.8), 1.0
     if name == "rt1_widowx":
         (a, b, c), numbers = (0.2, -0.24, 0.25), 1.4 / 0.25
-    vectors = MOTIONS[name] is OSC or name == "rt1_fractal"
-    expected = rodrigues((a, b, c)) if vectors else about_z(c) @ about_y(b) @ about_x(a)
+    expected = rodrigues((a, b, c)) if name == "rt1_fractal" else about_z(c) @ about_y(b) @ about_x(a)
     if name == "unity":
         axes = np.array([[0, 0, 1], [-1, 0, 0], [0, 1, 0]])  # right, up and forward, as columns
         expected = axes @ expected @ axes.T
@@ -244,7 +252,6 @@ def proprioception(matrix, opening=1.0):
 
 LIBERO_STATES = {
     "libero": "observation/state",
-    "libero_soft": "observation/state",
     "oft_libero": "state",
     "vla_eval_libero": "states",
 }
@@ -318,11 +325,9 @@ KEYS = {
 }  # fmt: skip
 KEYS["droid_position"], KEYS["roboarena_joint_position"] = KEYS["droid_velocity"], KEYS["roboarena_joint_velocity"]
 KEYS["rt1_fractal"] = KEYS["rt1_widowx"]
-KEYS["roboxim"] = KEYS["unity"] = KEYS["libero_soft"] = KEYS["libero"]
+KEYS["roboxim"] = KEYS["unity"] = KEYS["libero"]
 SIZES = {
-    **dict.fromkeys(
-        ["libero", "libero_soft", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)
-    ),
+    **dict.fromkeys(["libero", "oft_libero", "openvla_libero", "bridge", "fractal", *JOINT_MOTIONS], (224, 224)),
     **dict.fromkeys(["groot_libero", "vla_eval_libero", *OCTO, "roboxim", "unity"], (256, 256)),
     **dict.fromkeys(["rt1_widowx", "rt1_fractal"], (256, 320)),
 }

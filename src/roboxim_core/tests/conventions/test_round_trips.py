@@ -51,10 +51,11 @@ def actions(rng, convention, count):
     else:
         motion = np.zeros((count, 6))
         motion[:, :3] = rng.uniform(-0.02, 0.02, (count, 3))
-        small = {"rt1_widowx": 0.12, "libero_soft": 0.07}
-        angle = small.get(convention.name, 0.49 if convention.action.rotation_range else 1.4)
-        if convention.name == "libero_soft":
-            motion[:, :3] *= 0.6
+        angle = 0.49 if convention.action.rotation_range else 1.4
+        if convention.name == "rt1_widowx" or convention.action.response:
+            angle = 0.12 if convention.name == "rt1_widowx" else 0.05
+        if convention.action.response:
+            motion[:, :3] *= 0.5
         turn = rng.uniform(-angle, angle, (count, 3))
         motion[:, 3:] = Rotation.from_rotvec(turn).as_euler("xyz")
     openings = rng.uniform(0, 1, count)

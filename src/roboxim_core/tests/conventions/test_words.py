@@ -20,10 +20,10 @@ def test_a_description_names_all_keys_notes_and_sources(name):
 
 def test_the_examples_say_what_one_action_does():
     assert examples(load_convention("libero"))[:2] == [
-        "[1, 0, 0, 0, 0, 0, 0]   moves 50 mm along +x (forwards)",
-        "[0, 1, 0, 0, 0, 0, 0]   moves 50 mm along +y (to the left)",
+        "[1, 0, 0, 0, 0, 0, 0]   moves 12.1 mm along +x (forwards)",
+        "[0, 1, 0, 0, 0, 0, 0]   moves 11.4 mm along +y (to the left)",
     ]
-    assert "[0, 0, 0, 1, 0, 0, 0]   turns 0.5 rad (28.6 degrees) about +x" in examples(load_convention("libero"))
+    assert "[0, 0, 0, 1, 0, 0, 0]   turns 0.1175 rad (6.73 degrees) about +x" in examples(load_convention("libero"))
     assert examples(load_convention("droid_velocity"))[0] == "[1, 0, 0, 0, 0, 0, 0, 0.5]  turns joint 1 by 0.2 rad"
     assert examples(load_convention("rt1_widowx"))[2] == "[0, 0, 1.75, 0, 0, 0, 0]  moves 50 mm along +z (up)"
 
