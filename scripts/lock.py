@@ -88,7 +88,15 @@ def main() -> None:
     lock_scale(*upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
-    for name in ("verify-rlds", "planner-mplib", "planner-roboplan", "robosuite", "photo", "policy-octo"):
+    for name in (
+        "verify-rlds",
+        "planner-mplib",
+        "planner-roboplan",
+        "robosuite",
+        "photo",
+        "policy-octo",
+        "verify-conventions",
+    ):
         lock(name, group(name), *upgrade)
     lock("policy-rt1", group("policy-rt1"), *upgrade, without=UNUSED_BY_RT1)
     for name in ("verify-lerobot", "verify-lerobot-2"):

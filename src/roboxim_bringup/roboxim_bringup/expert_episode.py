@@ -40,6 +40,8 @@ class ExpertEpisode:
     """State of the arm before each action, with the robot's kinematics."""
     rate_hz: float
     """Control rate [Hz]."""
+    scene: SceneSpec
+    """The scene."""
 
     @property
     def speed(self) -> float:
@@ -144,7 +146,7 @@ class _Watched:
             result=result, instruction=instruction, states=states,
             observations=[self._observations[state.seq] for state in states],
             actions=np.stack(self._actions[:count]), track=ArmTrack.of(states, robot.pose, kinematics),
-            rate_hz=self._scene.control_rate_hz,
+            rate_hz=self._scene.control_rate_hz, scene=self._scene,
         )  # fmt: skip
 
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.expert_episode import ExpertEpisode, expert_episode
+from roboxim_bringup.policy_sketch import Sketch
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.cameras import load_camera
 from roboxim_core.conventions import Convention, Layout, decode_actions, from_actions
 from roboxim_core.conventions.images import Picture
 from roboxim_core.errors import RoboximError
 from roboxim_core.policies import EpisodeStart
 from roboxim_core.rotations import Floats
-from roboxim_policies.dry_run import Answers, RoundTrip, round_trip, suspicions
+from roboxim_policies.dry_run import Answers, RoundTrip, proven, round_trip, suspicions
 from roboxim_policies.remote import RemotePolicy
 
 ASKED = 6
@@ -77,8 +79,13 @@ def check_policy(
     for rows in raw:
         policy.decoded(rows)  # which refuses what cannot be used
     pictures = {image.key: _upright(convention, image.key, requests[0][image.key]) for image in convention.images}
+    seen = episode.observations[0].images
+    upright = {
+        image.key: replace(image, mirror=False, layout=Layout.HWC).prepare(seen[image.camera])
+        for image in convention.images
+    }
     answers = Answers(
-        raw=raw, pictures=pictures, expert=episode.actions[ticks], expert_speed=episode.speed,
+        raw=raw, pictures=pictures, upright=upright, expert=episode.actions[ticks], expert_speed=episode.speed,
         joints=episode.joints[ticks], expert_joint_speed=episode.joint_speed,
     )  # fmt: skip
     lines = [
@@ -93,7 +100,7 @@ def check_policy(
     ]
     return PolicyCheck(
         lines=tuple(lines), suspicions=tuple(suspicions(convention, answers)),
-        round_trip=round_trip(convention, episode.actions, episode.track), sheet=_sheet(convention, pictures),
+        round_trip=round_trip(convention, episode.actions, episode.track), sheet=_sheet(convention, pictures, episode),
     )  # fmt: skip
 
 
@@ -156,21 +163,35 @@ def _opening(opening: float) -> str:
     return f"opening {opening:.2f}"
 
 
-def _sheet(convention: Convention, pictures: Mapping[str, Picture]) -> Image.Image:
-    """Draw the sent pictures beside each other, with their keys, cameras and sizes."""
+def _sheet(convention: Convention, pictures: Mapping[str, Picture], episode: ExpertEpisode) -> Image.Image:
+    """Draw each sent picture above a sketch of what the family was trained on."""
     font = ImageFont.load_default(13)
+    family = proven(convention)
+    proof = family.proof if family else None
+    sketch = Sketch(episode.scene, episode.states[0])
     width = sum(max(picture.shape[1], COLUMN_PX) for picture in pictures.values()) or COLUMN_PX
-    height = max((picture.shape[0] for picture in pictures.values()), default=0) + 3 * LABEL_PX
-    sheet = Image.new("RGB", (width, height), "white")
+    tall = max((picture.shape[0] for picture in pictures.values()), default=0)
+    below = tall + 3 * LABEL_PX
+    sheet = Image.new("RGB", (width, 2 * below), "white")
     draw, left = ImageDraw.Draw(sheet), 0
     for image in convention.images:
         picture = pictures[image.key]
-        words = [image.key, f"camera {image.camera}, {picture.shape[1]} x {picture.shape[0]} px, {image.resize}"]
-        words.append("turned by 180 degrees" if image.turn_180 else "as RoboXim draws it: should be upright")
+        size = (picture.shape[1], picture.shape[0])
+        words = [image.key, f"camera {image.camera}, {size[0]} x {size[1]} px, {image.resize}"]
+        words.append("sent mirrored" if image.mirror else "sent as the camera sees it")
+        sheet.paste(Image.fromarray(np.ascontiguousarray(picture)), (left, 3 * LABEL_PX))
+        named = proof.views.get(image.key, "") if proof else ""
+        camera = next(c for c in episode.scene.cameras if c.name == image.camera)
+        camera = load_camera(named) if named else camera
+        mirror = proof.mirrored if proof else image.mirror
+        title = "This family was trained on such pictures" if proof else "No proof of this family; by its own fields"
+        where = f"camera {named}" if named else (proof.trained_with if proof else "")
+        told = [title, where, "mirrored: the robot's left is on the other side" if mirror else "not mirrored"]
+        sheet.paste(sketch.draw(camera, size, mirror=mirror), (left, below + 3 * LABEL_PX))
         for line, text in enumerate(words):
             draw.text((left + 3, line * LABEL_PX + 2), text, "black", font)
-        sheet.paste(Image.fromarray(np.ascontiguousarray(picture)), (left, 3 * LABEL_PX))
-        left += max(picture.shape[1], COLUMN_PX)
+            draw.text((left + 3, below + line * LABEL_PX + 2), told[line], "black", font)
+        left += max(size[0], COLUMN_PX)
     return sheet
 
 

@@ -6,14 +6,15 @@ with what the expert does in the same situations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.actions.rows import ArmTrack, convert_rows
-from roboxim_core.conventions import Convention, decode_actions, from_actions
+from roboxim_core.config_folders import config_names
+from roboxim_core.conventions import Convention, decode_actions, from_actions, load_convention
 from roboxim_core.conventions.images import Picture
 from roboxim_core.errors import RoboximError
 from roboxim_core.rotations import Floats, encode, identity_rotation
@@ -26,6 +27,14 @@ JUMP_RAD = 0.5
 """Distance of a commanded joint position from the joint [rad] from which on it is suspicious."""
 BLANK = 2.0
 """Standard deviation of a picture's numbers, 0..255, below which it shows nothing."""
+UPRIGHT, MIRRORED = "upright", "mirrored (left and right exchanged)"
+ORIENTATIONS: Mapping[str, Callable[[Picture], Picture]] = {
+    UPRIGHT: lambda picture: picture,
+    MIRRORED: lambda picture: picture[:, ::-1],
+    "turned by 180 degrees": lambda picture: picture[::-1, ::-1],
+    "upside down": lambda picture: picture[::-1],
+}
+"""How a picture may lie, relative to what the camera sees."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +105,8 @@ class Answers:
     """The policy's numbers at each tick, each of shape (n, D)."""
     pictures: Mapping[str, Picture]
     """The pictures of the first request, by key, as they were sent."""
+    upright: Mapping[str, Picture]
+    """The same pictures as the camera sees them, resized alike but not mirrored."""
     expert: Floats
     """The expert's actions at these ticks, of RoboXim's default meaning, shape (ticks, 7)."""
     expert_speed: float
@@ -108,7 +119,7 @@ class Answers:
 
 def suspicions(convention: Convention, answers: Answers) -> list[str]:
     """Return in words what looks wrong; empty: nothing."""
-    found = _of_pictures(convention, answers.pictures)
+    found = _of_pictures(convention, answers.pictures) + _of_orientation(convention, answers)
     raw = np.concatenate(list(answers.raw))
     firsts = np.stack([rows[0] for rows in answers.raw])
     if len(firsts) > 1 and float(np.ptp(firsts, axis=0).max()) == 0.0:
@@ -145,13 +156,47 @@ def _of_pictures(convention: Convention, pictures: Mapping[str, Picture]) -> lis
     found = []
     for image in convention.images:
         picture = pictures.get(image.key)
-        if image.turn_180:
-            found.append(
-                f"picture '{image.key}' is sent upside down (turn_180): RoboXim's pictures are upright. Clients of "
-                "LIBERO turn its pictures because robosuite's are upside down; its policies expect upright ones"
-            )
         if picture is not None and float(np.std(picture)) < BLANK:
             found.append(f"picture '{image.key}' shows nothing: all of its pixels are nearly equal")
+    return found
+
+
+def proven(convention: Convention) -> Convention | None:
+    """Return the convention whose proof holds for one: itself, or a shipped one of the same keys, rate and numbers."""
+    if convention.proof:
+        return convention
+    shipped = (load_convention(name) for name in config_names("conventions"))
+    return next((other for other in shipped if other.proof and _family(other) == _family(convention)), None)
+
+
+def _family(convention: Convention) -> tuple[object, ...]:
+    """Return what conventions of one family have in common."""
+    action = convention.action
+    keys = {image.key for image in convention.images} | {state.key for state in convention.states}
+    return keys, convention.rate_hz, action.rotation, action.gripper.open, action.gripper.closed
+
+
+def orientation(sent: Picture, upright: Picture) -> str:
+    """Return how a sent picture lies, found in its pixels: a word of `ORIENTATIONS`."""
+    errors = [float(np.abs(sent.astype(int) - turned(upright)).mean()) for turned in ORIENTATIONS.values()]
+    return list(ORIENTATIONS)[int(np.argmin(errors))]
+
+
+def _of_orientation(convention: Convention, answers: Answers) -> list[str]:
+    """Compare how the pictures lie with the proof of the family."""
+    family = proven(convention)
+    if family is None or family.proof is None:
+        return []
+    expected = MIRRORED if family.proof.mirrored else UPRIGHT
+    found = []
+    for key, picture in answers.pictures.items():
+        lies = orientation(picture, answers.upright[key])
+        if lies != expected:
+            found.append(
+                f"picture '{key}' is sent {lies}; the genuine client sends it {expected} ({family.proof.client}, "
+                f"compared on {family.proof.date}, convention '{family.name}'). Set mirror: "
+                f"{str(family.proof.mirrored).lower()} for it"
+            )
     return found
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions.rows import ArmTrack, PoseRows
 from roboxim_core.conventions import load_convention
-from roboxim_policies.dry_run import Answers, round_trip, suspicions
+from roboxim_policies.dry_run import Answers, proven, round_trip, suspicions
 
 LIBERO, BRIDGE, ROBOXIM = (load_convention(name) for name in ("libero", "bridge", "roboxim"))
 EXPERT = np.array([[0.01, 0.005 * i, -0.01, 0.02, 0.01 * i, 0.0, i % 2] for i in range(6)])
@@ -19,17 +19,18 @@ JOINT_SPEED = 0.5
 
 
 def answers(raw, convention=LIBERO, picture=None):
-    picture = np.arange(224 * 224 * 3, dtype=np.uint8).reshape(224, 224, 3) if picture is None else picture
-    pictures = {image.key: picture for image in convention.images}
+    seen = np.random.default_rng(0).integers(0, 256, (224, 224, 3), dtype=np.uint8) if picture is None else picture
+    sent = {image.key: seen[:, ::-1] if image.mirror else seen for image in convention.images}
     return Answers(
-        raw=[np.atleast_2d(row) for row in raw], pictures=pictures, expert=EXPERT, expert_speed=SPEED, joints=JOINTS,
+        raw=[np.atleast_2d(row) for row in raw], pictures=sent, upright=dict.fromkeys(sent, seen), expert=EXPERT,
+        expert_speed=SPEED, joints=JOINTS,
         expert_joint_speed=JOINT_SPEED,
     )  # fmt: skip
 
 
 def honest():
     """Return the expert's actions in LIBERO's numbers, about."""
-    raw = EXPERT / np.array([0.05] * 3 + [0.5] * 3 + [1.0])
+    raw = EXPERT / np.array([0.0125] * 3 + [0.125] * 3 + [1.0])
     raw[:, 6] = 1 - 2 * EXPERT[:, 6]  # -1 opens
     return raw
 
@@ -92,9 +93,36 @@ def test_arm_with_another_number_of_joints_is_named():
     assert suspicions(DROID_POSITION, six) == ["the convention commands 7 joints, the robot has 6"]
 
 
-def test_upside_down_and_empty_pictures_are_named():
-    turned = replace(LIBERO, images=tuple(replace(image, turn_180=True) for image in LIBERO.images))
-    assert "sent upside down" in suspicions(turned, answers(honest()))[0]
+def test_pictures_that_are_not_mirrored_as_the_genuine_clients_are_named():
+    """Test the convention as it was before its comparison with genuine clients, and a user's own without a proof."""
+    unmirrored = replace(LIBERO, proof=None, name="mine")
+    unmirrored = replace(unmirrored, images=tuple(replace(image, mirror=False) for image in LIBERO.images))
+    found = suspicions(unmirrored, answers(honest(), unmirrored))
+    assert len(found) == 2
+    assert "sent upright; the genuine client sends it mirrored" in found[0]
+    assert "Set mirror: true" in found[0]
+    assert suspicions(replace(LIBERO, proof=None, name="mine"), answers(honest())) == []
+
+
+@pytest.mark.parametrize(
+    ("lies", "words"),
+    [
+        ((slice(None, None, -1), slice(None)), "turned by 180 degrees"),
+        ((slice(None, None, -1), slice(None, None, -1)), "upside down"),
+    ],
+)
+def test_turned_and_upside_down_pictures_are_named(lies, words):
+    good = answers(honest())
+    turned = replace(good, pictures={key: picture[lies] for key, picture in good.pictures.items()})
+    assert f"is sent {words}" in suspicions(LIBERO, turned)[0]
+
+
+def test_conventions_without_a_proof_and_of_other_numbers_are_not_compared():
+    assert proven(ROBOXIM) is None
+    assert proven(replace(LIBERO, proof=None)) == LIBERO
+
+
+def test_empty_pictures_are_named():
     black = answers(honest(), picture=np.zeros((224, 224, 3), np.uint8))
     assert "shows nothing" in suspicions(LIBERO, black)[0]
 
@@ -108,7 +136,8 @@ def track(count):
 
 @pytest.mark.parametrize("convention", [LIBERO, BRIDGE, ROBOXIM])
 def test_actions_of_the_expert_come_back(convention):
-    found = round_trip(convention, EXPERT, track(len(EXPERT)))
+    slow = EXPERT * ([0.4] * 6 + [1]) if convention.action.response else EXPERT  # as fast as LIBERO's arm can be
+    found = round_trip(convention, slow, track(len(EXPERT)))
     assert found.is_exact, str(found)
     assert found.count == 6
 

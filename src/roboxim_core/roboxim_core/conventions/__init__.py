@@ -21,6 +21,7 @@ from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import Normalisation, NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
+from roboxim_core.conventions.proof import Proof
 from roboxim_core.conventions.response import ControllerResponse
 from roboxim_core.conventions.states import ArmReadings, StateField, StateInput, StatePart
 
@@ -37,6 +38,7 @@ __all__ = [
     "Normalisation",
     "NormalisationKind",
     "PromptInput",
+    "Proof",
     "Request",
     "Resize",
     "StateField",

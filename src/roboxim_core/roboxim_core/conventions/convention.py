@@ -34,6 +34,7 @@ from roboxim_core.config import from_plain, load_yaml, named_config
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.conventions.images import ImageInput
 from roboxim_core.conventions.outputs import ActionOutput
+from roboxim_core.conventions.proof import Proof
 from roboxim_core.conventions.states import ArmReadings, StateInput
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import MAX_HORIZON, CameraRequirement, Observation, ObservationWindow
@@ -126,6 +127,8 @@ class Convention:
     """The answer."""
     chunking: Chunking = Chunking()
     """Length and execution of an answer."""
+    proof: Proof | None = None
+    """Comparison with a genuine client; none: there was none."""
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -1,0 +1,451 @@
+"""What genuine clients send to their policy servers, and how far genuine robosuite moves its arm.
+
+`scripts/verify_conventions.py` runs this program in the environment ``verify-conventions``; it imports nothing of
+RoboXim. Clients that PyPI has (openpi-client, vla-eval) are used from there. Those that only a repository has are used
+from a clone that ``--source`` names, or else from the operations that their sources state.
+
+    .tools/verify-conventions-env/bin/python scripts/genuine_clients.py OUT [--source FOLDER ...]
+
+OUT/requests.npz      ``SOURCE|CONVENTION|KEY``: what is sent for a scene and for a marked pattern
+OUT/scene.npz         robosuite's raw pictures, poses and the cube's position
+OUT/responses.json    steps of the arm for constant actions, and the identified response
+OUT/clients.json      convention -> the code that made its requests
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib.metadata
+import importlib.util
+import json
+import os
+import sys
+import tempfile
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import numpy as np
+
+AGENTVIEW_M = [0.6586131746834771, 0.0, 1.6103500240372423]
+"""Position of LIBERO's camera ``agentview`` in the frame of the table suites [m]."""
+AGENTVIEW_WXYZ = [0.6380177736282349, 0.3048497438430786, 0.30484986305236816, 0.6380177736282349]
+"""Its rotation."""
+BASE = np.array([-0.66, 0.0, 0.912])
+"""LIBERO's robot base in the frame of the table suites [m]."""
+CUBE_Y = 0.15
+"""Where the scene's cube lies, to the robot's left [m]."""
+INSTRUCTION = "Pick up the red cube"
+REST = [0.0] * 6 + [-1.0]
+COMPONENTS = ("x", "y", "z", "about x", "about y", "about z")
+
+
+def pattern(height: int, width: int) -> np.ndarray:
+    """Return a marked picture without any symmetry: four colours, a ramp, and a letter F in the upper left."""
+    rows, columns = np.mgrid[0:height, 0:width]
+    picture = np.zeros((height, width, 3), np.uint8)
+    picture[..., 0] = columns * 255 // width
+    picture[..., 1] = rows * 255 // height
+    picture[..., 2] = ((rows // 16 + columns // 16) % 2) * 60
+    unit = height // 16
+    for top, left, tall, wide in ((1, 1, 7, 1), (1, 1, 1, 4), (4, 1, 1, 3)):
+        picture[top * unit : (top + tall) * unit, left * unit : (left + wide) * unit] = 255
+    picture[-2 * unit :, -3 * unit :] = (255, 0, 0)
+    return picture
+
+
+# --- robosuite -------------------------------------------------------------------------------------------------------
+
+
+def make_robosuite(*, pictures: bool) -> Any:
+    """Return robosuite's Panda at a table, with LIBERO's controller at 20 Hz."""
+    import robosuite
+    from robosuite.controllers import load_controller_config
+
+    env = robosuite.make(
+        "Lift", robots="Panda", controller_configs=load_controller_config(default_controller="OSC_POSE"),
+        has_renderer=False, has_offscreen_renderer=pictures, use_camera_obs=pictures,
+        camera_names=["agentview", "robot0_eye_in_hand"], camera_heights=256, camera_widths=256, control_freq=20,
+        horizon=1_000_000, ignore_done=True,
+    )  # fmt: skip
+    env.reset()
+    return env
+
+
+def observed_scene(env: Any) -> dict[str, np.ndarray]:
+    """Place the cube and the camera, and return robosuite's observation with the base's position."""
+    simulated, model = env.sim, env.sim.model
+    base = simulated.data.get_body_xpos("robot0_base")
+    camera = model.camera_name2id("agentview")
+    model.cam_pos[camera] = np.array(AGENTVIEW_M) - BASE + base
+    model.cam_quat[camera] = AGENTVIEW_WXYZ
+    joint = env.cube.joints[0]
+    height = simulated.data.get_joint_qpos(joint)[2]
+    simulated.data.set_joint_qpos(joint, [base[0] + 0.55, CUBE_Y, height, 1, 0, 0, 0])
+    simulated.forward()
+    env.step(np.array(REST))
+    seen = env._get_observations(force_update=True)
+    cube = simulated.data.get_joint_qpos(joint)[:3] - base
+    return {**seen, "base": base, "cube_in_base": cube}
+
+
+def tool(env: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return position [m] and rotation matrix of the controller's end effector."""
+    controller = env.robots[0].controller
+    controller.update(force=True)
+    return controller.ee_pos.copy(), controller.ee_ori_mat.copy()
+
+
+def moved(env: Any, actions: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Execute actions from rest at a start.
+
+    Args:
+        env: robosuite's environment.
+        actions: Shape (n, 6).
+        start: Displacement of the start from robosuite's initial pose [m].
+
+    Returns:
+        Translation [m] and rotation vector [rad] of each step, shape (n, 6).
+    """
+    from scipy.spatial.transform import Rotation
+
+    env.reset()
+    for _ in range(10):
+        env.step(np.array(REST))
+    home = tool(env)[0]
+    for _ in range(40):
+        env.step(np.array([*np.clip((home + start - tool(env)[0]) * 8, -1, 1), 0, 0, 0, -1]))
+    for _ in range(8):
+        env.step(np.array(REST))
+    position, rotation = tool(env)
+    rows = []
+    for action in actions:
+        env.step(np.array([*action, -1.0]))
+        new_position, new_rotation = tool(env)
+        rows.append([*(new_position - position), *Rotation.from_matrix(new_rotation @ rotation.T).as_rotvec()])
+        position, rotation = new_position, new_rotation
+    return np.array(rows)
+
+
+def constant_actions(env: Any) -> dict[str, list[float]]:
+    """Return the motion of each of 20 steps for a constant number, in mm or mrad per unit: the mean of both signs."""
+    found = {}
+    for index, name in enumerate(COMPONENTS):
+        steps = []
+        for size in (1.0, -1.0) if index < 3 else (0.2, -0.2):
+            actions = np.zeros((20, 6))
+            actions[:, index] = size
+            steps.append(moved(env, actions, np.zeros(3))[:, index] * 1e3 / size)
+        found[name] = np.mean(steps, axis=0).tolist()
+    return found
+
+
+def pulses(rng: np.random.Generator, index: int, count: int) -> np.ndarray:
+    """Return actions of one component: pulses of 3 to 25 steps and alternating signs that stay near the start."""
+    sizes, reach, unit = ((0.3, 1.0), 0.13, 0.0125) if index < 3 else ((0.05, 0.4), 0.5, 0.11)
+    numbers, sign, place = np.zeros(count), rng.choice([-1, 1]), 0.0
+    step = 0
+    while step < count:
+        size = rng.uniform(*sizes)
+        room = max(3, int((reach - sign * place) / (size * unit)))
+        length = min(int(rng.integers(3, 26)), room)
+        numbers[step : step + length] = sign * size
+        place, step, sign = place + sign * size * unit * length, step + length, -sign
+    actions = np.zeros((count, 6))
+    actions[:, index] = numbers
+    return actions
+
+
+def identified_response(
+    env: Any, constant: dict[str, list[float]], *, episodes: int = 16, steps: int = 64
+) -> list[dict[str, Any]]:
+    """Identify the first-order response of each component.
+
+    The gain is the motion of the last five steps of constant actions. The lag is fitted to pulses, and validated with
+    pulses of other episodes.
+
+    Args:
+        env: robosuite's environment.
+        constant: Result of `constant_actions`.
+        episodes: Number of episodes of pulses; a third of them validate.
+        steps: Steps of an episode.
+
+    Returns:
+        For each component ``gain``, ``lag``, ``error`` (root mean square of a step, in mm or mrad), ``motion`` (that of
+        the motion) and ``error_in_full`` (if every delta were executed in full within its step).
+    """
+    from scipy.optimize import least_squares
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(3)
+    found = []
+    for index, component in enumerate(COMPONENTS):
+        scale = 0.05 if index < 3 else 0.5
+        gain = float(np.mean(constant[component][-5:])) / (1e3 * scale)
+        runs = []
+        for _ in range(episodes):
+            start = np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)])
+            actions = pulses(rng, index, steps)
+            runs.append((actions[:, index] * scale, moved(env, actions, start)[:, index]))
+        train, held = runs[: -episodes // 3], runs[-episodes // 3 :]
+
+        def missed(lag: Any, runs: list[Any], gain: float = gain) -> np.ndarray:
+            return np.concatenate([gain * lfilter([1 - float(lag[0])], [1, -float(lag[0])], u) - y for u, y in runs])
+
+        lag = least_squares(missed, [0.5], args=(train,)).x
+        found.append(
+            {
+                "component": component, "gain": gain, "lag": float(lag[0]), "error": rms(missed(lag, held)),
+                "motion": rms(np.concatenate([y for _, y in held])),
+                "error_in_full": rms(np.concatenate([u - y for u, y in held])),
+            }
+        )  # fmt: skip
+    return found
+
+
+def rms(values: np.ndarray) -> float:
+    """Return the root mean square, times 1,000."""
+    return float(np.sqrt(np.mean(values**2)) * 1e3)
+
+
+# --- clients ---------------------------------------------------------------------------------------------------------
+
+Requests = dict[str, Any]
+"""Key to array or text."""
+
+
+class Sources:
+    """The clones that the user named."""
+
+    def __init__(self, folders: list[Path]) -> None:
+        self._folders = folders
+
+    def find(self, path: str) -> Path | None:
+        """Return a file that one of the clones has."""
+        return next((folder / path for folder in self._folders if (folder / path).is_file()), None)
+
+    def function(self, path: str, name: str, **known: Any) -> Callable[..., Any] | None:
+        """Return a function of a clone's file, run without the file's other imports."""
+        file = self.find(path)
+        if file is None:
+            return None
+        tree = ast.parse(file.read_text())
+        wanted = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+        for node in wanted:
+            node.returns = None
+            for argument in node.args.args:
+                argument.annotation = None
+        space = dict(known)
+        exec(compile(ast.Module(body=wanted, type_ignores=[]), str(file), "exec"), space)
+        return space[name]
+
+
+def upside_up(raw: np.ndarray) -> np.ndarray:
+    """Turn a raw picture of robosuite by 180 degrees, as every client of LIBERO does."""
+    return np.ascontiguousarray(raw[::-1, ::-1])
+
+
+def state_of_libero(seen: Requests) -> np.ndarray:
+    """Return the state of 8 numbers as openpi's and OpenVLA-OFT's clients make it."""
+    from robosuite.utils.transform_utils import quat2axisangle
+
+    turn = quat2axisangle(seen["robot0_eef_quat"].copy())
+    return np.concatenate([seen["robot0_eef_pos"], turn, seen["robot0_gripper_qpos"]])
+
+
+def openpi_libero(seen: Requests, sources: Sources) -> tuple[str, Requests]:
+    """Run openpi's own evaluation of LIBERO on an environment that shows one observation; return what it sends."""
+    file = sources.find("examples/libero/main.py")
+    if file is None:
+        from openpi_client import image_tools
+
+        def sized(raw: np.ndarray) -> np.ndarray:
+            return image_tools.convert_to_uint8(image_tools.resize_with_pad(upside_up(raw), 224, 224))
+
+        pictures = {
+            "observation/image": sized(seen["agentview_image"]),
+            "observation/wrist_image": sized(seen["robot0_eye_in_hand_image"]),
+        }
+        request = {**pictures, "observation/state": state_of_libero(seen), "prompt": INSTRUCTION.lower()}
+        return f"openpi-client {version('openpi-client')}, steps of openpi's examples/libero/main.py", request
+    return "openpi's examples/libero/main.py, run", _sent_by_openpi(file, seen)
+
+
+def _sent_by_openpi(file: Path, seen: Requests) -> Requests:
+    sent: list[Requests] = []
+
+    class Client:
+        def __init__(self, *_: Any) -> None: ...
+
+        def infer(self, request: Requests) -> Requests:
+            sent.append(request)
+            return {"actions": np.zeros((10, 7))}
+
+    class Env:
+        def __init__(self, **_: Any) -> None: ...
+        def seed(self, *_: Any) -> None: ...
+        def reset(self) -> Requests:
+            return seen
+
+        def set_init_state(self, *_: Any) -> Requests:
+            return seen
+
+        def step(self, action: Any) -> tuple[Requests, float, bool, dict[str, Any]]:
+            return seen, 0.0, bool(sent), {}
+
+    task = types.SimpleNamespace(language=INSTRUCTION.lower(), problem_folder="", bddl_file="")
+    suite = types.SimpleNamespace(n_tasks=1, get_task=lambda _: task, get_task_init_states=lambda _: [None] * 50)
+    stand_ins = {
+        "libero": {}, "libero.libero": {"get_libero_path": lambda _: "", "benchmark": types.SimpleNamespace(
+            get_benchmark_dict=lambda: {"libero_spatial": lambda: suite})},
+        "libero.libero.envs": {"OffScreenRenderEnv": Env}, "tyro": {},
+        "imageio": {"mimwrite": lambda *_, **__: None}, "tqdm": {"tqdm": lambda items: items},
+    }  # fmt: skip
+    for name, members in stand_ins.items():
+        module = sys.modules[name] = types.ModuleType(name)
+        vars(module).update(members)
+    spec = importlib.util.spec_from_file_location("openpi_libero_main", file)
+    assert spec is not None
+    assert spec.loader is not None
+    main = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(main)
+    main._websocket_client_policy = types.SimpleNamespace(WebsocketClientPolicy=Client)
+    with tempfile.TemporaryDirectory() as videos:
+        main.eval_libero(main.Args(num_trials_per_task=1, video_out_path=videos))
+    return sent[0]
+
+
+def vla_eval_libero(seen: Requests, env: Any) -> tuple[str, Requests]:
+    """Let vla-eval's own benchmark make its observation."""
+    from vla_eval.benchmarks.libero.benchmark import LIBEROBenchmark
+
+    benchmark = LIBEROBenchmark(send_wrist_image=True, send_state=True, quat_no_antipodal=True)
+    benchmark._env = env
+    made = benchmark.make_obs(seen, {"name": INSTRUCTION.lower()})
+    request = {**made["images"], "states": made["states"], "task_description": made["task_description"]}
+    return f"vla-eval {version('vla-eval')}, LIBEROBenchmark.make_obs, run", request
+
+
+def through_tensorflow(picture: np.ndarray, size: int, *, jpeg: bool, crop_area: float = 1.0) -> np.ndarray:
+    """Resize as OpenVLA's, OFT's, Octo's and SimplerEnv's clients do: JPEG, lanczos3, then a centred crop."""
+    import tensorflow as tf
+
+    image = tf.constant(picture)
+    if jpeg:
+        image = tf.io.decode_image(tf.image.encode_jpeg(image), expand_animations=False, dtype=tf.uint8)
+    image = tf.image.resize(image, (size, size), method="lanczos3", antialias=True)
+    image = tf.cast(tf.clip_by_value(tf.round(image), 0, 255), tf.uint8)
+    if crop_area < 1.0:
+        side = float(np.sqrt(crop_area))
+        box = [[(1 - side) / 2, (1 - side) / 2, (1 + side) / 2, (1 + side) / 2]]
+        scaled = tf.image.convert_image_dtype(image, tf.float32)[None]
+        cropped = tf.image.crop_and_resize(scaled, box, [0], (size, size))[0]
+        image = tf.image.convert_image_dtype(tf.clip_by_value(cropped, 0, 1), tf.uint8, saturate=True)
+    return image.numpy()
+
+
+def oft_libero(seen: Requests, sources: Sources) -> tuple[str, Requests]:
+    """Prepare an observation as OpenVLA-OFT's evaluation does, with its own functions where a clone is given."""
+    import tensorflow as tf
+
+    folder = "experiments/robot/"
+    turn = sources.function(f"{folder}libero/libero_utils.py", "get_libero_image")
+    turn_wrist = sources.function(f"{folder}libero/libero_utils.py", "get_libero_wrist_image")
+    resize = sources.function(f"{folder}openvla_utils.py", "resize_image_for_policy", tf=tf)
+    genuine = turn is not None and turn_wrist is not None and resize is not None
+    if genuine:
+        pictures = [resize(turn(seen), 224), resize(turn_wrist(seen), 224)]
+    else:
+        raw = seen["agentview_image"], seen["robot0_eye_in_hand_image"]
+        pictures = [through_tensorflow(upside_up(picture), 224, jpeg=True) for picture in raw]
+    request = {"full_image": pictures[0], "wrist_image": pictures[1], "state": state_of_libero(seen)}
+    code = "openvla-oft's own functions, run" if genuine else "TensorFlow's operations that openvla-oft states"
+    return code, {**request, "instruction": INSTRUCTION.lower()}
+
+
+def openvla_libero(seen: Requests) -> tuple[str, Requests]:
+    """Prepare an observation as OpenVLA's evaluation of LIBERO does."""
+    picture = through_tensorflow(upside_up(seen["agentview_image"]), 224, jpeg=True, crop_area=0.9)
+    return "TensorFlow's operations that openvla states", {"image": picture, "instruction": INSTRUCTION.lower()}
+
+
+def groot_libero(seen: Requests) -> tuple[str, Requests]:
+    """Prepare an observation as Isaac-GR00T's environment of LIBERO does."""
+    state = state_of_libero(seen)
+    numbers = {key: state[i : i + 1] for i, key in enumerate(("x", "y", "z", "roll", "pitch", "yaw"))}
+    pictures = {"image": upside_up(seen["agentview_image"]), "wrist_image": upside_up(seen["robot0_eye_in_hand_image"])}
+    return "steps that Isaac-GR00T's libero_env.py states", {**pictures, **numbers, "gripper": state[6:8]}
+
+
+def not_of_libero(optical: np.ndarray, wide: np.ndarray) -> dict[str, tuple[str, Requests]]:
+    """Return what clients of other robots send for a camera's upright picture: 256 x 256, and 180 x 320 for DROID."""
+    from openpi_client import image_tools
+
+    padded = image_tools.convert_to_uint8(image_tools.resize_with_pad(wide, 224, 224))
+    droid = {"observation/exterior_image_1_left": padded, "observation/wrist_image_left": padded}
+    client = f"openpi-client {version('openpi-client')}, as openpi's examples/droid/main.py uses it"
+    resized = through_tensorflow(optical, 256, jpeg=False, crop_area=0.9)
+    octo = "TensorFlow's operations that Octo's gym_wrappers.py states", {"image_primary": resized}
+    openvla = {"image": through_tensorflow(optical, 224, jpeg=True)}
+    simpler = {"image": through_tensorflow(optical, 224, jpeg=False)}
+    return {
+        "droid_velocity": (client, droid), "droid_position": (client, droid), "octo_bridge": octo, "octo_fractal": octo,
+        "bridge": ("TensorFlow's operations that openvla's bridge client states", openvla),
+        "fractal": ("TensorFlow's operations that SimplerEnv states", simpler),
+    }  # fmt: skip
+
+
+def version(distribution: str) -> str:
+    """Return the installed version of a distribution."""
+    return importlib.metadata.version(distribution)
+
+
+def main() -> None:
+    """Write everything."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--source", type=Path, nargs="*", default=[], help="clones of openpi, openvla-oft")
+    parser.add_argument("--no-motion", action="store_true", help="leave out the motion of robosuite's arm")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    sources = Sources(options.source)
+    env = make_robosuite(pictures=True)
+    seen = observed_scene(env)
+    # Patterns as a camera sees them; robosuite's raw pictures are flipped from top to bottom.
+    optical, wide = pattern(256, 256), pattern(180, 320)
+    marked = {**seen, "agentview_image": optical[::-1], "robot0_eye_in_hand_image": optical[::-1, ::-1]}
+    requests: dict[str, Any] = {}
+    clients: dict[str, str] = {}
+    for source, shown in (("scene", seen), ("pattern", marked)):
+        made = {
+            "libero": openpi_libero(shown, sources), "vla_eval_libero": vla_eval_libero(shown, env),
+            "oft_libero": oft_libero(shown, sources), "openvla_libero": openvla_libero(shown),
+            "groot_libero": groot_libero(shown),
+        }  # fmt: skip
+        if source == "pattern":
+            made |= not_of_libero(optical, wide)
+        for name, (code, request) in made.items():
+            clients[name] = code
+            requests |= {f"{source}|{name}|{key}": np.asarray(value) for key, value in request.items()}
+    np.savez_compressed(options.out / "requests.npz", **requests)
+    kept = ("agentview_image", "robot0_eye_in_hand_image", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+    np.savez_compressed(
+        options.out / "scene.npz", optical=optical, wide=wide, base=seen["base"], cube_in_base=seen["cube_in_base"],
+        joints=env.sim.data.qpos[env.robots[0]._ref_joint_pos_indexes], **{key: seen[key] for key in kept},
+    )  # fmt: skip
+    (options.out / "clients.json").write_text(json.dumps(clients, indent=2) + "\n")
+    if not options.no_motion:
+        still = make_robosuite(pictures=False)
+        constant = constant_actions(still)
+        found = {"robosuite": version("robosuite"), "constant": constant}
+        found["identified"] = identified_response(still, constant)
+        (options.out / "responses.json").write_text(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
