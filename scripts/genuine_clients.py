@@ -133,14 +133,19 @@ def moved(env: Any, actions: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def constant_actions(env: Any) -> dict[str, list[float]]:
-    """Return the motion of each of 20 steps for a constant number, in mm or mrad per unit: the mean of both signs."""
+    """Return the motion of each of 14 steps for a constant number, in mm or mrad per unit: the mean of both signs.
+
+    A translation begins 10 cm before the initial pose, so that it ends before the joints' limits.
+    """
     found = {}
     for index, name in enumerate(COMPONENTS):
         steps = []
         for size in (1.0, -1.0) if index < 3 else (0.2, -0.2):
-            actions = np.zeros((20, 6))
+            actions, start = np.zeros((14, 6)), np.zeros(3)
             actions[:, index] = size
-            steps.append(moved(env, actions, np.zeros(3))[:, index] * 1e3 / size)
+            if index < 3:
+                start[index] = -0.1 * size
+            steps.append(moved(env, actions, start)[:, index] * 1e3 / size)
         found[name] = np.mean(steps, axis=0).tolist()
     return found
 
@@ -166,7 +171,7 @@ def identified_response(
 ) -> list[dict[str, Any]]:
     """Identify the first-order response of each component.
 
-    The gain is the motion of the last five steps of constant actions. The lag is fitted to pulses, and validated with
+    The gain is the motion of the last four steps of constant actions. The lag is fitted to pulses, and validated with
     pulses of other episodes.
 
     Args:
@@ -186,7 +191,7 @@ def identified_response(
     found = []
     for index, component in enumerate(COMPONENTS):
         scale = 0.05 if index < 3 else 0.5
-        gain = float(np.mean(constant[component][-5:])) / (1e3 * scale)
+        gain = float(np.mean(constant[component][-4:])) / (1e3 * scale)
         runs = []
         for _ in range(episodes):
             start = np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)])
@@ -379,6 +384,7 @@ def groot_libero(seen: Requests) -> tuple[str, Requests]:
     state = state_of_libero(seen)
     numbers = {key: state[i : i + 1] for i, key in enumerate(("x", "y", "z", "roll", "pitch", "yaw"))}
     pictures = {"image": upside_up(seen["agentview_image"]), "wrist_image": upside_up(seen["robot0_eye_in_hand_image"])}
+    pictures["prompt"] = INSTRUCTION.lower()
     return "steps that Isaac-GR00T's libero_env.py states", {**pictures, **numbers, "gripper": state[6:8]}
 
 

@@ -53,7 +53,7 @@ STATE = 1e-3
 COLUMNS_PX = 5.0
 """Largest allowed distance of the cube's column from the client's [px]; the cubes have different sizes."""
 LIBERO_BASE = np.array([-0.66, 0.0, 0.912])
-STEPS = 20
+STEPS = 14
 COMPONENTS = ("x", "y", "z", "about x", "about y", "about z")
 
 
@@ -238,10 +238,10 @@ def tool(window: ObservationWindow) -> tuple[np.ndarray, Any]:
 
 
 def motion_table(genuine: dict[str, list[float]], ours: dict[str, list[float]]) -> list[str]:
-    """Return a table of the first ticks, the tenth and the last, of robosuite and of RoboXim."""
-    shown = (0, 1, 2, 4, 9, 19)
+    """Return a table of single ticks of robosuite and of RoboXim."""
+    shown = (0, 1, 2, 4, 9, 13)
     lines = [
-        "| component, unit | arm | " + " | ".join(f"tick {tick + 1}" for tick in shown) + " | path of 20 ticks |",
+        "| component, unit | arm | " + " | ".join(f"tick {tick + 1}" for tick in shown) + " | path of 14 ticks |",
         "| --- | --- | " + " | ".join("---" for _ in shown) + " | --- |",
     ]
     for component in COMPONENTS:
