@@ -161,9 +161,13 @@ class RemotePolicy(BasePolicy):
         """Begin an episode; connects if there is no connection.
 
         Raises:
-            PolicyError: When the server cannot be reached, does not fit the convention, or refuses the episode.
+            PolicyError: ``POLICY_DIED`` when there is no session: the server cannot be reached, is another one than at
+                first, or does not fit the convention. Otherwise as the wire says, when the server refuses the episode.
         """
-        self.connect()
+        try:
+            self.connect()
+        except PolicyError as error:  # whatever the reason, the model was not asked
+            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
         self.wire.reset(start)
 
     def act(self, window: ObservationWindow) -> Floats:
