@@ -77,7 +77,10 @@ class WebSocketServer(PolicyServer):
 
 
 class OpenPiServer(WebSocketServer):
-    """A server of openpi's wire; ``endpoint: reset`` begins an episode, as RoboArena's does."""
+    """A server of openpi's wire; ``endpoint: reset`` begins an episode, as RoboArena's does.
+
+    Clients of openpi itself know no episodes, see `Session.answer`.
+    """
 
     def _talk(self, connection: Any, session: Session) -> None:
         connection.send(openpi.encode(self.metadata))
@@ -101,7 +104,7 @@ class OpenPiServer(WebSocketServer):
             )  # fmt: skip
             return "reset successful"
         began = time.perf_counter()
-        actions = session.answer(request).astype(np.float32)
+        actions = session.answer(request, guess="endpoint" not in request).astype(np.float32)
         elapsed_ms = 1000 * (time.perf_counter() - began)
         return openpi.encode({"actions": actions, "server_timing": {"infer_ms": elapsed_ms}})
 
