@@ -12,9 +12,13 @@ from vla_eval.cli.smoke import _make_echo_server
 from vla_eval.model_servers.predict import PredictModelServer
 
 from roboxim.vla_eval import RoboXimBenchmark
+from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
+from roboxim_bringup.runs.policies import PolicySpec
+from roboxim_core.actions import Chunking
 from roboxim_core.conventions import load_convention
-from roboxim_core.errors import InvalidRequestError
-from roboxim_policies import load_policy
+from roboxim_core.errors import ConfigError, InvalidRequestError
+from roboxim_core.policies import CameraRequirement
+from roboxim_policies import BasePolicy, load_policy
 from roboxim_policies.builtin import ReplayPolicy
 from roboxim_policies.serving import policy_server
 
@@ -85,6 +89,51 @@ def test_the_orchestrator_drives_bc_whose_pictures_have_the_size_of_its_training
         (episode,) = run(served.url, tmp_path, convention="roboxim", seed=5, max_steps=3)
     assert not logged
     assert (episode["steps"], episode["metrics"]["success"]) == (3, False)
+
+
+class Wandering(BasePolicy):
+    """Answers four actions that depend on everything a policy sees, its seed, and how often it was asked."""
+
+    cameras = (CameraRequirement(name="workspace", width=64, height=48), CameraRequirement(name="wrist"))
+    horizon = 4
+    chunking = Chunking(execute=3)
+
+    def reset(self, start):
+        self.rng = np.random.default_rng(start.seed + len(start.instruction))
+
+    def act(self, window):
+        seen = window.newest.images["workspace"].mean() + window.newest.images["wrist"].mean() + window.seq
+        actions = self.rng.normal(size=(4, 7)) * 0.01
+        actions[:, 0] += np.sin(seen + sum(window.newest.proprio.joint_positions)) / 100
+        actions[:, 6] = self.rng.random(4) < 0.5
+        return np.float32(actions)
+
+
+@pytest.mark.slow
+def test_a_served_policy_acts_as_in_roboxim_evaluate(tmp_path):
+    """With ``convention: server``; the state hash of the last tick depends on every bit of every action."""
+    spec = PolicySpec(spec=f"{__file__}:Wandering", name="here")
+    config = EvaluationConfig(policies=[spec], out=tmp_path / "here", episodes=2, seed=3, max_steps=10, workers=1)
+    expected = [(result.outcome, result.steps, result.final_state_hash) for result in evaluate(config).results]
+    found = []
+
+    class Noting(RoboXimBenchmark):
+        def step(self, action):
+            answer = super().step(action)
+            if result := answer.info.get("result"):
+                found.append((result.outcome, result.steps, result.final_state_hash))
+            return answer
+
+    with policy_server(Wandering, "vla_eval", port=0) as served, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("roboxim.vla_eval.RoboXimBenchmark", Noting)
+        episodes = run(served.url, tmp_path, episodes=2, convention="server", seed=3, max_steps=10)
+    assert [episode["steps"] for episode in episodes] == [10, 10]
+    assert found == expected
+
+
+def test_a_server_without_a_convention_is_refused_with_the_way_round():
+    with pytest.raises(ConfigError, match="convention: server needs a server that declares.*vla_eval_libero"):
+        RoboXimBenchmark(convention="server")
 
 
 @pytest.mark.slow

@@ -57,7 +57,7 @@ def _own(declared: Any, convention: Convention) -> list[str]:
     served = declared.get("convention") if isinstance(declared, dict) else None
     if not isinstance(served, dict):
         return []
-    words = ("name", "description", "sources", "notes")
+    words = ("name", "description", "sources", "notes", "chunking")  # a server may keep the chunk itself
     found = differences(json.loads(to_json(served)), json.loads(to_json(convention)), ignore=words)
     return [f"the server serves in its convention '{served.get('name')}' ({found}); use convention=server"] * bool(
         found

@@ -122,6 +122,7 @@ class RemotePolicy(BasePolicy):
         self.gripper = self.convention.action.gripper.rule
         self.lag = self.convention.action.lag
         self._fits: Metadata | None = None
+        self._seed = 0
         self._without_states = replace(self.convention, states=())
 
     def __enter__(self) -> Self:
@@ -162,9 +163,14 @@ class RemotePolicy(BasePolicy):
         """Begin an episode; connects if there is no connection.
 
         Raises:
-            PolicyError: When the server cannot be reached, does not fit the convention, or refuses the episode.
+            PolicyError: ``POLICY_DIED`` when there is no session: the server cannot be reached, is another one than at
+                first, or does not fit the convention. Otherwise as the wire says, when the server refuses the episode.
         """
-        self.connect()
+        try:
+            self.connect()
+        except PolicyError as error:  # whatever the reason, the model was not asked
+            raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
+        self._seed = start.seed
         self.wire.reset(start)
 
     def act(self, window: ObservationWindow) -> Floats:
@@ -194,7 +200,7 @@ class RemotePolicy(BasePolicy):
         if OWN_SERVER not in (self._fits or {}):
             return observe(self.convention, window)
         # RoboXim's own server gets the measurements as they are, all of them.
-        return {**observe(self._without_states, window), OWN_SERVER: own_extras(window)}
+        return {**observe(self._without_states, window), OWN_SERVER: {**own_extras(window), "seed": self._seed}}
 
     def decoded(self, raw: Floats) -> Floats:
         """Return the actions that are executed, of the meaning ``semantics``.
@@ -206,7 +212,7 @@ class RemotePolicy(BasePolicy):
             PolicyError: ``INVALID_ACTION`` when there are too few, too many, or they have no meaning.
         """
         chunking = self.convention.chunking
-        if len(raw) < chunking.execute:
+        if len(raw) < chunking.execute and OWN_SERVER not in (self._fits or {}):  # a policy's own chunks may be shorter
             raise self._invalid(
                 f"the answer has {len(raw)} actions, the convention executes {chunking.execute}; the model may be "
                 "another one, or the convention's chunking is wrong"
@@ -227,6 +233,7 @@ class RemotePolicy(BasePolicy):
         replies = []
         for _ in range(PROBES):
             self.connect()
+            self._seed = 0
             self.wire.reset(EpisodeStart(episode_id="probe", instruction=PROBE_INSTRUCTION, seed=0))
             replies.append(tuple(float(f"{number:.9g}") for number in self.raw(probe_window(self.convention)).ravel()))
         return Probe(replies=tuple(replies))
@@ -262,7 +269,7 @@ def declared_convention(wire: Wire) -> Convention:
     declared = own.get("convention") if isinstance(own, dict) else None
     if not isinstance(declared, dict):
         raise PolicyError(
-            f"{wire.server} declares no convention; only RoboXim's own servers do, over openpi's and vla-eval's wire. "
+            f"{wire.server} declares no convention; only RoboXim's own servers do. "
             "Name the convention that its model was trained in, e.g. convention=libero, or the one that it was served "
             "in (roboxim policy serve --convention)"
         )

@@ -78,6 +78,8 @@ def run_bags(path: Path | str) -> RunBags:
 def read_results(run: Path) -> list[EpisodeResult]:
     """Return the results of a run, the last of each index. A torn last line (a crash) is left out.
 
+    So are episodes that their policy did not play, see `EpisodeResult.played`.
+
     Raises:
         ConfigError: When a line is not readable.
     """
@@ -96,7 +98,7 @@ def read_results(run: Path) -> list[EpisodeResult]:
             data.pop("key", None)  # the hash of what the result depends on
         result = from_plain(data, EpisodeResult, source=source)
         found[result.episode] = result
-    return list(found.values())
+    return [result for result in found.values() if result.played]
 
 
 def list_bags(path: Path | str) -> list[Path]:

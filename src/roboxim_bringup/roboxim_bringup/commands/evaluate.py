@@ -62,6 +62,10 @@ from roboxim_bringup.options import episode_options
 )  # fmt: skip
 @click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
 @click.option(
+    "--server-wait", "server_wait_s", type=click.FloatRange(0), default=180.0, show_default=True, metavar="SECONDS",
+    help="Longest wait for a policy's server that is away; then the run stops, and the same command continues it.",
+)  # fmt: skip
+@click.option(
     "--stop-early", "looks", type=click.IntRange(2), metavar="LOOKS",
     help="Stop before --episodes at one of LOOKS evenly spaced looks if two policies differ by then.",
 )  # fmt: skip

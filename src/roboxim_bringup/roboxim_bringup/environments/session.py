@@ -22,7 +22,7 @@ from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.episode.runner import Play
 from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, SimError, TaskError, one_of
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.policies import ActionChunk, CameraRequirement, Observation, ObservationWindow
+from roboxim_core.policies import ActionChunk, CameraRequirement, EpisodeStart, Observation, ObservationWindow
 from roboxim_core.rates import ticks
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec
@@ -129,6 +129,8 @@ class EpisodeSession:
         """The robot's model."""
         self._graph: CoreGraph | None = None
         self._play: Play | None = None
+        self.begun = EpisodeStart(episode_id="", instruction="", seed=0)
+        """What a policy is told when the running episode begins; of a session without episodes empty."""
         self._pid = os.getpid()
 
     @property
@@ -178,13 +180,14 @@ class EpisodeSession:
             seed = SeedPath(run_seed=run_seed, purpose=self.config.purpose, index=index, attempt=attempt)
             play = runner.play(seed)
             try:
-                next(play)
+                start = next(play)
                 first = play.send(None)
             except StopIteration as end:
                 result: EpisodeResult = end.value
                 continue
+            assert isinstance(start, EpisodeStart)
             assert isinstance(first, ObservationWindow)
-            self._play = play
+            self._play, self.begun = play, start
             return first
         raise TaskError(
             f"no scene of seed {run_seed}, index {index} could begin in {DRAWS} attempts; the last: {result.message}",

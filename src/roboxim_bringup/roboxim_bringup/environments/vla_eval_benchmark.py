@@ -5,6 +5,8 @@
         episodes_per_task: 20
         params: {tasks: [pick_cube], convention: vla_eval_libero, seed: 0}
 
+``convention: server`` is that of the policy that ``roboxim policy serve --wire vla-eval`` serves.
+
 Needs the extra ``vla-eval``.
 """
 
@@ -19,11 +21,14 @@ from vla_eval.specs import GRIPPER_01, GRIPPER_CLOSE_NEG, GRIPPER_CLOSE_POS, IMA
 
 from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
 from roboxim_core.actions import ControlMode
-from roboxim_core.conventions import decode_actions, load_convention, observe
+from roboxim_core.config import from_json
+from roboxim_core.conventions import Convention, decode_actions, load_convention, observe
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ErrorCode, InvalidRequestError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError
 from roboxim_core.policies import ObservationWindow
 from roboxim_core.rotations import RotationRepresentation
+from roboxim_policies.remote import SERVERS_OWN, own_extras
+from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part
 from roboxim_policies.wires.vla_eval import observation
 
@@ -44,6 +49,8 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
       pictures, state and units. ``roboxim policy describe NAME`` explains one.
     - An action is one row: vla-eval's servers keep the chunk themselves.
     - The last step includes one second in which the robot holds still before the verdict.
+    - With ``convention: server`` an observation has the measurements as they are, the episode and its seed beside what
+      the convention asks for, so that a policy acts as in ``roboxim evaluate``.
     - Real-time modes hold by a null action, which exists for deltas and velocities without normalisation only.
     """
 
@@ -59,25 +66,29 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
         out: str = "",
         send_wrist_image: bool = True,
         send_state: bool = True,
+        server_convention: str = "",
     ) -> None:
         """Read the convention; the tasks are read when they begin.
 
         Args:
             tasks: Tasks of ``config/tasks``, or YAML files.
-            convention: A name in ``config/conventions``, or a YAML file.
+            convention: A name in ``config/conventions``, a YAML file, or ``server``: that of RoboXim's own server.
             seed: Seed of the run.
             max_steps: Actions per episode; 0: as the tasks say.
             renderer: ``raster`` or ``tiny``.
             out: Folder for bags of the episodes; empty: nothing is recorded.
             send_wrist_image: Whether pictures of wrist cameras are sent.
             send_state: Whether the state is sent.
+            server_convention: The convention of RoboXim's own server as JSON; vla-eval fills it in from the server's
+                ``observation_params``.
 
         Raises:
-            ConfigError: When there is no such convention.
+            ConfigError: When there is no such convention, or ``server`` and the server declares none.
         """
         super().__init__()
         self._tasks = [tasks] if isinstance(tasks, str) else list(tasks)
-        self._convention = load_convention(convention)
+        self._own = convention == SERVERS_OWN
+        self._convention = _declared(server_convention) if self._own else load_convention(convention)
         self._seed, self._max_steps, self._renderer, self._out = seed, max_steps, renderer, out
         sent = {"send_wrist_image": send_wrist_image, "send_state": send_state}
         self._leave_out = [name for name, send in sent.items() if not send]
@@ -122,7 +133,11 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
     def make_obs(self, raw_obs: ObservationWindow, task: dict[str, Any]) -> dict[str, Any]:
         """Return what the model server receives."""
         convention = self._convention
-        return observation(observe(convention, raw_obs), convention.prompt.key, leave_out=self._leave_out)
+        sent = observation(observe(convention, raw_obs), convention.prompt.key, leave_out=self._leave_out)
+        if self._own:
+            assert self._session is not None
+            sent[OWN_SERVER] = {**own_extras(raw_obs), "seed": self._session.begun.seed}
+        return sent
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
         """Return success, and why not."""
@@ -197,3 +212,18 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
                 out=self._out,
             )  # fmt: skip
         )
+
+
+def _declared(convention: str) -> Convention:
+    """Return the convention that RoboXim's own server declares.
+
+    Raises:
+        ConfigError: When there is none, or it is damaged.
+    """
+    if not convention:
+        raise ConfigError(
+            "convention: server needs a server that declares its convention, and this one does not: only `roboxim "
+            "policy serve --wire vla-eval` without --convention does. Name the convention that the model was trained "
+            "in, e.g. convention: vla_eval_libero, or the one that it is served in"
+        )
+    return from_json(convention, Convention, source="the convention that the server declares")

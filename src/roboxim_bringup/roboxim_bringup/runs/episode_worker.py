@@ -11,9 +11,12 @@ from typing import Any
 
 from roboxim_bringup.executors.protocol import WorkerBrokenError
 from roboxim_bringup.graph import GraphConfig, start_graph
+from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.staging import Staging
+from roboxim_bringup.runs.waiting import Patience
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.episode.records import POLICY_DIED
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_ros.clients import Clients
 from roboxim_ros.host import NodeHost
@@ -36,8 +39,9 @@ class EpisodeWorker:
         """Start the graph; returns when it serves.
 
         Args:
-            settings: ``graph``, a `GraphConfig`, ``config``, a `RunConfig`, ``staging``, see `Staging`, and
-                ``served``, whether the policy is behind a server of the run, as plain data.
+            settings: ``graph``, a `GraphConfig`, ``config``, a `RunConfig`, ``staging``, see `Staging`,
+                ``served``, whether the policy is behind a server of the run, and ``server_wait_s``, the longest wait
+                for any other policy that is away, as plain data.
             number: The worker's number.
 
         Raises:
@@ -51,6 +55,7 @@ class EpisodeWorker:
             graph = self._staging.recording(graph)
         self._config = config
         self._served = bool(settings.get("served"))
+        self._wait_s = float(settings.get("server_wait_s", 0.0))
         self._heard = time.monotonic()
         self._host = NodeHost()
         self._episodes = ThreadPoolExecutor(1, "episodes")
@@ -62,7 +67,35 @@ class EpisodeWorker:
             raise
 
     def run(self, job: int, note: Callable[[Any], None]) -> dict[str, Any]:
-        """Run the episode of an index; see `Worker.run`."""
+        """Run the episode of an index, again if the policy's server was away; see `Worker.run`.
+
+        Raises:
+            UnavailableError: When the server stays away.
+        """
+        patience = Patience(self._wait_s)
+        while (result := self._tried(job, note)).reason == POLICY_DIED:
+            self._check()
+            if self._served:
+                raise WorkerBrokenError(f"its policy server was lost: {result.message}")
+            pause_s = patience.lost(result)
+            note({"index": job, "waiting": patience.text(result)})
+            self._pause(pause_s)
+            RunFolder(self._config.output_dir).discard([job])
+        if patience.tried:
+            note({"index": job, "waiting": ""})
+        plain: dict[str, Any] = to_plain(result)
+        return plain if self._staging is None else {"result": plain, **self._staging.handed_over()}
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, and watch over the graph meanwhile."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            time.sleep(min(left, LOOK_S))
+            self._heard = time.monotonic()
+            self._check()
+
+    def _tried(self, job: int, note: Callable[[Any], None]) -> EpisodeResult:
+        """Run the episode of an index once."""
 
         def hear(episode: str, seq: int) -> None:
             self._heard = time.monotonic()
@@ -70,14 +103,11 @@ class EpisodeWorker:
 
         self._heard = time.monotonic()
         try:
-            result: dict[str, Any] = to_plain(self._result(job, hear))
+            return self._result(job, hear)
         except RoboximError as error:
             if error.code in WORKER_FAULTS:
                 raise WorkerBrokenError(str(error)) from None
             raise
-        if self._served and result["reason"] == ErrorCode.POLICY_DIED.name.lower():
-            raise WorkerBrokenError(f"its policy server was lost: {result['message']}")
-        return result if self._staging is None else {"result": result, **self._staging.handed_over()}
 
     def _result(self, job: int, hear: Callable[[str, int], None]) -> EpisodeResult:
         """Run the episode in the thread of episodes, and watch over the graph meanwhile."""

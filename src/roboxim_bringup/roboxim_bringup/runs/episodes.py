@@ -29,16 +29,16 @@ from roboxim_bringup.runs.events import (
 from roboxim_bringup.runs.folder import RunFolder, checked_path, require_bags
 from roboxim_bringup.runs.staging import clear_staging, take_over
 from roboxim_bringup.runs.store import RunUpload, Store
+from roboxim_bringup.runs.waiting import SERVER_WAIT_S, Waiting
 from roboxim_bringup.task_choice import DEFAULT_TASK, task_text
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
+from roboxim_core.episode.records import WORKER_DIED
 from roboxim_core.errors import ConfigError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.shards import Shard
 from roboxim_sim.rendering import RENDERERS
 
-WORKER_DIED = "worker_died"
-"""Reason of an episode whose workers all died; resuming the run tries it again."""
 TIDY = {"zero", "random", "replay", "bc", "roboxim_bringup.planted_policy:PlantedPolicy"}
 """Policies that keep everything in their instance, so that another one may follow in the same process."""
 SIZE_PX = (16, 4096)
@@ -176,6 +176,8 @@ class EpisodesJob:
     """What identifies the server of a remote policy; see `roboxim_bringup.runs.servers`."""
     store: str = ""
     """URL that the bags and the results go to, see `roboxim_bringup.runs.store`; empty: bags stay in the folder."""
+    server_wait_s: float = SERVER_WAIT_S
+    """Longest wait for a policy's server that is away [s]; see `roboxim_bringup.runs.waiting`."""
 
     def __post_init__(self) -> None:
         """Check the renderer's name. Whether the renderer works here shows only when a scene is loaded.
@@ -217,9 +219,7 @@ class EpisodesJob:
 
     def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
         """Return, by index, a folder's results that belong to this job and need no further attempt."""
-        return {
-            result.index: result for result in results if result.index in self.indices and result.reason != WORKER_DIED
-        }
+        return {result.index: result for result in results if result.index in self.indices and result.played}
 
     def work(self, environment: Mapping[str, str], *, staged: bool = False) -> Work:
         """Return the workers' work.
@@ -235,7 +235,7 @@ class EpisodesJob:
         }
         staging = {"store": self.store} if staged or self.store else None
         graph = GraphConfig(parameters=parameters, policies=self.policies)
-        return episodes_work(graph, self.config, environment, staging=staging)
+        return episodes_work(graph, self.config, environment, staging=staging, server_wait_s=self.server_wait_s)
 
 
 def episodes_work(
@@ -244,6 +244,7 @@ def episodes_work(
     environment: Mapping[str, str],
     *,
     staging: Mapping[str, str] | None = None,
+    server_wait_s: float = SERVER_WAIT_S,
 ) -> Work:
     """Return the work of processes that run episodes, each with a whole graph. A job's data is an index.
 
@@ -252,12 +253,14 @@ def episodes_work(
         config: Configuration of the episode loop.
         environment: Environment variables by which a process takes part in the run.
         staging: Where each worker records, see `roboxim_bringup.runs.staging`; none: in the run's folder.
+        server_wait_s: Longest wait for a policy's server that is away [s].
     """
     return Work(
         worker="roboxim_bringup.runs.episode_worker:EpisodeWorker",
         settings={
             "graph": to_plain(graph),
             "config": to_plain(config),
+            "server_wait_s": server_wait_s,
             **({} if staging is None else {"staging": dict(staging)}),
         },
         environment=dict(environment),
@@ -356,7 +359,7 @@ def run_episodes(
                 folder.append(result)
                 upload.now_and_then()
                 done[result.index] = result
-                outcomes[result.outcome] += 1
+                outcomes[result.outcome] += result.played
                 tell(StageProgress(done=len(done), total=total, note=_tally(outcomes)))
                 tell(EpisodeFinished(folder=folder.path, result=result))
             upload.all()
@@ -385,9 +388,12 @@ def _results(
     cancellation: Cancellation | None,
     prepare: Prepare,
 ) -> Iterator[EpisodeResult]:
+    waiting = Waiting()
+
     def hear(note: Note) -> None:
-        if note.text:
-            on_event(Notice(text=note.text))
+        for text in (note.text, waiting.notice(note)):
+            if text:
+                on_event(Notice(text=text))
 
     staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
@@ -428,7 +434,7 @@ def episode_result(outcome: Done | Lost, config: RunConfig) -> EpisodeResult:
 
 
 def _describe_progress(folder: RunFolder) -> str:
-    done = len(folder.log.read())
+    done = len(folder.results())
     return (
         f"{done} episode{'s are' if done != 1 else ' is'} done in {folder.path}; "
         "the same call or command runs the missing episodes"

@@ -17,12 +17,19 @@ from typing import TYPE_CHECKING, Any
 from roboxim_bringup.executors import Cancellation, Executor
 from roboxim_bringup.executors.protocol import unchanged
 from roboxim_bringup.runs.episodes import EpisodesConfig, EpisodesJob, run_environment, run_episodes
-from roboxim_bringup.runs.evaluation_checks import cells_of, require_cameras, require_robots, require_same_policy
+from roboxim_bringup.runs.evaluation_checks import (
+    cells_of,
+    require_cameras,
+    require_played,
+    require_robots,
+    require_same_policy,
+)
 from roboxim_bringup.runs.evaluation_report import EvaluationRecord, policy_facts, write_evaluation
 from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
 from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
+from roboxim_bringup.runs.waiting import SERVER_WAIT_S
 from roboxim_core.config import to_json
 from roboxim_core.errors import EvaluationError
 from roboxim_core.shards import Shard
@@ -67,6 +74,8 @@ class EvaluationConfig(EpisodesConfig):
     """Whether simulated time goes on while the policy thinks. Such an evaluation is not repeatable."""
     policy_timeout_s: float = 120.0
     """Longest wait for an answer [s]. A model's first call can take a minute, in which it is compiled."""
+    server_wait_s: float = SERVER_WAIT_S
+    """Longest wait for a policy's server that is away [s]; then the run stops, and the same call continues it."""
     other_robot: bool = False
     """Whether to allow a robot other than the one that a policy was trained with."""
     command: str = ""
@@ -104,10 +113,11 @@ def evaluate(
     Raises:
         CancelledError: When the run was cancelled.
         ConfigError: When a check before the workers' start fails, e.g. on an unknown camera.
-        EvaluationError: When a policy's files changed during the evaluation.
+        EvaluationError: When a policy's files changed during the evaluation, or all processes died at an episode.
         PolicyError: When a policy's module raises on import.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
         RoboximError: When a graph has a fault that a new worker does not recover from.
+        UnavailableError: When a policy's server stays away.
     """
     named = config.policies
     chosen = find_policies([named] if isinstance(named, str | PolicySpec) else named)
@@ -136,7 +146,9 @@ def evaluate(
                     f"two policies; remove {out / policy.name} and evaluate again"
                 )
             found[policy.name] = PolicyResult(name=policy.name, results=tuple(results), folder=out / policy.name)
-            on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
+            if all(result.played for result in results):
+                on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
+    require_played(found.values())
     record = EvaluationRecord(
         task=config.task_name, seed=config.seed, policies=tuple(found), facts=policy_facts(chosen, jobs),
         command=config.command or _call(config), stopped=config.stopped,
@@ -184,7 +196,8 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, serve
     return EpisodesJob(
         config=run, episodes=config.episodes, shard=Shard.parse(config.shard), workers=config.workers,
         renderer=config.renderer, policies=() if launch is None else (launch,), policy_files=policy.files(out),
-        server=server, store=f"{config.store.rstrip('/')}/{policy.name}" if config.store else "",
+        server=server, server_wait_s=config.server_wait_s,
+        store=f"{config.store.rstrip('/')}/{policy.name}" if config.store else "",
     )  # fmt: skip
 
 

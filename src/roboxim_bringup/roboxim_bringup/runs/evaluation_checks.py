@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboxim_bringup.runs.episodes import EpisodesJob
+from roboxim_bringup.runs.evaluation_results import PolicyResult
 from roboxim_bringup.runs.folder import RunFolder, require_bags
 from roboxim_bringup.runs.policies import ChosenPolicy
 from roboxim_core.config import load_config, named_config
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
 
 if TYPE_CHECKING:
@@ -62,6 +63,22 @@ def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) 
             raise ConfigError(
                 f"policy '{name}' was trained with the robot '{robot}', the task has {' and '.join(sorted(robots))}; "
                 "choose a task with its robot, or allow this with --other-robot or other_robot=True"
+            )
+
+
+def require_played(policies: Iterable[PolicyResult]) -> None:
+    """Refuse to report policies that did not play all of their episodes: those that are missing are no failures.
+
+    Raises:
+        EvaluationError: Naming the policies, the first episode, and what happened to it.
+    """
+    for policy in policies:
+        lost = [result for result in policy.results if not result.played]
+        if lost:
+            raise EvaluationError(
+                f"policy '{policy.name}' did not play {len(lost)} of {len(policy.results)} episodes, so there is no "
+                f"rate: every process that ran one of them died, first at index {lost[0].index}: {lost[0].message}. "
+                "The same call or command repeats these episodes; a policy that ends its own process must be mended"
             )
 
 

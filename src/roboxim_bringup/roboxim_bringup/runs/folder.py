@@ -155,6 +155,8 @@ class RunFolder:
     def results(self) -> list[EpisodeResult]:
         """Return the finished results in the order of their indices. A torn last line, left by a crash, is skipped.
 
+        So are episodes that their policy did not play (`EpisodeResult.played`); the same run repeats them.
+
         Raises:
             ConfigError: When any other line is not a result; the message names the line.
         """
@@ -162,7 +164,7 @@ class RunFolder:
         for entry in self.log.read():
             result = self._parsed(entry)
             found[result.index, result.episode] = result
-        return [found[place] for place in sorted(found)]
+        return [found[place] for place in sorted(found) if found[place].played]
 
     def _parsed(self, entry: LoggedResult) -> EpisodeResult:
         try:

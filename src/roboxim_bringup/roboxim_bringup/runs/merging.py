@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.runs.episodes import WORKER_DIED
 from roboxim_bringup.runs.evaluation_report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of
 from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
@@ -354,7 +353,7 @@ def _episodes(run: RunFolder, key: str) -> Iterator[_Episode]:
         result = from_plain(entry.data, EpisodeResult, source=f"{run.log.path} line {entry.line}")
         latest[result.index, result.episode] = _Episode(run=run, result=result, line=dict(entry.data), stored=stored)
     for episode in latest.values():
-        if episode.result.reason == WORKER_DIED:
+        if not episode.result.played:
             continue
         bag = episode.result.bag
         if bag and bag not in stored and not any((run.path / bag).glob("*.mcap")):

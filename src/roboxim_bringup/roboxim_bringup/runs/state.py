@@ -18,6 +18,7 @@ from typing import Any
 from roboxim_bringup.pace import Pace
 from roboxim_bringup.runs.event_log import ENDED, EVENTS_FILE, STARTED
 from roboxim_bringup.runs.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of
+from roboxim_core.episode.records import NOT_PLAYED
 from roboxim_core.errors import ConfigError
 from roboxim_core.shards import Shard
 
@@ -27,6 +28,8 @@ QUIET_S = 900.0
 """A run on another machine counts as dead after so long without an event [s]."""
 TAIL_BYTES = 1 << 18
 """Only the end of a run's events is read."""
+UNPLAYED = tuple(f'"reason":"{reason}"'.encode() for reason in sorted(NOT_PLAYED))
+"""What the lines of episodes have that are no results."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +148,7 @@ def _results_in(path: Path) -> int:
     """Return the number of episodes with a result; counts lines, which is enough for a display."""
     try:
         with open(path, "rb") as file:
-            return sum(chunk.count(b"\n") for chunk in iter(lambda: file.read(1 << 20), b""))
+            return sum(line.endswith(b"\n") and not any(reason in line for reason in UNPLAYED) for line in file)
     except OSError:
         return 0
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from roboxim_bringup.executors import Done, Lost
-from roboxim_bringup.runs.episodes import WORKER_DIED, EpisodesJob, run_episodes
+from roboxim_bringup.runs.episodes import EpisodesJob, run_episodes
 from roboxim_bringup.runs.events import Interrupted
 from roboxim_bringup.runs.folder import RESULTS_FILE, RUN_FILE, RunFolder
 from roboxim_bringup.runs.generation import GenerationResult
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.episode.records import WORKER_DIED
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_core.verdicts import Verdict
 

@@ -11,6 +11,12 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.verdicts import Verdict
 
 KEEP_RULES = ("successful", "first_try", "all", "none")
+POLICY_DIED = "policy_died"
+"""Reason of an episode whose policy was not there to be asked: its server, or its own process."""
+WORKER_DIED = "worker_died"
+"""Reason of an episode at which every process that tried to run it ended."""
+NOT_PLAYED = frozenset({POLICY_DIED, WORKER_DIED})
+"""Reasons of episodes that the policy did not play to their end. They are no results."""
 
 
 LIMITS = {
@@ -272,6 +278,11 @@ class EpisodeResult:
     """Wall time in the policy [s]; 0 in bags."""
     final_state_hash: str = ""
     """State hash of the last tick."""
+
+    @property
+    def played(self) -> bool:
+        """Whether this is a result: false if the policy was lost, which says nothing of what it can do."""
+        return self.reason not in NOT_PLAYED
 
     @property
     def episode(self) -> str:

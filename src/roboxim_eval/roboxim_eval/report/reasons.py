@@ -47,7 +47,7 @@ EXPLANATIONS = {
     # errors: the policy, not the task
     "policy_fault": "The policy raised an error. The episode counts as failed.",
     "policy_late": "The policy did not answer in time.",
-    "policy_died": "The policy's process ended.",
+    "policy_died": "The policy's server or process was lost. Such an episode is no result.",
     "invalid_action": "The policy answered a NaN, a wrong shape or values out of range.",
     "worker_died": "The process that ran the episode ended three times.",
     "reset_infeasible": "No scene of this task could be drawn.",

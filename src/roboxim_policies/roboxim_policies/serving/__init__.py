@@ -46,7 +46,9 @@ def policy_server(
     wire = wire.replace("-", "_")
     if wire not in SERVERS:
         raise ConfigError(f"no server for wire '{wire}'; {one_of(SERVERS, wire)}")
-    return SERVERS[wire](Sessions(make, convention=convention, size=size), host=host, port=port, **options)
+    server = SERVERS[wire]
+    sessions = Sessions(make, convention=convention, size=size, single=server.answers_once(convention))
+    return server(sessions, host=host, port=port, **options)
 
 
 __all__ = ["SERVERS", "PolicyServer", "Session", "Sessions", "own_convention", "policy_server"]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from roboxim_core.config import to_plain
+from roboxim_core.conventions import Convention
 from roboxim_core.errors import UnavailableError
 from roboxim_policies.serving.sessions import Sessions
 from roboxim_policies.wires.openpi import OWN_SERVER
@@ -35,6 +36,15 @@ class PolicyServer(ABC):
         self.host, self.port = host, port
         self.log = log
         self._thread: threading.Thread | None = None
+
+    @classmethod
+    def answers_once(cls, convention: Convention | None) -> bool:
+        """Return whether an answer has one action, so that clients ask at every tick.
+
+        Args:
+            convention: Meaning of requests and answers; None: the policy's own.
+        """
+        return False
 
     @property
     def url(self) -> str:

@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import threading
 import traceback
-from contextlib import ExitStack
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 
+from roboxim_core.conventions import Convention
 from roboxim_core.errors import InvalidRequestError
 from roboxim_policies.serving.base import PolicyServer
-from roboxim_policies.serving.sessions import Session, request_of
+from roboxim_policies.serving.sessions import MOST_SESSIONS, Session, Sessions, request_of
 from roboxim_policies.wires import openvla
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
+from roboxim_policies.wires.openpi import OWN_SERVER
 
+NOT_FOUND = b'{"detail": "Not Found"}'
+OFT_IMAGE = "full_image"
+"""Key by which OpenVLA-OFT's clients are known: their answers are chunks."""
 IDLE_S = 30.0
 """Time after which a connection that sends nothing is closed [s]."""
 
 
 class OpenVlaServer(PolicyServer):
-    """A server of ``POST /act``. It has one session for all clients; a new instruction begins an episode.
+    """A server of ``POST /act``.
+
+    The protocol has neither sessions nor episodes. RoboXim's own clients send both beside the request, and find under
+    `openvla.DECLARATION` what the server is. All other clients share one session; a new ``episode_id``, a new
+    instruction, and a tool that was set back (`Session.answer`) begin an episode.
 
     As the genuine server does, it answers an error with HTTP status 200 and ``"error"``; its log says why. A request
     with ``full_image``, as OpenVLA-OFT's clients send, is answered with a list of actions, others with one.
@@ -29,10 +40,14 @@ class OpenVlaServer(PolicyServer):
 
     scheme = "http"
 
+    @classmethod
+    def answers_once(cls, convention: Convention | None) -> bool:
+        """Return True, but for a convention of OFT."""
+        return convention is None or all(image.key != OFT_IMAGE for image in convention.images)
+
     def _listen(self) -> None:
         server = self
-        self._stack = ExitStack()
-        self._session: Session = self._stack.enter_context(self.sessions.session())
+        self._clients: OrderedDict[str, _Client] = OrderedDict()
         self._lock = threading.Lock()
 
         class Handler(BaseHTTPRequestHandler):
@@ -40,7 +55,15 @@ class OpenVlaServer(PolicyServer):
             timeout = IDLE_S
 
             def do_POST(self) -> None:  # noqa: N802 - the name that http.server calls
-                status, body = server._respond(self)
+                self._send(*server._respond(self))
+
+            def do_GET(self) -> None:  # noqa: N802
+                if self.path == openvla.DECLARATION:
+                    self._send(200, openvla.encode(server.metadata))
+                else:
+                    self._send(404, NOT_FOUND)
+
+            def _send(self, status: int, body: bytes) -> None:
                 self.send_response(status)
                 self.send_header("Content-Type", "application/json")
                 self.send_header("Content-Length", str(len(body)))
@@ -62,13 +85,15 @@ class OpenVlaServer(PolicyServer):
     def _stop(self) -> None:
         self._server.shutdown()
         self._server.server_close()
-        self._stack.close()
+        with self._lock:
+            for client in self._clients.values():
+                client.close()
 
     def _respond(self, handler: BaseHTTPRequestHandler) -> tuple[int, bytes]:
         """Return status and body of the answer to a request."""
         length = handler.headers.get("Content-Length", "")
         if handler.path != "/act":
-            return 404, b'{"detail": "Not Found"}'
+            return 404, NOT_FOUND
         if handler.headers.get("Origin") is not None:
             return 403, b'{"detail": "requests of web pages are refused"}'
         if not length.isdigit() or int(length) > MESSAGE_BYTES:
@@ -96,9 +121,43 @@ class OpenVlaServer(PolicyServer):
             raise InvalidRequestError("a request needs an instruction")
         request = request_of(convention, images, message.get("state"), text)
         request |= {key: value for key, value in message.items() if key in {s.key for s in convention.states}}
-        with self._lock:
-            rows = self._session.answer(request)
-        reply: Any = list(rows) if "full_image" in message else rows[0]
+        own = message.get(OWN_SERVER)
+        if isinstance(own, dict):
+            request[OWN_SERVER] = own
+        with self._client(str(own.get("client", "")) if isinstance(own, dict) else "") as client:
+            if (episode := message.get("episode_id")) is not None and str(episode) != client.episode:
+                client.episode = str(episode)
+                client.session.begin(episode_id=client.episode)
+            rows = client.session.answer(request, guess=True)
+        reply: Any = list(rows) if OFT_IMAGE in message else rows[0]
         if not double:
             return openvla.encode(reply)
         return openvla.encode(openvla.encode(reply).decode())
+
+    @contextmanager
+    def _client(self, name: str) -> Iterator[_Client]:
+        """Yield a client's session, alone; those that asked longest ago are forgotten when there are too many."""
+        with self._lock:
+            if name not in self._clients:
+                while len(self._clients) >= MOST_SESSIONS:
+                    self._clients.popitem(last=False)[1].close()
+                self._clients[name] = _Client(self.sessions)
+            self._clients.move_to_end(name)
+            client = self._clients[name]
+        with client.lock:
+            yield client
+
+
+class _Client:
+    """One client's session."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._stack = ExitStack()
+        self.session: Session = self._stack.enter_context(sessions.session())
+        self.lock = threading.Lock()
+        self.episode = ""
+
+    def close(self) -> None:
+        """Give the policy's instance back when the session's answer is given."""
+        with self.lock:
+            self._stack.close()

@@ -1,6 +1,10 @@
 """Sessions of a served policy: requests of a convention in, the policy's numbers out.
 
 A policy keeps state during an episode, so each session has an instance of its own; instances are used again.
+
+Some wires carry one action in each answer, and their clients ask at every tick (vla-eval's, OpenVLA's). A session on
+such a wire executes the policy's chunks itself, as the policy's `Chunking` says, so that the policy is asked as often
+as in the simulator's process.
 """
 
 from __future__ import annotations
@@ -12,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.actions import ActionContext
+from roboxim_core.actions import ActionContext, ActionPlan, GripperRule, GripperSwitch
 from roboxim_core.config import from_plain
 from roboxim_core.conventions import (
     ActionOutput,
     Chunking,
     Convention,
+    GripperOutput,
     ImageInput,
     Layout,
     Resize,
@@ -38,6 +43,8 @@ from roboxim_policies.wires.parts import last_part
 
 MOST_SESSIONS = 32
 """Largest number of sessions at the same time."""
+JUMP = 2.0
+"""A tool that moves this many times the largest motion of an action, from one request to the next, was set back."""
 
 
 def own_convention(description: PolicyDescription, size: int = 256) -> Convention:
@@ -75,21 +82,39 @@ def own_convention(description: PolicyDescription, size: int = 256) -> Conventio
         action=ActionOutput(
             control=meaning.control, frame=meaning.frame, rotation=meaning.rotation, delta_base=meaning.delta_base,
             max_translation_m=meaning.max_translation_m, max_rotation_rad=meaning.max_rotation_rad,
+            gripper=_gripper_of(description.gripper),
         ),
-        chunking=Chunking(horizon=description.horizon),
+        chunking=Chunking(horizon=description.horizon, **_execution_of(description)),
     )  # fmt: skip
+
+
+def _gripper_of(rule: GripperRule) -> GripperOutput:
+    """Return the output of openings that a rule steadies."""
+    return GripperOutput(
+        binary=rule.binary, dead_zone=rule.band / 2, agree=rule.agree, hold=rule.hold, on_change=rule.on_change
+    )
+
+
+def _execution_of(description: PolicyDescription) -> dict[str, Any]:
+    """Return how a policy's chunks are executed, as fields of a convention's chunking."""
+    chunking = description.chunking
+    return {**vars(chunking), "execute": min(chunking.execute, description.horizon)}
 
 
 class Sessions:
     """The sessions of a policy."""
 
-    def __init__(self, make: Callable[[], Policy], *, convention: Convention | None = None, size: int = 256) -> None:
+    def __init__(
+        self, make: Callable[[], Policy], *, convention: Convention | None = None, size: int = 256,
+        single: bool = False,
+    ) -> None:  # fmt: skip
         """Make a first instance of the policy.
 
         Args:
             make: Makes an instance.
             convention: Meaning of requests and answers; None: `own_convention`.
             size: See `own_convention`.
+            single: Whether an answer has one action, that of the request's tick.
 
         Raises:
             ConfigError: When the policy is privileged, needs cameras that the convention does not have, or has actions
@@ -104,7 +129,9 @@ class Sessions:
             )
         self.is_own = convention is None
         self.convention = convention or own_convention(self.description, size)
-        if self.description.semantics.differing(self.convention.semantics):  # see `Session.answer`
+        converts = self.description.semantics.differing(self.convention.semantics)  # each action by its own pose
+        self.single = single or bool(converts)
+        if self.single:
             self.convention = replace(self.convention, chunking=Chunking())
         cameras = [image.camera for image in self.convention.images]
         missing = [camera.name for camera in self.description.cameras if camera.name not in cameras]
@@ -124,7 +151,7 @@ class Sessions:
             UnavailableError: When there are too many.
         """
         with self._instances.taken() as guard:
-            yield Session(guard, self.convention)
+            yield Session(guard, self.convention, single=self.single, own=self.is_own)
 
     def close(self) -> None:
         """Forget the instances."""
@@ -154,35 +181,45 @@ def _require_convertible(description: PolicyDescription, convention: Convention)
 class Session:
     """One client's episodes."""
 
-    def __init__(self, guard: GuardedPolicy, convention: Convention) -> None:
+    def __init__(self, guard: GuardedPolicy, convention: Convention, *, single: bool = False, own: bool = True) -> None:
         """Use an instance of the policy.
 
         Args:
             guard: The policy behind its guard.
             convention: Meaning of requests and answers.
+            single: Whether an answer has one action; the session then executes the policy's chunks.
+            own: Whether the convention is the policy's own. Its client then applies the policy's gripper rule.
         """
         self._guard = guard
         self._convention = convention
-        self._instruction: str | None = None
+        self._single, self._own = single, own
+        self._instruction = ""
+        self._announced: tuple[str, str, int] | None = None
+        self._prompt: str | None = None
         self._episode = ""
         self._seq = 0
         self._count = 0
+        self._plan: ActionPlan | None = None
+        self._switch: GripperSwitch | None = None
+        self._last: Floats | None = None
 
-    def begin(self, instruction: str, *, episode_id: str = "", seed: int = 0) -> None:
-        """Begin an episode.
+    def begin(self, instruction: str = "", *, episode_id: str = "", seed: int = 0) -> None:
+        """Announce an episode; it begins with the next request.
 
-        Raises:
-            PolicyError: When the policy raises.
+        Args:
+            instruction: The instruction; empty: that of the request.
+            episode_id: Its id; empty: a number.
+            seed: Seed of the policy's own randomness.
         """
-        self._count += 1
-        self._instruction, self._seq = instruction, 0
-        self._episode = episode_id or f"session-{self._count}"
-        self._guard.reset(EpisodeStart(episode_id=self._episode, instruction=instruction, seed=seed))
+        self._announced = instruction, episode_id, seed
 
-    def answer(self, request: Mapping[str, Any]) -> Floats:
+    def answer(self, request: Mapping[str, Any], *, guess: bool = False) -> Floats:
         """Return the convention's numbers of the policy's next actions, shape (n, D).
 
-        A client whose wire has no episodes begins one with its first request, and with each new instruction.
+        Args:
+            request: A request of the convention.
+            guess: Whether the wire has no episodes. One then begins with a new instruction, and when the tool is
+                elsewhere than an action can have moved it.
 
         Raises:
             InvalidRequestError: When the request is not one of the convention.
@@ -194,26 +231,76 @@ class Session:
                 f"the request has no instruction '{self._convention.prompt.key}', only {sorted(map(str, request))}"
             )
         own = request.get(OWN_SERVER)
-        if self._instruction is None or (prompt != self._instruction and own is None):
-            self.begin(prompt)
-        window = self._window(request, own)
-        chunk = self._guard.act(window)
+        own = own if isinstance(own, dict) else None
+        measured = self._measured(request, own)
+        self._enter(prompt, own, measured[-1], guess=guess)
+        window = self._window(request, own, measured)
+        actions = self._row(window) if self._single else np.asarray(self._guard.act(window).actions, dtype=float)
         self._seq += 1
-        return self._numbers(np.asarray(chunk.actions, dtype=float), window.newest.proprio)
+        numbers = self._numbers(actions, measured[-1])
+        self._last = np.array([*measured[-1].tcp_position, len(numbers)])
+        return numbers
 
-    def _window(self, request: Mapping[str, Any], own: Any) -> ObservationWindow:
+    def _enter(self, prompt: str, own: Mapping[str, Any] | None, measured: Proprioception, *, guess: bool) -> None:
+        """Begin an episode if the request is the first of one."""
+        instruction, episode_id, seed = self._announced or ("", "", 0)
+        if own is not None:
+            known = self._episode == own.get("episode_id") and int(own.get("seq", 0)) >= self._seq
+            episode_id, seed = str(own.get("episode_id", episode_id)), int(own.get("seed", seed))
+        else:
+            known = prompt == self._prompt and not (guess and self._jumped(measured))
+        if known and self._announced is None:
+            return
+        self._count += 1
+        self._announced, self._prompt, self._seq = None, None, 0
+        self._instruction = instruction or prompt
+        self._episode, named = "", episode_id or f"session-{self._count}"
+        self._guard.reset(EpisodeStart(episode_id=named, instruction=self._instruction, seed=seed))
+        self._episode, self._prompt = named, prompt
+        description = self._guard.description
+        self._plan = ActionPlan(description.chunking, description.semantics)
+        self._switch = None if self._own else GripperSwitch(description.gripper, measured.gripper_opening)
+
+    def _jumped(self, measured: Proprioception) -> bool:
+        """Return whether the tool is elsewhere than the actions since the last request can have moved it."""
+        if self._last is None:
+            return False
+        most = JUMP * self._guard.description.semantics.max_translation_m * self._last[3]
+        return bool(np.linalg.norm(np.array(measured.tcp_position) - self._last[:3]) > most)
+
+    def _row(self, window: ObservationWindow) -> Floats:
+        """Return the action of the window's tick, shape (1, D); asks the policy only when its chunk is executed."""
+        assert self._plan is not None
+        if self._plan.due(window.seq):
+            chunk = self._guard.act(window)
+            self._plan.add(window.seq, 0, chunk.actions, chunk.phases)
+        planned = self._plan.action(window.seq)
+        assert planned is not None
+        row = np.array(planned.action, dtype=float)
+        if self._switch is not None:
+            polarity = self._guard.description.semantics.gripper
+            row[-1] = polarity.number(self._switch.step(polarity.opening(float(row[-1]))))
+        return row[None]
+
+    def _measured(self, request: Mapping[str, Any], own: Mapping[str, Any] | None) -> list[Proprioception]:
+        """Return the measurements of each of the request's ticks."""
+        if own is None:
+            return self._proprioception(request)
+        seen = own.get("observations")
+        if not isinstance(seen, list) or len(seen) != self._convention.window:
+            raise InvalidRequestError(f"'{OWN_SERVER}' of the request must have {self._convention.window} observations")
+        return [from_plain(item["proprio"], Proprioception, source="the request") for item in seen]
+
+    def _window(
+        self, request: Mapping[str, Any], own: Mapping[str, Any] | None, proprio: list[Proprioception]
+    ) -> ObservationWindow:
         size = self._convention.window
         pictures = {image.camera: self._pictures(image, request) for image in self._convention.images}
-        if isinstance(own, dict):
-            seen = own.get("observations")
-            if not isinstance(seen, list) or len(seen) != size:
-                raise InvalidRequestError(f"'{OWN_SERVER}' of the request must have {size} observations")
-            proprio = [from_plain(item["proprio"], Proprioception, source="the request") for item in seen]
-            stamps = [(int(item["seq"]), int(item["stamp_ns"])) for item in seen]
+        if own is not None:
+            stamps = [(int(item["seq"]), int(item["stamp_ns"])) for item in own["observations"]]
             mask = tuple(bool(real) for real in own.get("pad_mask", ()))
             self._seq = int(own.get("seq", self._seq))
         else:
-            proprio = self._proprioception(request)
             stamps = [(max(self._seq - size + 1 + i, 0), 0) for i in range(size)]
             mask = tuple(self._seq - size + 1 + i >= 0 for i in range(size))
         observations = [
@@ -224,7 +311,7 @@ class Session:
             for i in range(size)
         ]  # fmt: skip
         return ObservationWindow(
-            instruction=self._instruction or "", observations=observations, pad_mask=mask, episode_id=self._episode,
+            instruction=self._instruction, observations=observations, pad_mask=mask, episode_id=self._episode,
             seq=self._seq,
         )  # fmt: skip
 
@@ -283,13 +370,12 @@ class Session:
     def _numbers(self, actions: Floats, proprio: Proprioception) -> Floats:
         """Return the convention's numbers of the policy's actions.
 
-        The client's commanded pose is not known; the measured one stands for it. Where a conversion needs it, only the
-        first action is answered.
+        The client's commanded pose is not known; the measured one stands for it. Where a conversion needs it, there is
+        one action in each answer (`Sessions.single`).
         """
         source, target = self._guard.description.semantics, self._convention.semantics
         if not source.differing(target):
             return self._convention.action.encode(actions, self._convention.frames)
-        actions = actions[:1]
         pose = Pose.from_arrays(np.array(proprio.tcp_position), proprio.tcp_rotation)
         joints = proprio.joint_positions or None
         context = ActionContext(

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from roboxim_core.config import to_json
+from roboxim_core.conventions import Convention
 from roboxim_core.errors import InvalidRequestError, RoboximError, printable
 from roboxim_policies.serving.base import PolicyServer
 from roboxim_policies.serving.sessions import Session, request_of
@@ -75,7 +77,10 @@ class WebSocketServer(PolicyServer):
 
 
 class OpenPiServer(WebSocketServer):
-    """A server of openpi's wire; ``endpoint: reset`` begins an episode, as RoboArena's does."""
+    """A server of openpi's wire; ``endpoint: reset`` begins an episode, as RoboArena's does.
+
+    Clients of openpi itself know no episodes, see `Session.answer`.
+    """
 
     def _talk(self, connection: Any, session: Session) -> None:
         connection.send(openpi.encode(self.metadata))
@@ -99,16 +104,21 @@ class OpenPiServer(WebSocketServer):
             )  # fmt: skip
             return "reset successful"
         began = time.perf_counter()
-        actions = session.answer(request).astype(np.float32)
+        actions = session.answer(request, guess="endpoint" not in request).astype(np.float32)
         elapsed_ms = 1000 * (time.perf_counter() - began)
         return openpi.encode({"actions": actions, "server_timing": {"infer_ms": elapsed_ms}})
 
 
 class VlaEvalServer(WebSocketServer):
-    """A model server of vla-eval's protocol."""
+    """A model server of vla-eval's protocol. Its clients ask at every tick and take one action."""
 
     health_path = "/health"
     health_text = '{"status": "ok"}\n'
+
+    @classmethod
+    def answers_once(cls, convention: Convention | None) -> bool:
+        """Return True."""
+        return True
 
     def _talk(self, connection: Any, session: Session) -> None:
         for data in connection:
@@ -138,6 +148,8 @@ class VlaEvalServer(WebSocketServer):
                 "observation_params": {
                     "send_state": bool(convention.states),
                     "send_wrist_image": any("wrist" in image.camera for image in convention.images),
+                    # taken by RoboXim's benchmark alone, see `RoboXimBenchmark`; others are not told of it
+                    **({"server_convention": to_json(convention)} if self.sessions.is_own else {}),
                 },
                 **self.metadata,
             }
@@ -146,8 +158,7 @@ class VlaEvalServer(WebSocketServer):
             task = task if isinstance(task, dict) else {}
             seed = task.get("seed", 0)
             session.begin(
-                str(task.get("name", "")), episode_id=str(task.get("episode_id", "")),
-                seed=seed if isinstance(seed, int) else 0,
+                episode_id=str(task.get("episode_id", "")), seed=seed if isinstance(seed, int) else 0
             )  # fmt: skip
             return None
         if kind == "episode_end":
@@ -161,4 +172,4 @@ class VlaEvalServer(WebSocketServer):
         )
         if openpi.OWN_SERVER in payload:  # a client of RoboXim sends the measurements as they are
             request[openpi.OWN_SERVER] = payload[openpi.OWN_SERVER]
-        return "action", {"actions": session.answer(request)[:1].astype(np.float32)[0]}
+        return "action", {"actions": session.answer(request).astype(np.float32)[0]}

@@ -112,8 +112,8 @@ class Wire(ABC):
             deadline: Deadline; None: ``timeout_s`` from now.
 
         Raises:
-            PolicyError: ``POLICY_DIED`` when nobody listens, ``POLICY_LATE`` after the deadline, ``POLICY_FAULT`` when
-                the server breaks the protocol or announces other metadata than before.
+            PolicyError: ``POLICY_DIED`` when nobody listens or nobody answers before the deadline, ``POLICY_FAULT``
+                when the server breaks the protocol or announces other metadata than before.
         """
         if self._is_open and self._alive() and self._metadata is not None:
             return self._metadata
@@ -168,6 +168,8 @@ class Wire(ABC):
                     self._is_open = True
                     return metadata
             except PolicyError as error:
+                if error.code == ErrorCode.POLICY_LATE:  # a machine that is switched off refuses nothing
+                    raise died(f"{self.server} cannot be reached: {error}") from None
                 if error.code != ErrorCode.POLICY_DIED or waited + pause > patience_s:
                     raise
             self.pause(pause)

@@ -10,6 +10,8 @@ from roboxim_core.errors import ErrorCode, PolicyError, printable
 
 LONGEST_REPLY = 600
 """Characters of a server's text that a message repeats."""
+GATEWAY = (502, 503, 504)
+"""HTTP statuses by which a proxy says that the server behind it is away."""
 
 
 def died(message: str) -> PolicyError:

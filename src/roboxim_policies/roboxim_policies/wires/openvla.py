@@ -3,7 +3,8 @@
 A request is the map itself, or ``{"encoded": "<that JSON>"}``, and then the reply is a JSON text of JSON. OpenVLA
 answers with an array, OFT with a list of arrays. **Every error of the model has HTTP status 200 and the body
 ``"error"``**, a wrong ``unnorm_key`` included. There are no metadata, no sessions and no keys, so that nothing can be
-compared with what the server runs.
+compared with what the server runs. RoboXim's own server (``roboxim policy serve --wire openvla``) declares itself under
+another path, which the genuine ones do not have.
 
 Source: openvla/openvla@c8f03f48af69, moojink/openvla-oft@213c5ff8d6e9, vla-scripts/deploy.py.
 """
@@ -15,6 +16,7 @@ import binascii
 import contextlib
 import http.client
 import json
+import secrets
 import socket
 import threading
 from typing import Any, ClassVar
@@ -22,11 +24,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from roboxim_core.errors import InvalidRequestError
+from roboxim_core.errors import InvalidRequestError, PolicyError
 from roboxim_core.limits import echo
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, rows_of
-from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire
-from roboxim_policies.wires.errors import Deadline, died, fault, invalid, quoted, unreadable
+from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire, plain_metadata
+from roboxim_policies.wires.errors import GATEWAY, Deadline, died, fault, invalid, quoted, unreadable
+from roboxim_policies.wires.openpi import OWN_SERVER
 
 
 def encode(message: Any, *, double: bool = False) -> bytes:
@@ -88,6 +91,11 @@ def _decode_map(part: dict[str, Any]) -> Any:
     return array_from(data, part.get("dtype"), part.get("shape"))
 
 
+DECLARATION = "/roboxim"
+"""Path under which RoboXim's own server declares its convention; any other answer than a map there is of a server that
+declares nothing."""
+
+
 @WIRES.register("openvla")
 class OpenVlaWire(Wire):
     """A session with a server of OpenVLA or OpenVLA-OFT. Each request is a connection of its own."""
@@ -120,15 +128,29 @@ class OpenVlaWire(Wire):
         self._host, self._path = parts.hostname or "", path if path.endswith("/act") else f"{path}/act"
         self._secure = parts.scheme == "https"
         self._port = parts.port or (443 if self._secure else self.port)
+        self._client = secrets.token_hex(8)
 
     def _open(self, deadline: Deadline) -> Metadata:
-        """Connect once, since the protocol has no greeting: a wrong address is found before the first episode."""
-        self._connected(deadline).close()
+        """Ask for the declaration of RoboXim's own server. A wrong address is found before the first episode."""
+        status, data = self._exchange("GET", self._path.removesuffix("/act") + DECLARATION, b"", deadline)
+        if status in GATEWAY:
+            raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
+        if status == 200:
+            with contextlib.suppress(PolicyError):
+                if isinstance(value := decode(data), dict) and OWN_SERVER in value:
+                    return plain_metadata(value)
         return {}
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:
-        extra = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
-        reply = decode(self._post(encode({**request, **extra}, double=self._double), deadline))
+        extra: dict[str, Any] = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
+        if OWN_SERVER in request:  # one session for each client
+            extra[OWN_SERVER] = {**request[OWN_SERVER], "client": self._client}
+        status, data = self._exchange("POST", self._path, encode({**request, **extra}, double=self._double), deadline)
+        if status in GATEWAY:
+            raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
+        if status != 200:
+            raise fault(f"{self.server} answered HTTP status {status}: {quoted(data[:2000].decode(errors='replace'))}")
+        reply = decode(data)
         if isinstance(reply, str) and reply == "error":
             raise fault(
                 f"{self.server} answered 'error'; its own log says why. Usual causes: a wrong or missing unnorm_key, "
@@ -143,8 +165,8 @@ class OpenVlaWire(Wire):
             reply = np.stack(reply)
         return {"actions": rows_of(reply, what)}
 
-    def _post(self, body: bytes, deadline: Deadline) -> bytes:
-        """Send a request, and return the body of the reply, both within the deadline and the bound of a message."""
+    def _exchange(self, method: str, path: str, body: bytes, deadline: Deadline) -> tuple[int, bytes]:
+        """Send a request; return status and body of the reply, both within the deadline and the bound of a message."""
         what = f"the reply of {self.server}"
         connection = self._connected(deadline)
         assert connection.sock is not None
@@ -152,7 +174,7 @@ class OpenVlaWire(Wire):
         try:
             with _Watch(connection.sock, deadline.left(what)) as watch:
                 headers = {"Content-Type": "application/json", "Connection": "close"}
-                connection.request("POST", self._path, body=body, headers=headers)
+                connection.request(method, path, body=body or None, headers=headers)
                 response = connection.getresponse()
                 data = self._read(response)
         except (OSError, http.client.HTTPException) as error:
@@ -165,10 +187,7 @@ class OpenVlaWire(Wire):
             connection.close()
         if watch.ended:
             raise deadline.passed(what)
-        if response.status != 200:
-            text = quoted(data[:2000].decode(errors="replace"))
-            raise fault(f"{self.server} answered HTTP status {response.status}: {text}")
-        return data
+        return response.status, data
 
     def _read(self, response: http.client.HTTPResponse) -> bytes:
         if (response.length or 0) > MESSAGE_BYTES:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
-from roboxim_policies.wires.errors import Deadline, died, fault, quoted
+from roboxim_policies.wires.errors import GATEWAY, Deadline, died, fault, quoted
 
 if TYPE_CHECKING:
     from roboxim_core.errors import PolicyError
@@ -52,6 +52,8 @@ class WebSocket:
             raise deadline.passed(f"the opening handshake of {server}") from None
         except InvalidStatus as error:
             status = error.response.status_code
+            if status in GATEWAY:
+                raise died(f"{server} cannot be reached: HTTP status {status} of a gateway before it") from None
             hint = "; pass the server's key with key_env" if status in (401, 403) else ""
             raise fault(f"{server} refused the connection with HTTP status {status}{hint}") from None
         except (ConnectionError, socket.gaierror, EOFError) as error:

@@ -159,7 +159,7 @@ def test_server_that_comes_back_is_found_by_the_next_try(name, made):
     assert pauses == [0.25, 0.5]
 
 
-def test_host_that_accepts_but_never_speaks_is_late(made):
+def test_host_that_accepts_but_never_speaks_is_not_there(made):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         for name in FAKES:
             if name == "openvla":  # which has no greeting
@@ -168,7 +168,7 @@ def test_host_that_accepts_but_never_speaks_is_late(made):
             wire = made(name, f"{scheme}://127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.5)
             with pytest.raises(PolicyError, match="within 0.5 s") as caught:
                 wire.reset(START)
-            assert caught.value.code == LATE
+            assert caught.value.code == DIED
 
 
 def test_reply_that_nobody_asked_for_is_never_used(made):
@@ -263,6 +263,20 @@ def test_groot_names_the_keys_that_the_convention_lacks(made):
         wire.reset(START)
         with pytest.raises(InvalidRequestError, match="needs the state keys arm; the convention sends none"):
             wire.ask({key: value for key, value in REQUEST.items() if "arm" not in key})
+
+
+def test_gateway_whose_server_is_away_is_told_from_a_server_with_an_error(made):
+    from websockets.sync.server import serve
+
+    with serve(lambda _: None, "127.0.0.1", 0, process_request=lambda c, _: c.respond(503, "no backend\n")) as gateway:
+        thread = threading.Thread(target=gateway.serve_forever)
+        thread.start()
+        wire = made("openpi", f"ws://127.0.0.1:{gateway.socket.getsockname()[1]}", reconnect_s=0.0)
+        with pytest.raises(PolicyError, match="cannot be reached: HTTP status 503 of a gateway") as caught:
+            wire.connect()
+        assert caught.value.code == DIED
+        gateway.shutdown()
+        thread.join()
 
 
 def test_wrong_token_is_named(made, monkeypatch):

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboxim_core.actions import ActionSemantics, hold_action
+from roboxim_core.actions import (
+    ActionPlan,
+    ActionSemantics,
+    Chunking,
+    Ensemble,
+    GripperRule,
+    GripperSwitch,
+    hold_action,
+)
 from roboxim_core.conventions import load_convention, observe
 from roboxim_core.errors import ConfigError, PolicyError
 from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
@@ -96,6 +104,111 @@ def test_served_policy_answers_bit_for_bit_as_in_process():
             expected, found = run(Looking(), seed), run(remote, seed)
             assert found.dtype == expected.dtype == np.float32
             assert found.tobytes() == expected.tobytes()
+
+
+class Ensembled(Looking):
+    """Is asked at every second tick, and its answers are averaged."""
+
+    chunking = Chunking(execute=2, ensemble=Ensemble.EXPONENTIAL, ensemble_decay=0.3)
+
+
+class Steadied(Looking):
+    """Needs two actions that agree before its gripper changes."""
+
+    chunking = Chunking(execute=2)
+    gripper = GripperRule(binary=True, band=0.2, agree=2)
+
+
+def executed(policy, seed, ticks=9):
+    """Return what the episode loop executes of a policy, shape (ticks, 7)."""
+    guard = GuardedPolicy(policy)
+    guard.reset(EpisodeStart(episode_id=f"e{seed}", instruction="Pick up the red cube", seed=seed))
+    plan = ActionPlan(guard.description.chunking, guard.description.semantics)
+    switch, actions = GripperSwitch(guard.description.gripper), []
+    for window in windows(ticks):
+        if plan.due(window.seq):
+            plan.add(window.seq, 0, guard.act(replace(window, episode_id=f"e{seed}")).actions, ())
+        action = plan.action(window.seq).action.copy()
+        action[6] = switch.step(float(action[6]))
+        actions.append(action)
+    return np.stack(actions)
+
+
+@pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
+@pytest.mark.parametrize("kind", [Looking, Ensembled, Steadied])
+def test_what_is_executed_is_the_same_bit_for_bit_over_every_wire(wire, kind):
+    """Two wires carry one action in each answer, and one of them has no episodes."""
+    logged = []
+    with (
+        policy_server(kind, wire, port=0, size=64, log=logged.append) as server,
+        load_policy(wire, url=server.url, convention="server", version="1") as remote,
+    ):
+        for seed in (5, 6, 6):
+            assert executed(remote, seed).tobytes() == executed(kind(), seed).tobytes()
+    assert not logged
+
+
+def test_clients_of_openvlas_wire_have_sessions_of_their_own():
+    with policy_server(Looking, "openvla", port=0, size=64) as server:
+        remotes = [load_policy("openvla", url=server.url, convention="server", version="1") for _ in range(2)]
+        for seed, remote in enumerate(remotes):
+            remote.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=seed))
+        first, *_ = windows()
+        together = [remote.act(first) for remote in remotes]
+        for seed in range(2):
+            alone = Looking()
+            alone.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=seed))
+            np.testing.assert_array_equal(together[seed], alone.act(first)[:1])
+
+
+class Counting(BasePolicy):
+    """Its action says how often it was asked in this episode."""
+
+    cameras = (CameraRequirement(name="workspace", width=32, height=32), CameraRequirement(name="wrist"))
+    semantics = ActionSemantics(rate_hz=0)
+    horizon = 2
+
+    def reset(self, start):
+        self.asked = 0
+
+    def act(self, window):
+        self.asked += 1
+        return [[self.asked / 100, row / 100, 0, 0, 0, 0, 1] for row in range(2)]
+
+
+def test_foreign_client_of_openvlas_wire_gets_the_chunks_rows_and_begins_episodes_as_well_as_it_can():
+    with policy_server(Counting, "openvla", port=0, convention=load_convention("roboxim")) as server:
+
+        def ask(x, instruction="red", **more):
+            state = np.array([x, 0, 0.3, 1, 0, 0, 0, -1, 0, 1.0])
+            pictures = {key: np.zeros((256, 256, 3), np.uint8) for key in ("image", "wrist_image")}
+            body = openvla.encode({**pictures, "state": state, "instruction": instruction, **more})
+            asked = urllib.request.Request(f"{server.url}/act", body, {"Content-Type": "application/json"})
+            answer = openvla.decode(urllib.request.urlopen(asked).read())
+            return tuple(np.round(answer[:2] * 100).astype(int))
+
+        assert [ask(0.50 + 0.01 * i) for i in range(4)] == [(1, 0), (1, 1), (2, 0), (2, 1)]
+        assert ask(0.54) == (3, 0)
+        assert ask(0.20) == (1, 0), "the arm was set back"
+        assert ask(0.20) == (1, 1)
+        assert ask(0.20, "blue") == (1, 0)
+        assert ask(0.20, "blue", episode_id=7) == (1, 0)
+        assert ask(0.20, "blue", episode_id=7) == (1, 1)
+        assert ask(0.20, "blue", episode_id=8) == (1, 0)
+
+
+def test_genuine_client_of_vla_eval_is_told_by_its_first_observation_what_to_do():
+    """Its ``episode_start`` has the name of the task; the instruction comes with the observations."""
+    sessions = Sessions(Approach, convention=load_convention("libero"), single=True)
+    with sessions.session() as session:
+        session.begin(episode_id="", seed=0)
+        request = {
+            **{f"observation/{key}": np.zeros((224, 224, 3), np.uint8) for key in ("image", "wrist_image")},
+            "observation/state": np.array([-0.16, 0.1, 1.212, np.pi, 0, 0, 0.04, -0.04]), "prompt": "red",
+        }  # fmt: skip
+        assert session.answer(request)[0, 6] == 1
+        session.begin(episode_id="", seed=0)
+        assert session.answer({**request, "prompt": "blue"})[0, 6] == -1
 
 
 def test_sessions_have_policies_of_their_own():
