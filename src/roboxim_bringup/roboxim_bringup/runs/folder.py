@@ -21,6 +21,7 @@ from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
+from roboxim_core.user_folders import expanded
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 if TYPE_CHECKING:
@@ -227,14 +228,14 @@ def checked_path(path: Path | str) -> Path:
     Raises:
         ConfigError: When a name in it or the whole path is too long.
     """
-    absolute = Path(os.path.abspath(Path(path).expanduser()))
+    absolute = Path(os.path.abspath(expanded(path)))
     longest = max((len(os.fsencode(part)) for part in absolute.parts), default=0)
     if longest > LONGEST_NAME or len(os.fsencode(absolute)) > LONGEST_PATH or "\0" in str(path):
         raise ConfigError(
             f"'{str(path)[:40]}...' is not a valid folder: a name has at most {LONGEST_NAME} bytes and a path "
             f"{LONGEST_PATH}, this has {longest} and {len(os.fsencode(absolute))}; choose a shorter one"
         )
-    return Path(path).expanduser().resolve()
+    return expanded(path).resolve()
 
 
 def make_folder(path: Path) -> None:
