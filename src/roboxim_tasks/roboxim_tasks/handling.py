@@ -23,6 +23,10 @@ An object that falls by 5 cm arrives at 1 m/s. That is twice the largest speed o
 limits (0.05 m per tick at 10 Hz), so an object that is lowered in the hand never reaches it. 5 cm is also the size of
 the smaller objects: releasing a cube a whole cube above the table is dropping it.
 """
+TOSS_M_S = 0.3
+"""Largest horizontal speed of an object that was set down, once the robot has let go of it [m/s].
+
+What is set down leaves the hand at rest, and rolls slowly at most. The hand moves by up to 0.5 m/s."""
 HAND_AWAY_M = 0.05
 """Distance of the hand from its last contact with an object beyond which it no longer cages the object [m].
 
@@ -49,6 +53,11 @@ def set_down(entity: str, most_m: float = DROP_M) -> Condition:
         most_m: Largest free fall [m].
     """
     return Condition(name="set_down", measure=drop(entity), most=most_m, reason="dropped")
+
+
+def not_tossed(entity: str) -> Condition:
+    """Return the condition that an object was not thrown to its present place."""
+    return Condition(name="not_tossed", measure=toss(entity), most=TOSS_M_S, reason="tossed")
 
 
 def let_go(entity: str) -> tuple[Condition, ...]:
@@ -79,6 +88,24 @@ def drop(entity: str) -> Measure:
         return fastest[0] ** 2 / (2 * GRAVITY_M_S2)
 
     return Measure(name="drop_m", of=of)
+
+
+def toss(entity: str) -> Measure:
+    """Measure the largest horizontal speed of an object without the robot since it was last held [m/s].
+
+    Picking up a tossed object resets the measure.
+    """
+    fastest = [0.0]
+
+    def of(state: StateRecord) -> float:
+        touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
+        if state.seq == 0 or held_in_the_air(state, entity):
+            fastest[0] = 0.0
+        elif not touched:
+            fastest[0] = max(fastest[0], float(np.hypot(*state.entity(entity).linear_velocity[:2])))
+        return fastest[0]
+
+    return Measure(name="toss_m_s", of=of)
 
 
 def hand_away(entity: str) -> Measure:
