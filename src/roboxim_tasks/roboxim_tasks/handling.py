@@ -12,7 +12,7 @@ import numpy as np
 
 from roboxim_core.poses import Array, Pose
 from roboxim_core.state import Contact, StateRecord
-from roboxim_tasks.measures import Condition, Measure, released
+from roboxim_tasks.measures import Condition, Measure, released, seconds_between, with_last
 from roboxim_tasks.motion import ROBOT
 
 GRAVITY_M_S2 = 9.81
@@ -91,21 +91,23 @@ def drop(entity: str) -> Measure:
 
 
 def toss(entity: str) -> Measure:
-    """Measure the largest horizontal speed of an object without the robot since it was last held [m/s].
+    """Measure the largest mean horizontal speed of an object over a tick that ends without the robot at it [m/s].
 
-    Picking up a tossed object resets the measure.
+    It counts from when the object was last held: picking up a tossed object resets the measure.
     """
     fastest = [0.0]
 
-    def of(state: StateRecord) -> float:
+    def of(state: StateRecord, before: StateRecord | None) -> float:
         touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
-        if state.seq == 0 or held_in_the_air(state, entity):
+        if before is None or held_in_the_air(state, entity):
             fastest[0] = 0.0
         elif not touched:
-            fastest[0] = max(fastest[0], float(np.hypot(*state.entity(entity).linear_velocity[:2])))
+            here, there = state.entity(entity).pose.position, before.entity(entity).pose.position
+            way = float(np.hypot(*np.subtract(here, there)[:2]))
+            fastest[0] = max(fastest[0], way / seconds_between(before, state))
         return fastest[0]
 
-    return Measure(name="toss_m_s", of=of)
+    return Measure(name="toss_m_s", of=with_last(of))
 
 
 def hand_away(entity: str) -> Measure:

@@ -3,8 +3,8 @@
 Randomisation: which object and colour; where it lies, on which side and at what yaw; where the end effector starts;
 distractors.
 
-Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up. It leans on nothing, was set down on
-the table and not dropped, it stands still, and the hand has left it, for ``hold_s``.
+Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up. It leans on nothing. It was set
+down on the table and not dropped, it stands still, and the hand has left it, for ``hold_s``.
 
 Non-obvious: the tool leans towards the foot of the lying object and away from that of the standing one; the two angles
 add up to a right angle. A tool that first points straight down would have to be level at the end, and the arm cannot
