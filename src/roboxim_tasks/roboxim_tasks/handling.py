@@ -95,16 +95,17 @@ def toss(entity: str) -> Measure:
 
     It counts from when the object was last held: picking up a tossed object resets the measure.
     """
-    fastest = [0.0]
+    fastest, handled = [0.0], [False]
 
     def of(state: StateRecord, before: StateRecord | None) -> float:
         touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
         if before is None or held_in_the_air(state, entity):
             fastest[0] = 0.0
-        elif not touched:
+        elif handled[0] and not touched:
             here, there = state.entity(entity).pose.position, before.entity(entity).pose.position
             way = float(np.hypot(*np.subtract(here, there)[:2]))
             fastest[0] = max(fastest[0], way / seconds_between(before, state))
+        handled[0] = handled[0] or touched
         return fastest[0]
 
     return Measure(name="toss_m_s", of=with_last(of))
