@@ -88,6 +88,10 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     for module, names in _HOMES.items():
         if name in names:
+            if module != "roboxim_core.errors":
+                from roboxim_bringup.process import clean_environment
+
+                clean_environment()  # before anything imports an rclpy that a sourced ROS brings
             home = importlib.import_module(module)
             value = getattr(home, name, None) or importlib.import_module(f"{module}.{name}")
             globals()[name] = value

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from roboxim_core.config_folders import config_dirs, config_names
+from roboxim_core.user_folders import cache_dir
 
 Catalog = dict[str, Any]
 """A part of the catalog, as plain values:
@@ -91,14 +92,10 @@ def _fresh(part: Part, fingerprint: str) -> Catalog | None:
     return kept["catalog"] if kept.get("fingerprint") == fingerprint else None
 
 
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roboxim"
-
-
 def _file(part: Part) -> Path:
     """Return a part's cache file for this installation and these configuration folders."""
     place = "\n".join([sys.prefix, *map(str, _folders())])
-    return _cache_folder() / f"{part}-{hashlib.blake2b(place.encode(), digest_size=6).hexdigest()}.json"
+    return cache_dir() / f"{part}-{hashlib.blake2b(place.encode(), digest_size=6).hexdigest()}.json"
 
 
 def _folders() -> Iterable[Path]:
@@ -121,7 +118,7 @@ def _fingerprint(part: Part) -> str:
             with contextlib.suppress(OSError):
                 digest.update(f"{place} {os.stat(place).st_mtime_ns}\n".encode())
     if part == "experiments":
-        for path in sorted(_cache_folder().glob(RATES_FILES)):
+        for path in sorted(cache_dir().glob(RATES_FILES)):
             digest.update(f"{path.parent.name}/{path.name} {path.stat().st_mtime_ns}\n".encode())
     return digest.hexdigest()
 

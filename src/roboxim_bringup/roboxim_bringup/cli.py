@@ -103,6 +103,9 @@ def _terminate(number: int, _: FrameType | None) -> None:
 
 def main() -> None:
     """Run the command line. Exit codes: 0, 1 for an error, 2 for wrong usage or configuration, 130 for Ctrl-C."""
+    from roboxim_ros.environment import start_clean
+
+    start_clean()
     parent = os.environ.pop("ROBOXIM_PARENT", None)
     if parent is not None:
         from roboxim_bringup.process import die_with_parent

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import importlib
 import os
 import shutil
@@ -18,6 +17,7 @@ from typing import Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.registry import Registry
+from roboxim_core.user_folders import user_name
 
 GIB = 2**30
 MIB = 2**20
@@ -61,7 +61,11 @@ def _finding(check: Callable[[], Finding]) -> Finding:
     try:
         return check()
     except Exception as error:  # a broken check must not hide the others
-        return Finding(name=check.__name__.strip("_"), state="warning", detail=f"{type(error).__name__}: {error}")
+        return Finding(
+            name=check.__name__.strip("_").replace("_", " "),
+            state="missing" if check in REQUIRED else "warning",
+            detail=f"{type(error).__name__}: {error}",
+        )
 
 
 def _python() -> Finding:
@@ -204,16 +208,31 @@ def _environment(name: str, target: str, purpose: str) -> Callable[[], Finding]:
 
 
 def _shared_memory() -> Finding:
-    usage = shutil.disk_usage("/dev/shm")
-    left = sum(1 for _ in Path("/dev/shm").glob("fastrtps_*"))
-    small = usage.free < 64 * MIB
+    from roboxim_ros.shared_memory import FOLDER, NEEDED_BYTES, fault_of_folder
+
+    fault = fault_of_folder()
+    if fault is not None:
+        return Finding(name="shared memory", state="missing", detail=fault, without="no graph can start")
+    usage = shutil.disk_usage(FOLDER)
+    left = sum(1 for _ in FOLDER.glob("fastrtps_*"))
     return Finding(
         name="shared memory",
-        state="missing" if small else "ok",
-        detail=f"{usage.free / MIB:.0f} MiB of {usage.total / MIB:.0f} MiB free, {left} files of Fast DDS",
+        state="ok" if usage.free >= 32 * MIB else "warning",
+        detail=f"{usage.free / MIB:.1f} MiB of {usage.total / MIB:.1f} MiB free, {left} files of Fast DDS",
         remedy="with no ROS process alive: fastdds shm clean; in Docker: --shm-size=512m",
-        without="nodes cannot communicate: shared memory is their only transport",
+        without=f"at most {usage.free // NEEDED_BYTES} processes with nodes can run at a time",
     )
+
+
+def _terminal() -> Finding:
+    """Tell what of this terminal belongs to another ROS and was left out; see `roboxim_ros.environment`."""
+    from roboxim_ros.environment import LEFT_OUT, set_log_folder
+
+    set_log_folder()
+    left_out = os.environ.get(LEFT_OUT, "").split(os.pathsep)
+    others = f"another ROS is left out: {', '.join(left_out)}" if any(left_out) else "no other ROS in it"
+    logs = os.environ.get("ROS_LOG_DIR")
+    return Finding(name="terminal", state="ok", detail=others + (f"; logs of ROS in {logs}" if logs else ""))
 
 
 def _graph() -> Finding:
@@ -245,7 +264,7 @@ def _graph() -> Finding:
             name="graph",
             state="missing",
             detail=str(error),
-            remedy="allow writing to /dev/shm; in a container, share it with the other processes (--ipc)",
+            remedy="see what the message says; in a container, share /dev/shm with the other processes (--ipc)",
             without="nodes do not discover each other",
         )
     return Finding(name="graph", state="ok", detail=f"first answer after {time.monotonic() - started:.2f} s")
@@ -258,7 +277,7 @@ def _network() -> Finding:
         state="warning" if wide else "ok",
         detail="every host and user that reaches this machine can call every service and read every topic"
         if wide
-        else f"processes of user {getpass.getuser()} on this machine, and its superuser; no other user, no other host",
+        else f"processes of user {user_name()} on this machine, and its superuser; no other user, no other host",
         remedy="unset ROBOXIM_TRANSPORT",
     )
 
@@ -309,6 +328,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _libraries,
     _compiler,
     _environment("verify-rlds", "verify-rlds DATASET=...", "reading an exported dataset with TensorFlow Datasets"),
+    _terminal,
     _shared_memory,
     _network,
     _cores,
@@ -321,3 +341,5 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
 """Quick ones first."""
 PROBES: tuple[Callable[[], Finding], ...] = (_renderers, _photo)
 """Checks that wait for other processes."""
+REQUIRED = (_python, _ros_wheels, _interfaces, _libraries, _terminal, _shared_memory, _graph, _renderers)
+"""Checks of what RoboXim does not work without."""

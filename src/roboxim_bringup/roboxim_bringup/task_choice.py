@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from roboxim_core.config import config_dirs, named_config, parse_yaml
+from roboxim_core.documents import read_text
 from roboxim_core.errors import ConfigError, one_of
 
 DEFAULT_TASK = "pick_cube"
@@ -73,7 +74,11 @@ def _base(task: str, skill: str) -> tuple[str, str]:
 
 
 def _read(file: Path) -> tuple[str, str]:
-    return file.read_text(), str(file)
+    from roboxim_tasks.config import require_content
+
+    text = read_text(file)
+    require_content(parse_yaml(text, source=str(file)), source=str(file))
+    return text, str(file)
 
 
 def _set_models(data: dict[str, Any], item: str) -> None:

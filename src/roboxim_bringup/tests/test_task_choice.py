@@ -13,7 +13,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import TaskSpec
-from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS
 
@@ -28,6 +28,14 @@ def test_a_skill_with_chosen_objects():
     assert config.objects["target"].models.values == ("apple", "knife")
     assert config.objects["support"].models.values == ("tray",)
     assert (config.distractors.minimum, config.distractors.maximum) == (2, 2)
+
+
+@pytest.mark.parametrize("content", ["", "# a comment only\n", "---\n"])
+def test_an_empty_task_file_is_no_default_task(tmp_path, content):
+    (tmp_path / "own.yaml").write_text(content)
+    for read in (task_text, load_task_config):
+        with pytest.raises(ConfigError, match=r"own.yaml is empty; expected a task, at least 'skill: NAME'"):
+            read(str(tmp_path / "own.yaml"))
 
 
 def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_job_s():

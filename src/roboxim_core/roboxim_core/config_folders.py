@@ -8,6 +8,7 @@ from pathlib import Path
 
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.user_folders import expanded
 
 _PARENTS = tuple(Path(__file__).resolve().parents)
 
@@ -34,7 +35,7 @@ def config_dirs() -> tuple[Path, ...]:
     Raises:
         ConfigError: When one of them is not a folder.
     """
-    own = tuple(Path(part).expanduser() for part in os.environ.get("ROBOXIM_CONFIG_PATH", "").split(os.pathsep) if part)
+    own = tuple(expanded(part) for part in os.environ.get("ROBOXIM_CONFIG_PATH", "").split(os.pathsep) if part)
     for folder in own:
         if not folder.is_dir():
             raise ConfigError(f"ROBOXIM_CONFIG_PATH names {folder}, which is not a folder")
@@ -65,7 +66,7 @@ def named_config(kind: str, name: str) -> Path:
     """
     if is_path(name):
         try:
-            path = Path(name).expanduser()
+            path = expanded(name)
             found = path.is_file()
         except (OSError, ValueError, RuntimeError):  # too long, a NUL, no such user
             found = False

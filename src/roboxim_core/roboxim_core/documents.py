@@ -10,6 +10,7 @@ scalars, and that is YAML 1.2's here: ``yes`` and ``on`` are text, ``017`` is 17
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -21,28 +22,38 @@ import yaml
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError
 
+_BYTE_ORDER_MARKS = (
+    (codecs.BOM_UTF32_LE, "UTF-32"), (codecs.BOM_UTF32_BE, "UTF-32"),  # before those of UTF-16, which they begin with
+    (codecs.BOM_UTF16_LE, "UTF-16"), (codecs.BOM_UTF16_BE, "UTF-16"),
+)  # fmt: skip
+"""Marks at the beginning of a file, with the encoding that they tell."""
+
 
 def read_text(path: Path | str, most: int = limits.YAML_BYTES) -> str:
-    """Read a text file.
+    """Read a text file: UTF-8, or UTF-16 or UTF-32 with a byte order mark, as the YAML specification has it.
 
     Args:
         path: The file.
         most: Largest size [bytes].
 
     Raises:
-        ConfigError: When it is missing, too large or not UTF-8.
+        ConfigError: When it is missing, too large or of another encoding.
     """
     file = Path(path)
+    encoding = "UTF-8"
     try:
         with open(file, "rb") as stream:
             content = stream.read(most + 1)
         if len(content) > most:
             raise ConfigError(f"{file} is larger than {most} bytes")
-        return content.decode("utf-8")
+        encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), encoding)
+        return content.decode(encoding).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
         if isinstance(error, UnicodeDecodeError):
             line = content[: error.start].count(b"\n") + 1
-            raise ConfigError(f"{file} line {line}: not UTF-8 text: {error.reason}; save the file as UTF-8") from None
+            raise ConfigError(
+                f"{file} line {line}: not {encoding} text: {error.reason}; save the file as UTF-8"
+            ) from None
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"cannot read {limits.echo(str(file))}: {reason}") from None
 

@@ -9,7 +9,7 @@ import pytest
 
 from roboxim_core import limits
 from roboxim_core.config import from_json, line_of, load_yaml
-from roboxim_core.documents import parse_json, parse_yaml
+from roboxim_core.documents import parse_json, parse_yaml, read_text
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 
@@ -44,6 +44,26 @@ def test_aliases_are_counted_by_what_they_repeat():
 def test_bad_yaml_is_an_error_by_line(text, complaint):
     with pytest.raises(ConfigError, match=rf"^task:? ?{complaint}"):
         parse_yaml(text, source="task")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+def test_text_of_unicode_encodings_is_read(tmp_path, encoding):
+    (tmp_path / "task.yaml").write_bytes("# Würfel\nskill: pick_up\n".encode(encoding))
+    assert read_text(tmp_path / "task.yaml") == "# Würfel\nskill: pick_up\n"
+    assert load_yaml(tmp_path / "task.yaml") == {"skill": "pick_up"}
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("skill: pick_up\n# Würfel\n".encode("latin-1"), "line 2: not UTF-8 text.*save the file as UTF-8"),
+        ("skill".encode("utf-16")[:-1], "line 1: not UTF-16 text"),
+    ],
+)
+def test_text_of_other_encodings_is_refused_in_a_sentence(tmp_path, content, complaint):
+    (tmp_path / "task.yaml").write_bytes(content)
+    with pytest.raises(ConfigError, match=complaint):
+        load_yaml(tmp_path / "task.yaml")
 
 
 def test_plain_scalars_have_the_meaning_of_yaml_1_2():

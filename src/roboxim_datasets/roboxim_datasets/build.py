@@ -12,16 +12,45 @@ that was killed continues after its last finished episode.
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 
 Facts = dict[str, Any]
 """What the journal says of an episode: plain JSON values, with at least ``split``."""
+
+
+@contextmanager
+def only_build(path: Path) -> Iterator[None]:
+    """Be the only build of a dataset while the block runs.
+
+    Args:
+        path: Final place of the dataset.
+
+    Raises:
+        ConfigError: When another process builds it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    place = path.with_name(f".partial-{path.name}.lock")
+    with open(place, "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            mine = os.path.samestat(os.fstat(lock.fileno()), os.stat(place))
+        except (BlockingIOError, FileNotFoundError):
+            mine = False
+        if not mine:  # another process has it, or has just removed it
+            raise ConfigError(f"another command is writing {path}; wait for it or stop it")
+        try:
+            yield
+        finally:
+            place.unlink(missing_ok=True)
 
 
 class ResumableBuild:

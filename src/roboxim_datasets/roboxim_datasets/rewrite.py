@@ -17,6 +17,7 @@ from typing import Any
 from roboxim_core.config import from_plain, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_datasets.build import only_build
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, MetaValue
@@ -143,7 +144,10 @@ def write_dataset(
     if not overwrite and _identity_of(path) == identity:
         return Written(path=path, splits=splits, resumed=sum(splits.values()))
     files = files_beside(sources, format=format, how=how, options=settings, identity=identity)
-    with made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer:
+    with (
+        only_build(path),
+        made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer,
+    ):
         order = sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
         skip = {split: writer.resumed(split) for split in order}
         done = resumed = sum(skip.values())
@@ -217,8 +221,8 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
         for what, (mine, theirs) in pairs.items():
             if mine != theirs:
                 raise RecorderError(
-                    f"{sources[0].path} and {source.path} do not fit together: {what}: {mine} against {theirs}; export "
-                    "the bags again with the same options",
+                    f"{sources[0].path} and {source.path} do not fit together: {what}: {mine} against {theirs}; only "
+                    "datasets with equal ones can be one (of RoboXim's bags: export them with the same options)",
                     ErrorCode.EXPORT_REFUSED,
                 )
     keys = dict(first.features.keys)

@@ -21,6 +21,7 @@ from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RequestTimeoutError, RoboximError, one_of
 from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.user_folders import cache_dir, expanded
 from roboxim_planner.geometry import mesh_points
 from roboxim_planner.paths import Watch
 from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig, no_watch
@@ -205,7 +206,7 @@ def find_dump(name: str, folder: Path) -> Path:
     dumps = list_dumps(folder)
     if name == "latest" and dumps:
         return dumps[0]
-    for path in (Path(name).expanduser(), folder / name):
+    for path in (expanded(name), folder / name):
         if path.is_file():
             return path
     raise ConfigError(f"no dump '{name}' in {folder}; {one_of((path.name for path in dumps[:10]), name)}")
@@ -213,8 +214,7 @@ def find_dump(name: str, folder: Path) -> Path:
 
 def dump_folder() -> Path:
     """Return the default folder of dumps: ``roboxim/planner`` in the user's cache folder."""
-    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(cache).expanduser() / "roboxim" / "planner"
+    return cache_dir() / "planner"
 
 
 def _finite(data: Any) -> Any:

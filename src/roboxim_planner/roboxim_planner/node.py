@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -48,6 +47,7 @@ from roboxim_core.poses import Array
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.surroundings import Surroundings
+from roboxim_core.user_folders import expanded
 from roboxim_planner import conversions as convert
 from roboxim_planner import query_conversions as queries
 from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
@@ -311,7 +311,7 @@ class PlannerNode(RoboximNode):
             config=planner.config,
             robot_digest=self._library.digest(query.robot),
         )
-        folder = Path(self._config.dump_dir).expanduser() if self._config.dump_dir else dump_folder()
+        folder = expanded(self._config.dump_dir) if self._config.dump_dir else dump_folder()
         name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{query.kind}-{code.name.lower()}-{os.getpid()}"
         try:
             path = write_dump(dump, folder, name, kept=self._config.dumps_kept)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import contextlib
 import json
 import struct
-from collections.abc import Collection, Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
-from mcap.records import Schema
-from mcap.stream_reader import CRCValidationError
+from mcap.records import Channel, Footer, Message, Schema, Statistics
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
@@ -26,13 +28,31 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
-from roboxim_recorder.bag_writer import METADATA, RECEIVED_KEY, BagWriter, find_episode
+from roboxim_recorder.bag_writer import LIBRARY, METADATA, RECEIVED_KEY, BagWriter, find_episode
 from roboxim_recorder.chunks import read_messages
 from roboxim_recorder.decoding import Decoder
 from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
 from roboxim_ros.schemas import MessageSchema
 
 T = TypeVar("T")
+
+
+class NotAnEpisodeError(RecorderError):
+    """A bag that may be whole, but holds no episode of RoboXim."""
+
+
+def not_an_episode(path: Path, counts: Mapping[str, int]) -> NotAnEpisodeError:
+    """Return an error that names a bag of another system, and what it holds.
+
+    Args:
+        path: The bag.
+        counts: Topic to number of messages.
+    """
+    shown = ", ".join(f"{topic} ({count} messages)" for topic, count in sorted(counts.items())[:5])
+    more = f" and {len(counts) - 5} more topics" if len(counts) > 5 else ""
+    return NotAnEpisodeError(
+        f"bag {path} is no episode of RoboXim: it has no topic {topics.INFO}; it holds {shown or 'no topic'}{more}"
+    )
 
 
 @contextlib.contextmanager
@@ -100,6 +120,8 @@ def mcap_file(path: Path | str) -> Path:
     if not path.exists():
         raise ConfigError(f"no such bag: {path}")
     files = sorted(path.glob("*.mcap"))
+    if not files and any(path.glob("*.db3")):
+        raise ConfigError(f"{path} is a bag of SQLite, not MCAP; convert it with 'ros2 bag convert' or rosbags-convert")
     if len(files) != 1:
         inside = path / "episodes" if (path / "episodes").is_dir() else path
         bags = sorted(file.parent for file in inside.glob("[!.]*/*.mcap"))
@@ -138,23 +160,37 @@ class BagReader:
             reader = SeekingReader(stream, validate_crcs=True)
             summary = reader.get_summary()
             if summary is None or summary.statistics is None:
-                raise damaged(self.path, "it has no index, its recording was interrupted")
+                summary = counted(stream)
             self._summary = summary
+            self.library = reader.get_header().library
+            """The program that wrote the file."""
             self.metadata = {record.name: record.metadata for record in reader.iter_metadata()}.get(METADATA, {})
             """The bag's metadata record: episode id, outcome, instruction, format version."""
+            assert summary.statistics is not None
             counts = summary.statistics.channel_message_counts
             self.counts = {c.topic: counts.get(c.id, 0) for c in summary.channels.values()}
             """Topic to number of messages."""
             self.type_hashes = {c.topic: c.metadata.get("topic_type_hash", "") for c in summary.channels.values()}
             """Topic to the hash of its message type."""
-            schemas = {schema.id: _schema(schema) for schema in summary.schemas.values()}
-            self.decoder = Decoder({c.topic: schemas[c.schema_id] for c in summary.channels.values()})
-            """Decodes its messages."""
+            schemas = {s.id: _schema(s) for s in summary.schemas.values() if s.encoding == "ros2msg"}
+            self._schemas = {c.topic: schemas[c.schema_id] for c in summary.channels.values() if c.schema_id in schemas}
+            self.types = {topic: schema.name for topic, schema in self._schemas.items()}
+            """Topic to message type, of the topics with ROS 2's definitions."""
 
     @property
-    def types(self) -> dict[str, str]:
-        """Topic to message type."""
-        return self.decoder.types
+    def rewritten(self) -> bool:
+        """Whether another program than RoboXim's recorder wrote the file, e.g. a converter or a filter."""
+        return self.library != LIBRARY
+
+    @cached_property
+    def decoder(self) -> Decoder:
+        """Decodes its messages.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when its definitions of messages cannot be read.
+        """
+        with damage(self.path):
+            return Decoder(self._schemas)
 
     @cached_property
     def info(self) -> EpisodeInfo:
@@ -193,6 +229,10 @@ class BagReader:
         return self.counts.get(topics.STEP, 0)
 
     def _only(self, topic: str, cls: type[T]) -> T:
+        if topics.INFO not in self.types:
+            raise not_an_episode(self.path, self.counts)
+        if topic not in self.types:
+            raise damaged(self.path, f"it has no topic {topic}: it was filtered, or its recording was interrupted")
         with damage(self.path):
             for _, _, message in self.messages((topic,)):
                 value: T = from_msg(message, cls)
@@ -264,6 +304,12 @@ class BagReader:
             InvalidRequestError: On a camera that the bag does not have.
             RecorderError: With code ``BAG_DAMAGED``, naming the tick that is not whole.
         """
+        if lost := [name for name in (topics.NOTICE, topics.STATE, topics.STEP) if name not in self.types]:
+            if topics.INFO not in self.types:
+                raise not_an_episode(self.path, self.counts)
+            raise damaged(
+                self.path, f"it has no topic {', '.join(lost)}, which every reader needs: it was filtered out"
+            )
         wanted = self._camera_topics(cameras, kinds)
         names = (topics.NOTICE, topics.STATE, topics.STEP, *wanted)
         found: dict[str, Any] = {}
@@ -283,6 +329,14 @@ class BagReader:
         named = {
             topics.image_topic(c, kind): (c, kind) for c in (have if cameras is None else cameras) for kind in kinds
         }
+        recorded = topics.scene_topics(self.info.scene)
+        if lost := [topic for topic in named if topic in recorded and topic not in self.types]:
+            others = [camera for camera in have if topics.image_topic(camera) in self.types]
+            raise damaged(
+                self.path,
+                f"it lacks the images of {', '.join(lost)}: they were filtered out (cameras with images: "
+                f"{', '.join(others) or 'none'})",
+            )
         return {topic: value for topic, value in named.items() if topic in self.types}
 
     def _tick(self, found: dict[str, Any], wanted: dict[str, tuple[str, str]]) -> BagTick:
@@ -311,8 +365,38 @@ class BagReader:
         )
 
 
+def counted(stream: IO[bytes]) -> Summary:
+    """Return the summary of a whole file that was written without one, or without counts.
+
+    Raises:
+        ValueError: When the file has no end.
+    """
+    stream.seek(0)
+    summary, counts = Summary(), Counter[int]()
+    ended = False
+    for record in StreamReader(stream, validate_crcs=True).records:
+        if isinstance(record, Schema):
+            summary.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            summary.channels[record.id] = record
+        elif isinstance(record, Message):
+            counts[record.channel_id] += 1
+        ended = ended or isinstance(record, Footer)
+    if not ended:
+        raise ValueError("it has no index, its recording was interrupted")
+    summary.statistics = Statistics(
+        attachment_count=0, channel_count=len(summary.channels), channel_message_counts=dict(counts), chunk_count=0,
+        message_count=counts.total(), message_end_time=0, message_start_time=0, metadata_count=0,
+        schema_count=len(summary.schemas),
+    )  # fmt: skip
+    return summary
+
+
 def _schema(schema: Schema) -> MessageSchema:
     return MessageSchema(name=schema.name, text=schema.data.decode())
 
 
-__all__ = ["BagReader", "BagTick", "BagWriter", "damage", "damaged", "find_episode", "mcap_file"]
+__all__ = [
+    "BagReader", "BagTick", "BagWriter", "NotAnEpisodeError", "counted", "damage", "damaged", "find_episode",
+    "mcap_file", "not_an_episode",
+]  # fmt: skip

@@ -85,6 +85,10 @@ def find_episode(output_dir: Path, episode_id: str) -> Path | None:
     return next((path for path in candidates if path.exists()), None)
 
 
+LIBRARY = "roboxim"
+"""The program that an MCAP file of the recorder names as its writer."""
+
+
 class McapFile:
     """An MCAP file with rosbag2's profile, and the ``metadata.yaml`` that describes it."""
 
@@ -93,7 +97,7 @@ class McapFile:
         folder.mkdir(parents=True)
         self.path = folder / mcap_name(name)
         self._file = self.path.open("wb")
-        self._writer = McapWriter(self._file, profile="ros2", library="roboxim")
+        self._writer = McapWriter(self._file, profile="ros2", library=LIBRARY)
         self._channels: dict[str, int] = {}
         self._schema_ids: dict[str, int] = {}
         self._schemas: dict[str, MessageSchema] = {}

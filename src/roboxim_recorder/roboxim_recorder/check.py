@@ -15,10 +15,11 @@ from pathlib import Path
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from roboxim_core import limits
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import RoboximError
 from roboxim_recorder import topics
-from roboxim_recorder.bag import BagReader, damage, mcap_file
+from roboxim_recorder.bag import BagReader, NotAnEpisodeError, damage, mcap_file, not_an_episode
 from roboxim_recorder.bag_writer import FORMAT_VERSION, REPAIRED, REPAIRED_KEY, bag_description, mcap_name
 from roboxim_recorder.container import container_problems, metadata_problems
 from roboxim_recorder.recording import outcome_metadata
@@ -27,6 +28,8 @@ from roboxim_ros.conversions import from_msg
 
 MOST_PROBLEMS = 50
 """Further problems of a bag are only counted."""
+MOST_NAMES = 3
+"""Further differences of names and descriptions that another program caused are only counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,10 @@ class BagReport:
     """Why it is not a success."""
     problems: tuple[str, ...] = ()
     """What is wrong; empty: the bag is whole."""
+    notes: tuple[str, ...] = ()
+    """What another program changed when it wrote the bag again, and no reader needs; empty: the recorder wrote it."""
+    foreign: bool = False
+    """Whether it is a bag of another system, which holds no episode."""
 
     @property
     def ok(self) -> bool:
@@ -65,6 +72,7 @@ def check_bag(path: Path | str) -> BagReport:
     """
     problems: list[str] = []
     check = None
+    foreign = False
     try:
         file = mcap_file(path)
         problems += checksum_problems(file)
@@ -73,6 +81,7 @@ def check_bag(path: Path | str) -> BagReport:
             problems += check.problems()
     except RoboximError as error:
         problems.append(str(error))
+        foreign = isinstance(error, NotAnEpisodeError)
     if len(problems) > MOST_PROBLEMS:
         problems[MOST_PROBLEMS:] = [f"and {len(problems) - MOST_PROBLEMS} more problems"]
     return BagReport(
@@ -82,6 +91,8 @@ def check_bag(path: Path | str) -> BagReport:
         outcome=check.result.outcome if check and check.result else "",
         reason=check.result.reason if check and check.result else "",
         problems=tuple(problems),
+        notes=tuple(check.notes) if check else (),
+        foreign=foreign,
     )
 
 
@@ -107,6 +118,7 @@ class _BagCheck:
         self._counts: Counter[str] = Counter()
         self._span_ns: tuple[int, int] | None = None
         self.result: EpisodeResult | None = None
+        self.notes: list[str] = []
 
     @property
     def info(self) -> EpisodeInfo | None:
@@ -118,12 +130,31 @@ class _BagCheck:
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong."""
+        if topics.INFO not in self._reader.types:
+            raise not_an_episode(self._reader.path, self._reader.counts)
         with damage(self._reader.path):
             for channel, message in _records(self._reader.file):
                 yield from self._message(channel.topic, message)
             yield from self._end_problems()
-            yield from self._name_problems()
-            yield from self._description_problems()
+            yield from self._count_problems()
+            names = [*self._name_problems(), *self._description_problems()]
+            if not self._reader.rewritten:
+                yield from (*self._metadata_problems(), *names)
+                return
+            if self._reader.metadata:
+                yield from self._metadata_problems()
+        self._note(names)
+
+    def _note(self, names: list[str]) -> None:
+        """Note what another program has changed and no reader needs."""
+        self.notes.append(f"written again by {limits.printable(self._reader.library) or 'another program'}")
+        if not self._reader.metadata:
+            self.notes.append("without the metadata record, which repeats what its messages say")
+        if self._check is not None and self._check.filtered:
+            self.notes.append(f"filtered out, and not needed by exports: {', '.join(self._check.filtered)}")
+        self.notes += names[:MOST_NAMES]
+        if len(names) > MOST_NAMES:
+            self.notes.append(f"and {len(names) - MOST_NAMES} more differences of names and metadata.yaml")
 
     def _message(self, topic: str, message: Message) -> Iterator[str]:
         self._counts[topic] += 1
@@ -144,7 +175,7 @@ class _BagCheck:
             yield from self._check.message(topic, message)
 
     def _end_problems(self) -> Iterator[str]:
-        """Yield where the result and the metadata record differ from the messages."""
+        """Yield where the result differs from the messages."""
         check, result = self._check, self.result
         if check is not None:
             yield from check.end_problems()
@@ -153,6 +184,12 @@ class _BagCheck:
             yield f"it has no message on {what}: its recording was interrupted"
             return
         yield from check.result_problems(result)
+
+    def _metadata_problems(self) -> Iterator[str]:
+        """Yield where the metadata record differs from the messages."""
+        check, result = self._check, self.result
+        if check is None or result is None:
+            return
         info, found = check.info, self._reader.metadata
         told = outcome_metadata(info, result, self._reader.received)
         wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **told}
@@ -174,12 +211,16 @@ class _BagCheck:
         if file.name != mcap_name(name):
             yield f"its file is named {file.name}, expected {mcap_name(name)}"
 
-    def _description_problems(self) -> Iterator[str]:
-        """Yield where the summary and ``metadata.yaml`` differ from the messages."""
-        reader = self._reader
-        for topic, count in reader.counts.items():
+    def _count_problems(self) -> Iterator[str]:
+        """Yield where the summary counts other messages than there are."""
+        for topic, count in self._reader.counts.items():
             if count != self._counts[topic]:
                 yield f"its summary counts {count} messages on {topic}, there are {self._counts[topic]}"
+
+    def _description_problems(self) -> Iterator[str]:
+        """Yield where ``metadata.yaml`` differs from the messages."""
+        reader = self._reader
+        reader = self._reader
         described = {
             topic: (kind, reader.type_hashes[topic], self._counts[topic]) for topic, kind in reader.types.items()
         }

@@ -1,7 +1,9 @@
 """Verifies a bag's files without decoding messages: the sections of the MCAP file, and ``metadata.yaml``.
 
 Two checksums cover an MCAP file: one from the file's start to the end of its data section, one from the start of its
-summary to its footer. What lies between and behind them is fixed. So no byte can change unnoticed.
+summary to its footer. What lies between and behind them is fixed. So no byte of the recorder's files can change
+unnoticed. A checksum of 0 means "not available": other programs write none, and then the chunks' own checksums and
+the messages are what `roboxim_recorder.check` can check. A file whose writer names itself as the recorder has both.
 
 Source: MCAP format specification, version 0.
 """
@@ -18,7 +20,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from roboxim_recorder.bag_writer import METADATA_FILE, metadata_text
+from roboxim_recorder.bag_writer import LIBRARY, METADATA_FILE, metadata_text
 
 _FOOTER = struct.Struct("<BQQQI")
 """Opcode, length, start of the summary, start of its offsets, checksum."""
@@ -46,17 +48,32 @@ def container_problems(data: memoryview) -> Iterator[str]:
     if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - 9):
         yield "it has no footer"
         return
-    if not magic + _DATA_END.size <= start <= footer:
+    if not magic + _DATA_END.size <= start <= footer and (start or _library(data) == LIBRARY.encode()):
         yield f"its footer says that the summary begins at byte {start}, which cannot be"
         return
-    if zlib.crc32(data[start : footer + _FOOTER.size - 4]) != crc:
+    own = _library(data) == LIBRARY.encode()
+    if not start and not own:  # written without a summary
+        return
+    if (crc or own) and zlib.crc32(data[start : footer + _FOOTER.size - 4]) != crc:
         yield "its summary does not have the checksum that its footer names"
     data_end = start - _DATA_END.size
     opcode, length, crc = _DATA_END.unpack_from(data, data_end)
     if (opcode, length) != (Opcode.DATA_END, _DATA_END.size - 9):
         yield "its data section has no end"
-    elif zlib.crc32(data[:data_end]) != crc:
+    elif (crc or own) and zlib.crc32(data[:data_end]) != crc:
         yield "its data section does not have the checksum that its end names"
+
+
+def _library(data: memoryview) -> bytes:
+    """Return the program that a file's header names as its writer; empty: there is no header."""
+    at = len(MCAP0_MAGIC) + 9
+    for _ in range(2):  # profile, library
+        if at + 4 > len(data):
+            return b""
+        size = int.from_bytes(data[at : at + 4], "little")
+        found = bytes(data[at + 4 : at + 4 + size]) if size < 1000 else b""
+        at += 4 + size
+    return found
 
 
 def metadata_problems(folder: Path, expected: Mapping[str, Any]) -> Iterator[str]:

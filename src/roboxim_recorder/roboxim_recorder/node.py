@@ -21,7 +21,6 @@ import importlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -39,6 +38,7 @@ from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
 from roboxim_core import limits
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError, one_of
+from roboxim_core.user_folders import expanded
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
@@ -75,7 +75,7 @@ class RecorderNode(RoboximNode):
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`."""
         super().__init__("recorder", context=context, namespace=namespace, parameters=parameters)
-        self._root = Path(self.declare_config(RecorderConfig).output_root).expanduser().absolute()
+        self._root = expanded(self.declare_config(RecorderConfig).output_root).absolute()
         self._recording: EpisodeRecording | None = None
         self._failed = ""
         self._opened_ns = 0

@@ -32,10 +32,10 @@ from roboxim_recorder.bag_writer import FORMAT_VERSION, REPAIRED, REPAIRED_KEY, 
 from roboxim_recorder.check import BagReport, check_bag
 from roboxim_recorder.decoding import Decoder
 from roboxim_recorder.recording import FLUSH_TICKS, outcome_metadata
-from roboxim_recorder.salvage import Bytes, Damage, salvage
+from roboxim_recorder.salvage import Bytes, Damage, SalvagedChunk, salvage
 from roboxim_recorder.ticks import TickCheck
 from roboxim_ros.conversions import from_msg
-from roboxim_ros.schemas import MessageSchema
+from roboxim_ros.schemas import MessageSchema, message_schema
 
 OUTCOME_UNKNOWN = "outcome_unknown"
 """Reason of the result of a bag whose own result is lost."""
@@ -250,8 +250,12 @@ class _Repair:
         reasons = [damaged.text for damaged in found.damages] + found.problems
         if not found.damages:
             reasons += [problem for problem in self._report.problems if problem not in reasons]
-        if not found.kept:
-            reasons.append("the episode's info is lost" if found.check is None else "no tick before the gap is whole")
+        if self._report.foreign:
+            reasons = list(self._report.problems)
+        elif not found.kept and found.check is None:
+            reasons.append(found.problems[-1] if found.problems else "the episode's info is lost")
+        elif not found.kept:
+            reasons.append("no tick before the gap is whole")
         return RepairReport(
             source=self._source,
             target=target,
@@ -279,22 +283,27 @@ class _Reading:
 
     def messages(self, data: Bytes) -> Iterator[tuple[str, Message]]:
         """Yield the info and the messages of all whole ticks before the first gap, with additional topics' messages."""
+        for chunk in salvage(data):  # another program may announce a topic as late as its first message
+            for record in chunk.records if isinstance(chunk, SalvagedChunk) else ():
+                if not isinstance(record, Message):
+                    self._announce(record)
         for part in salvage(data):
             if isinstance(part, Damage):
                 self._found.damages.append(part)
                 continue
             for record in part.records:
-                if isinstance(record, Message):
+                if isinstance(record, Message) and record.channel_id in self._channels:
                     yield from self._take(self._channels[record.channel_id].topic, record)
-                else:
-                    self._announce(record)
 
     def _announce(self, record: Schema | Channel) -> None:
+        if isinstance(record, Schema) and record.encoding != "ros2msg":
+            return
         if isinstance(record, Schema):
             self._schemas[record.id] = MessageSchema(name=record.name, text=record.data.decode())
         else:
             self._channels[record.id] = record
-            self._found.types.setdefault(record.topic, self._schemas[record.schema_id])
+            if record.schema_id in self._schemas:
+                self._found.types.setdefault(record.topic, self._schemas[record.schema_id])
 
     def _take(self, topic: str, message: Message) -> Iterator[tuple[str, Message]]:
         """Take the next message; yield what it completes."""
@@ -316,6 +325,8 @@ class _Reading:
             yield topic, message
 
     def _begin(self, message: Message) -> None:
+        # Another program may announce the result's topic as late as the result.
+        self._found.types.setdefault(topics.RESULT, message_schema(topics.OWN[topics.RESULT]))
         decoder = Decoder(self._found.types)
         with damage(self._file):
             info = from_msg(decoder.decode(topics.INFO, message.data), EpisodeInfo)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import RecorderError
-from roboxim_recorder.bag import BagReader, mcap_file
+from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_recorder.bag import BagReader, NotAnEpisodeError, mcap_file
 from roboxim_recorder.bag_writer import PLACES, REPAIRED_KEY
 from roboxim_recorder.check import checksum_problems
 from roboxim_recorder.repair import survey_bag
@@ -18,14 +18,19 @@ from roboxim_recorder.run_bags import list_bags
 
 
 def bag_info(path: Path | str) -> str:
-    """Return a readable description of a bag: of a damaged one its state in one line.
+    """Return a readable description of a bag.
 
     Raises:
         ConfigError: When the path is not a bag.
+        RecorderError: ``BAG_DAMAGED`` with what can be saved of a damaged one; `NotAnEpisodeError` for a bag of another
+            system.
     """
     reader = _whole(path)
     if reader is None:
-        return f"{path} is damaged: {survey_bag(path).text}; 'roboxim bag repair' saves what it can"
+        raise RecorderError(
+            f"{path} is damaged: {survey_bag(path).text}; 'roboxim bag repair' saves what it can",
+            ErrorCode.BAG_DAMAGED,
+        )
     info = reader.info
     seconds = (len(reader) - 1) * info.scene.tick_ns / 1e9
     lines = [
@@ -42,6 +47,7 @@ def bag_info(path: Path | str) -> str:
         f"seed          run {info.run_seed}, {info.purpose}, index {info.index}, attempt {info.attempt}",
         "cameras       " + ", ".join(f"{c.name} {c.width}x{c.height}" for c in info.scene.cameras),
         f"renderer      {info.renderer}",
+        *([f"written by    {reader.library or 'another program'}, which wrote it again"] if reader.rewritten else []),
         "models        " + ", ".join(f"{name} {digest[:16]}" for name, digest in sorted(info.models.items())),
         "versions      " + ", ".join(f"{name} {value}" for name, value in sorted(info.versions.items())),
         "topics",
@@ -55,6 +61,9 @@ def _whole(path: Path | str) -> BagReader | None:
     """Return the reader of a bag; None if its checksums are wrong, or its info or result is lost.
 
     Its ticks are not decoded.
+
+    Raises:
+        NotAnEpisodeError: For a bag of another system.
     """
     try:
         if checksum_problems(mcap_file(path)):
@@ -62,6 +71,8 @@ def _whole(path: Path | str) -> BagReader | None:
         reader = BagReader(path)
         _ = reader.info, reader.result
         return reader
+    except NotAnEpisodeError:
+        raise
     except RecorderError:
         return None
 

@@ -44,11 +44,21 @@ class TickCheck:
         self.step: EpisodeStep | None = None
         """Step of the newest tick."""
 
+    @property
+    def filtered(self) -> tuple[str, ...]:
+        """Topics of the scene that the bag does not have at all, and that no export needs."""
+        needed = {topics.NOTICE, topics.STATE, topics.STEP}
+        return tuple(
+            name
+            for name, kind in self.expected.items()
+            if name not in self.decoder.types and kind != topics.IMAGE and name not in (*needed, *topics.ADDED)
+        )
+
     def topic_problems(self) -> Iterator[str]:
         """Yield which topics the bag lacks or has with another type."""
         for name, kind in {**topics.OWN, **self.expected}.items():
             found = self.decoder.types.get(name)
-            if found != kind and (found or name not in topics.ADDED):
+            if found != kind and (found or name not in (*topics.ADDED, *self.filtered)):
                 yield f"topic {name} is {f'of type {found}' if found else 'missing'}, expected {kind}"
 
     def message(self, topic: str, message: Message) -> Iterator[str]:
@@ -90,6 +100,7 @@ class TickCheck:
         if not stamp_ns == stamp_to_ns(notice.stamp) == seq * self.info.scene.tick_ns:
             yield f"tick {seq} is stamped {stamp_ns} ns, expected {seq * self.info.scene.tick_ns}"
         wanted = dict(zip(map(topics.absolute, notice.topics), map(int, notice.image_crc32), strict=True))
+        wanted = {name: crc32 for name, crc32 in wanted.items() if name in self.decoder.types}
         there = tick.keys() - {topics.NOTICE, topics.STEP}
         if missing := sorted(wanted.keys() - there):
             yield f"tick {seq} lacks {', '.join(missing)}"

@@ -13,6 +13,8 @@ TF_STATIC = "/tf_static"
 DESCRIPTION = "/robot_description"
 MARKERS = "/sim/markers"
 
+IMAGE = "sensor_msgs/msg/Image"
+"""Type of every image."""
 OWN = {INFO: "roboxim_interfaces/msg/EpisodeInfo", RESULT: "roboxim_interfaces/msg/EpisodeResult"}
 """Topics that the recorder itself writes: the first and the last message."""
 ALWAYS = {
@@ -49,11 +51,11 @@ def scene_topics(scene: SceneSpec) -> dict[str, str]:
     """Return topic to type of everything that the graph publishes in an episode of a scene."""
     topics = dict(ALWAYS)
     for camera in scene.cameras:
-        topics[image_topic(camera.name)] = "sensor_msgs/msg/Image"
+        topics[image_topic(camera.name)] = IMAGE
         topics[image_topic(camera.name, "camera_info")] = "sensor_msgs/msg/CameraInfo"
         for kind, on in (("depth", camera.depth), ("segmentation", camera.segmentation)):
             if on:
-                topics[image_topic(camera.name, kind)] = "sensor_msgs/msg/Image"
+                topics[image_topic(camera.name, kind)] = IMAGE
     return topics
 
 

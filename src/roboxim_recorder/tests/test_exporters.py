@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -122,3 +124,30 @@ def test_a_dataset_that_changes_under_an_episode_is_an_error(run, tmp_path, fake
     )  # fmt: skip
     with pytest.raises(RecorderError, match="has 1 steps, expected 2"):
         list(episode.steps())
+
+
+OTHER = """
+import sys
+from pathlib import Path
+from roboxim_datasets.build import only_build
+with only_build(Path(sys.argv[1])):
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("name", ["rlds", "lerobot", "hdf5"])
+def test_a_second_export_into_one_folder_is_refused(tmp_path, fake, name):
+    fake().record(tmp_path)
+    exporter = EXPORTERS[name]()
+    path = exporter.path(tmp_path / "out", exporter.config())
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout.readline() == b"writing\n"
+        with pytest.raises(ConfigError, match="another command is writing .*wait for it or stop it"):
+            export_bags(name, tmp_path, tmp_path / "out")
+        other.stdin.close()
+    report = export_bags(name, tmp_path, tmp_path / "out")
+    assert report.splits == {"train": 1}
+    assert not list((tmp_path / "out").glob("**/.partial*"))

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
@@ -32,7 +33,7 @@ from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_ros import local_calls
 from roboxim_ros.bounds import check_message
-from roboxim_ros.shared_memory import private_files, seal
+from roboxim_ros.shared_memory import fault_of_folder, private_files, seal
 
 CAUGHT = (Exception, SystemExit)
 """Exceptions that a callback may raise without ending its node."""
@@ -180,10 +181,16 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         """Make the node; see `rclpy.node.Node`.
 
         Raises:
-            UnavailableError: When the shared memory of its domain belongs to another user.
+            UnavailableError: When the shared memory of its domain belongs to another user, or cannot be written.
         """
-        with private_files():
-            super().__init__(node_name, context=context, **kwargs)
+        try:
+            with private_files():
+                super().__init__(node_name, context=context, **kwargs)
+        except RCLError as error:
+            fault = fault_of_folder()
+            if fault is None or "participant" not in str(error):
+                raise
+            raise UnavailableError(fault) from None
         if os.environ.get("ROBOXIM_TRANSPORT", "user") == "user":
             try:
                 seal(context.get_domain_id())

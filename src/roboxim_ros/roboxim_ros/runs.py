@@ -18,8 +18,6 @@ import json
 import os
 import re
 import secrets
-import stat
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -30,6 +28,8 @@ from typing import Any
 import domain_coordinator
 
 from roboxim_core.errors import ConfigError, UnavailableError
+from roboxim_core.user_folders import runtime_dir
+from roboxim_ros.environment import clean_environment
 from roboxim_ros.shared_memory import busy_domains
 
 LONGEST_RUN_ID = 100
@@ -65,7 +65,8 @@ def activate_transport(open_network: bool | None = None) -> None:
         open_network: As for `transport_environment`; none: as set in the environment, else this user only.
 
     Raises:
-        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``user`` nor ``network``.
+        ConfigError: When ``ROBOXIM_TRANSPORT`` is neither ``user`` nor ``network``, or the environment is of another
+            ROS; see `roboxim_ros.environment`.
     """
     if open_network is None:
         given = os.environ.get("ROBOXIM_TRANSPORT", "user")
@@ -76,6 +77,7 @@ def activate_transport(open_network: bool | None = None) -> None:
 
 
 def _apply(environment: dict[str, str]) -> None:
+    clean_environment()
     os.environ.update(environment)
     os.environ.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, and would override the range
 
@@ -113,23 +115,6 @@ def free_domain() -> Iterator[int]:
         yield domain
     finally:  # without the block's exception, which the reservation would take for its own failed attempt
         reservation.__exit__(None, None, None)
-
-
-def runtime_dir() -> Path:
-    """Return this user's directory of runs, made if missing: ``$XDG_RUNTIME_DIR/roboxim`` or in the temporary folder.
-
-    Raises:
-        ConfigError: When it belongs to another user or is not a directory.
-    """
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    usable = base and os.path.isdir(base) and os.access(base, os.W_OK)
-    path = Path(base or "", "roboxim") if usable else Path(tempfile.gettempdir(), f"roboxim-{os.getuid()}")
-    path.mkdir(mode=0o700, exist_ok=True)
-    status = path.lstat()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
-        raise ConfigError(f"{path} is not a directory of this user; remove it or set XDG_RUNTIME_DIR to another place")
-    path.chmod(0o700)
-    return path
 
 
 def _birth(pid: int) -> int | None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -25,6 +26,8 @@ from pathlib import Path
 from roboxim_core.errors import UnavailableError
 
 FOLDER = Path("/dev/shm")
+NEEDED_BYTES = 600 * 1024
+"""Size of the files that Fast DDS makes for one process with nodes; it refuses less [bytes]."""
 _FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250
 _LOCKS = ("_el", "_sl")
 """Suffixes of the files that a participant locks while it listens at a port, alone or with others."""
@@ -74,6 +77,20 @@ def _locked(path: Path) -> bool:
     finally:
         os.close(file)
     return False
+
+
+def fault_of_folder() -> str | None:
+    """Return why this process cannot make its files in `FOLDER`, with the cure; none: it can."""
+    cure = "RoboXim's nodes communicate through it alone; in Docker: --shm-size=512m"
+    if not FOLDER.is_dir() or not os.access(FOLDER, os.W_OK | os.X_OK):
+        return f"the shared memory {FOLDER} cannot be written: {cure}, without a read-only mount over it"
+    usage = shutil.disk_usage(FOLDER)
+    if usage.free < NEEDED_BYTES:
+        return (
+            f"the shared memory {FOLDER} has {usage.free // 1024} of {usage.total // 1024} KiB free, a process with "
+            f"nodes needs {NEEDED_BYTES // 1024}: {cure}; 'fastdds shm clean' removes what dead processes left"
+        )
+    return None
 
 
 @contextmanager

@@ -336,7 +336,23 @@ def load_task_config(name: str = DEFAULT_TASK, library: ModelLibrary | None = No
         ConfigError: When the file is missing or invalid.
     """
     path = named_config("tasks", name)
-    return any_task_config(load_yaml(path), source=str(path), library=library)
+    data = load_yaml(path)
+    require_content(data, source=str(path))
+    return any_task_config(data, source=str(path), library=library)
+
+
+def require_content(data: Any, *, source: str) -> None:
+    """Refuse a task file without content, which a crashed editor or a full disk leaves.
+
+    Args:
+        data: What the file holds.
+        source: The file, for messages.
+
+    Raises:
+        ConfigError: When it holds nothing.
+    """
+    if data is None:
+        raise ConfigError(f"{source} is empty; expected a task, at least 'skill: NAME'")
 
 
 def parse_task_config(text: str) -> TaskConfig | TaskMix:

@@ -12,7 +12,7 @@ import numpy as np
 
 from roboxim_core.poses import Array, Pose
 from roboxim_core.state import Contact, StateRecord
-from roboxim_tasks.measures import Condition, Measure, released
+from roboxim_tasks.measures import Condition, Measure, released, seconds_between, with_last
 from roboxim_tasks.motion import ROBOT
 
 GRAVITY_M_S2 = 9.81
@@ -23,6 +23,10 @@ An object that falls by 5 cm arrives at 1 m/s. That is twice the largest speed o
 limits (0.05 m per tick at 10 Hz), so an object that is lowered in the hand never reaches it. 5 cm is also the size of
 the smaller objects: releasing a cube a whole cube above the table is dropping it.
 """
+TOSS_M_S = 0.3
+"""Largest horizontal speed of an object that was set down, once the robot has let go of it [m/s].
+
+What is set down leaves the hand at rest, and rolls slowly at most. The hand moves by up to 0.5 m/s."""
 HAND_AWAY_M = 0.05
 """Distance of the hand from its last contact with an object beyond which it no longer cages the object [m].
 
@@ -49,6 +53,11 @@ def set_down(entity: str, most_m: float = DROP_M) -> Condition:
         most_m: Largest free fall [m].
     """
     return Condition(name="set_down", measure=drop(entity), most=most_m, reason="dropped")
+
+
+def not_tossed(entity: str) -> Condition:
+    """Return the condition that an object was not thrown to its present place."""
+    return Condition(name="not_tossed", measure=toss(entity), most=TOSS_M_S, reason="tossed")
 
 
 def let_go(entity: str) -> tuple[Condition, ...]:
@@ -79,6 +88,27 @@ def drop(entity: str) -> Measure:
         return fastest[0] ** 2 / (2 * GRAVITY_M_S2)
 
     return Measure(name="drop_m", of=of)
+
+
+def toss(entity: str) -> Measure:
+    """Measure the largest mean horizontal speed of an object over a tick that ends without the robot at it [m/s].
+
+    It counts from when the object was last held: picking up a tossed object resets the measure.
+    """
+    fastest, handled = [0.0], [False]
+
+    def of(state: StateRecord, before: StateRecord | None) -> float:
+        touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
+        if before is None or held_in_the_air(state, entity):
+            fastest[0] = 0.0
+        elif handled[0] and not touched:
+            here, there = state.entity(entity).pose.position, before.entity(entity).pose.position
+            way = float(np.hypot(*np.subtract(here, there)[:2]))
+            fastest[0] = max(fastest[0], way / seconds_between(before, state))
+        handled[0] = handled[0] or touched
+        return fastest[0]
+
+    return Measure(name="toss_m_s", of=with_last(of))
 
 
 def hand_away(entity: str) -> Measure:

@@ -6,7 +6,19 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import NOT_HELD, Verdict
-from roboxim_tasks.measures import Assessment, Condition, Conditions, largest_shift
+from roboxim_tasks.measures import (
+    FALLEN_M,
+    OPENED,
+    TOPPLED_DEG,
+    Assessment,
+    Condition,
+    Conditions,
+    Measure,
+    joints_moved,
+    largest_shift,
+    lift,
+    toppled,
+)
 from roboxim_tasks.roles import STAY, task_distractors
 from roboxim_tasks.skills import SKILLS
 
@@ -50,7 +62,7 @@ class Judge:
             )
         self._verdict, self._solved_since_ns = Verdict(), None
         self._evaluator = self._skill.evaluator(self.task, state)
-        self._others = undisturbed(self.task, state)
+        self._others = tuple(filter(None, (surroundings(self.task, state), undisturbed(self.task, state))))
         return self._fold(state)
 
     def step(self, state: StateRecord) -> Verdict:
@@ -71,8 +83,8 @@ class Judge:
     def _fold(self, state: StateRecord) -> Verdict:
         self._state = state
         assessment = self._evaluator.assess(state)
-        if self._others:
-            assessment = _both(self._others.assess(state), assessment)
+        for others in self._others:
+            assessment = _both(others.assess(state), assessment)
         failed = self._verdict.failed or assessment.failed
         reason = self._verdict.reason if self._verdict.failed else assessment.reason
         if not assessment.solved or failed:
@@ -89,6 +101,34 @@ class Judge:
             predicates=assessment.predicates | {"held_s": held_s},
         )
         return self._verdict
+
+
+def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
+    """Return the evaluator of what a person sees besides the task, in every skill.
+
+    Nothing but the target may have toppled, fallen off the table, or, if the task does not name it, been opened.
+    """
+    target = task.objects["target"].entity if "target" in task.objects else ""
+    others = [entity.name for entity in initial.entities if entity.name != target]
+    named = {thing.entity for thing in task.objects.values()} - {thing.entity for thing in task_distractors(task)}
+    falls = [lift(entity, initial) for entity in others]
+    lowest = Measure(name="others_lift_m", of=lambda state: min((fall.of(state) for fall in falls), default=0.0))
+    return Conditions(
+        (
+            Condition(
+                name="others_on_table", measure=lowest, least=-FALLEN_M, reason="pushed_off_table", fatal=True
+            ),
+            Condition(
+                name="others_upright", measure=toppled(others, initial, "others_toppled_deg"), most=TOPPLED_DEG,
+                reason="toppled_other",
+            ),
+            Condition(
+                name="others_shut", most=OPENED, reason="opened_other",
+                measure=joints_moved([name for name in others if name not in named], initial, "others_joint"),
+            ),
+        ),
+        hold_s=0.0,
+    )  # fmt: skip
 
 
 def undisturbed(task: TaskSpec, initial: StateRecord) -> Conditions | None:

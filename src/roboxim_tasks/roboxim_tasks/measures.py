@@ -26,6 +26,14 @@ if TYPE_CHECKING:
 
 FALLEN_M = 0.1
 """Drop in height since tick 0 beyond which an object has fallen off the table [m]."""
+TOPPLED_DEG = 30.0
+"""Angle from which an object has toppled, or leans on something [degrees]."""
+TOPPLED_M = 0.005
+"""Change of an object's height from which it may have toppled; what only rolls keeps its height [m]."""
+PROP_N = 0.02
+"""Largest force of a neighbour on an object that stands by itself [N]; not 0, because contacts chatter."""
+OPENED = 0.02
+"""Largest motion of a joint of an object that the task does not name, as of drawers [m or rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,6 +159,21 @@ def released(entity: str) -> Condition:
     return Condition(name="released", measure=force(ROBOT, entity, "robot_force_n"), most=0.0)
 
 
+def kept_upright(entity: str, initial: StateRecord) -> Condition:
+    """Return the condition that an object on the table has not toppled since tick 0; see `toppled`."""
+    return Condition(
+        name="kept_upright", measure=toppled((entity,), initial), most=TOPPLED_DEG, reason="toppled"
+    )  # fmt: skip
+
+
+def stands_alone(entity: str) -> Condition:
+    """Return the condition that nothing but the table carries or props an object."""
+    return Condition(
+        name="stands_alone", measure=others_force(entity, "props_force_n", but=(TABLE, ROBOT)), most=PROP_N,
+        reason="leans_on_something",
+    )  # fmt: skip
+
+
 def stayed(entity: str, initial: StateRecord, most_m: float, name: str = "") -> Condition:
     """Return the condition that an object has not been moved far from where it was at tick 0."""
     label = name or entity
@@ -267,6 +290,65 @@ def largest_shift(entities: Iterable[str], initial: StateRecord, name: str = "la
 def offset(state: StateRecord, entity: str, reference: str) -> Array:
     """Return the vector from a reference to an object in the world, shape (3,) [m]."""
     return np.subtract(state.entity(entity).pose.position, state.entity(reference).pose.position)
+
+
+def toppled(entities: Iterable[str], initial: StateRecord, name: str = "toppled_deg") -> Measure:
+    """Measure how far the most toppled of several objects has tipped over since tick 0 [degrees]; 0 if none has.
+
+    It is the angle between the vertical and the axis that was vertical at tick 0. An object whose origin is as high as
+    at tick 0 does not count: a ball or a lying bottle rolls, a cube tips onto another side, and neither topples.
+    """
+    starts = {entity: initial.entity(entity).pose for entity in entities}
+    axes = {entity: pose.rotation.inv().apply((0.0, 0.0, 1.0)) for entity, pose in starts.items()}
+
+    def of(state: StateRecord) -> float:
+        worst = 0.0
+        for entity, start in starts.items():
+            now = state.entity(entity).pose
+            if abs(now.position[2] - start.position[2]) > TOPPLED_M:
+                up = float(now.rotation.apply(axes[entity])[2])
+                worst = max(worst, math.degrees(math.acos(min(1.0, max(-1.0, up)))))
+        return worst
+
+    return Measure(name=name, of=of)
+
+
+def others_force(entity: str, name: str, but: Iterable[str] = (ROBOT,)) -> Measure:
+    """Measure the largest normal force of any other body on an object at the end of the tick [N].
+
+    Args:
+        entity: The object.
+        name: Name of the measure.
+        but: Bodies that do not count.
+    """
+    left_out = {entity, *but}
+
+    def of(state: StateRecord) -> float:
+        found = 0.0
+        for contact in state.contacts:
+            others = {contact.body_a, contact.body_b} - {entity}
+            if len(others) == 1 and entity in (contact.body_a, contact.body_b) and not others & left_out:
+                found = max(found, contact.force_last)
+        return found
+
+    return Measure(name=name, of=of)
+
+
+def joints_moved(entities: Iterable[str], initial: StateRecord, name: str) -> Measure:
+    """Measure the largest distance of a joint of several objects from its position at tick 0 [m or rad]."""
+    starts = {entity: initial.entity(entity).joint_positions for entity in entities}
+
+    def of(state: StateRecord) -> float:
+        return max(
+            (
+                abs(now - before)
+                for entity, positions in starts.items()
+                for now, before in zip(state.entity(entity).joint_positions, positions, strict=True)
+            ),
+            default=0.0,
+        )
+
+    return Measure(name=name, of=of)
 
 
 def tilt(entity: str, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Measure:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from roboxim_core.whole_files import write_whole
+
 
 @click.command("replay")
 @click.argument("dataset", type=click.Path(exists=True, path_type=Path))
@@ -39,6 +41,6 @@ def command(
     for line in report.lines:
         click.echo(line)
     if json_file is not None:
-        json_file.write_text(report.to_json())
+        write_whole(json_file, report.to_json())
     if report.refusal:
         sys.exit(1)

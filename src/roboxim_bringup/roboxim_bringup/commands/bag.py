@@ -22,11 +22,18 @@ def command() -> None:
 @command.command("info")
 @click.argument("path", type=_bag)
 def info(path: Path) -> None:
-    """Describe a bag, or a folder of bags."""
+    """Describe a bag, or a folder of bags. The exit code is 1 when a bag is damaged or holds no episode."""
+    from roboxim_core.errors import ErrorCode, RecorderError
     from roboxim_recorder.summary import bag_info, dataset_summary
 
-    one = path.is_file() or any(path.glob("*.mcap"))
-    click.echo(bag_info(path) if one else dataset_summary(path).text)
+    if path.is_file() or any(path.glob("*.mcap")) or any(path.glob("*.db3")):
+        click.echo(bag_info(path))
+        return
+    summary = dataset_summary(path)
+    click.echo(summary.text)
+    if summary.damaged:
+        total = summary.episodes + len(summary.damaged)
+        raise RecorderError(f"{len(summary.damaged)} of {total} bags are damaged", ErrorCode.BAG_DAMAGED)
 
 
 @command.command("check")
@@ -53,13 +60,14 @@ def check(paths: tuple[Path, ...]) -> None:
             report = check_bag(bag)
             total += 1
             broken += not report.ok
-            state = f"whole, {report.ticks} ticks, {report.outcome}" if report.ok else "DAMAGED"
-            click.echo(f"{bag}: {state}")
-            for problem in report.problems:
-                click.echo(f"  {problem}")
+            state = "NO EPISODE" if report.foreign else "DAMAGED"
+            click.echo(f"{bag}: " + (f"whole, {report.ticks} ticks, {report.outcome}" if report.ok else state))
+            for line in (*report.problems, *report.notes):
+                click.echo(f"  {line}")
     if broken or missing:
         raise RecorderError(
-            f"{broken} of {total} bags are damaged" + f", {missing} are missing" * bool(missing), ErrorCode.BAG_DAMAGED
+            f"{broken} of {total} bags are damaged or hold no episode" + f", {missing} are missing" * bool(missing),
+            ErrorCode.BAG_DAMAGED,
         )
 
 

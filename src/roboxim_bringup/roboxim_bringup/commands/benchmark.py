@@ -8,6 +8,7 @@ import click
 
 from roboxim_bringup.named import Named
 from roboxim_bringup.options import with_executor, with_training_resources
+from roboxim_core.whole_files import write_whole
 
 REPORT = "report"
 
@@ -133,11 +134,11 @@ def report(folder: Path | None, card: Path | None, html: Path | None, markdown: 
         assert card is not None
         found = stored_benchmark_card(card)
         if html is not None:
-            html.write_text(benchmark_card_page(found))
+            write_whole(html, benchmark_card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import benchmark_markdown
 
-        markdown.write_text(benchmark_markdown(found, warnings=benchmark_warnings(found)))
+        write_whole(markdown, benchmark_markdown(found, warnings=benchmark_warnings(found)))
     click.echo(f"{found.name}, scale {found.scale}")
     for sentence in found.sentences:
         click.echo(f"  {sentence}")

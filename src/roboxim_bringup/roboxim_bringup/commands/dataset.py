@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from roboxim_bringup.options import keep_lines
+from roboxim_core.whole_files import write_whole
 
 _PREFIX = "_dataset_"
 _path = click.Path(path_type=Path)
@@ -191,9 +192,9 @@ def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
     opened = open_dataset(dataset)
     found = opened.episode(episode)
     if kinds[file.suffix]:
-        file.write_bytes(encoded(contact_sheet(found, frames), kinds[file.suffix]))
+        write_whole(file, encoded(contact_sheet(found, frames), kinds[file.suffix]))
     else:
-        file.write_text(page(found, opened.features.action, frames))
+        write_whole(file, page(found, opened.features.action, frames))
     click.echo(f"{file}: {found.instruction} ({found.length} steps)")
 
 

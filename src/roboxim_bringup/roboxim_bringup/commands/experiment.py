@@ -10,6 +10,7 @@ import click
 from roboxim_bringup.commands import _experiment_calibrate
 from roboxim_bringup.named import Named
 from roboxim_bringup.options import with_executor, with_training_resources
+from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -290,11 +291,11 @@ def report(
         found = stored_card(card)
         page = html
         if html is not None:
-            html.write_text(card_page(found))
+            write_whole(html, card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import experiment_markdown
 
-        markdown.write_text(experiment_markdown(found, warnings=card_warnings(found)))
+        write_whole(markdown, experiment_markdown(found, warnings=card_warnings(found)))
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in (*found.sentences, *card_warnings(found)):
         click.echo(f"  {sentence}")
@@ -349,7 +350,7 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: 
     if html is not None:
         from roboxim_eval.report.models import models_page
 
-        html.write_text(models_page(models, cards, _pages_beside(html, folders)))
+        write_whole(html, models_page(models, cards, _pages_beside(html, folders)))
         click.echo(f"report: {html}")
 
 

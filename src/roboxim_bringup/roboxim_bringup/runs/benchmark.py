@@ -26,10 +26,10 @@ from roboxim_bringup.runs.experiment_report import (
 from roboxim_bringup.runs.experiment_report import STATE_FILE as EXPERIMENT_STATE_FILE
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import PolicySpec
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.differences import differences
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.benchmark import (
     BenchmarkCard,
     BenchmarkConfig,
@@ -113,7 +113,7 @@ def run_benchmark(
     cards = _cards_from_elsewhere(benchmark, config)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
-    write_atomically(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
+    write_whole(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
     for name, card in cards.items():
         make_folder(out / name)
         write_card(card, out / name)
@@ -240,8 +240,8 @@ def write_benchmark_report(out: Path) -> BenchmarkCard:
 
     card = benchmark_card(out)
     pages = {name: f"{name}/{REPORT_FILE}" for name in card.experiments if (out / name / REPORT_FILE).exists()}
-    write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
-    write_atomically(out / REPORT_FILE, benchmark_page(
+    write_whole(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+    write_whole(out / REPORT_FILE, benchmark_page(
         card, command=benchmark_reproduction(out, card.experiments), pages=pages, warnings=benchmark_warnings(card),
     ))  # fmt: skip
     return card

@@ -35,6 +35,7 @@ from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.proving import Reading
 from roboxim_bringup.runs.training import BCConfig, train_bc
 from roboxim_core.config import parse_yaml
+from roboxim_core.documents import read_text
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -304,7 +305,7 @@ def _proof_times(
     bags: list[str], config: CalibrationConfig, logs: Path, options: Mapping[str, Any]
 ) -> tuple[float, float]:
     """Return the wall time of the proof of a bag with all workers busy, and of the start of a proof [s]."""
-    mix = config.mix.read_text()
+    mix = read_text(config.mix)
     demands = demands_of(mix_json := json.dumps(parse_yaml(mix)))
     reader = DeliveryReader(ModelLibrary())
     try:

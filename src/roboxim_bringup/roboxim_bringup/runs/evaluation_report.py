@@ -15,11 +15,11 @@ from roboxim_bringup.runs.episodes import EpisodesJob
 from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import ChosenPolicy
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_bringup.runs.store import readable_run
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
     from roboxim_eval.report import PolicyRun
@@ -104,7 +104,7 @@ def write_evaluation(
     """
     from roboxim_eval.report import PolicyRun, verdict_line
 
-    write_atomically(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
+    write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
     infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
     runs = [PolicyRun(policy=name, results=result.results) for name, result in found.items()]
     return EvaluationResult(

@@ -70,13 +70,14 @@ from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.learned_rates import rates_of_run
 from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_bringup.runs.rates import store_rates, stored_rates
-from roboxim_bringup.runs.results_log import ResultsLog, write_atomically
+from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_bringup.runs.told_by_scene import told_by_scene
 from roboxim_core.config import digest, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.shards import Shard
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 
@@ -293,7 +294,7 @@ class _Run:
             "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
             CHANGED: [*stored.get(CHANGED, []), *changed_after_results(self.out, stored, self.design.config)],
         }  # fmt: skip
-        write_atomically(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
+        write_whole(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
         self._attest()
         pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
         if not self.config.shard:  # which has a part of the products alone
@@ -305,7 +306,7 @@ class _Run:
         Attestations.of(self.out, self.design).require_known(names)
         path = self.out / ATTEST_FILE
         if names and not self.design.trainer.command and not path.exists():
-            write_atomically(path, attestation_template(names))
+            write_whole(path, attestation_template(names))
 
     @property
     def done(self) -> set[str]:
@@ -346,11 +347,11 @@ class _Run:
                 excluded[f"evaluate/{condition}.{replicate}{at}{checkpoint}"] = indices
             if proof["judged_again"] is not None:
                 again = [*(again or []), *proof["judged_again"]]
-        write_atomically(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
-        write_atomically(self.out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
-        write_atomically(self.out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
+        write_whole(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
+        write_whole(self.out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
+        write_whole(self.out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
         if again is not None:
-            write_atomically(self.out / JUDGED_FILE, json.dumps(again) + "\n")
+            write_whole(self.out / JUDGED_FILE, json.dumps(again) + "\n")
 
     def learn_rates(self, name: str) -> None:
         """Store the rates that a whole run on this machine showed, for later plans."""

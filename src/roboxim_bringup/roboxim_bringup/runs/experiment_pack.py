@@ -10,10 +10,13 @@ state are those of the whole files; the manifest names them too.
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import shutil
 import tarfile
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -24,8 +27,9 @@ from roboxim_bringup.runs.experiment_report import STATE_FILE as EXPERIMENT_FILE
 from roboxim_bringup.runs.experiment_report import ExperimentFolder
 from roboxim_bringup.runs.folder import make_folder
 from roboxim_bringup.runs.results_log import ResultsLog
+from roboxim_core import limits
 from roboxim_core.documents import parse_json
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
 from roboxim_eval.experiments import stages_of
 from roboxim_policies.bc.checkpoint_file import checkpoint_file, read_description
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
@@ -63,6 +67,14 @@ def packed_files(out: Path) -> Iterator[Path]:
         dataset = "export" in parts[:-1]
         if file.is_file() and not file.is_symlink() and not hidden and not dataset and not LEFT_OUT & set(parts[:-1]):
             yield file
+
+
+LARGEST_MANIFEST = 64 << 20
+"""A larger manifest is not read [B]; those of experiments have some hundred kB."""
+MOST_FACTOR = 100
+"""Largest size of what a pack unpacks to, as a multiple of its own; of text it is about 20."""
+MOST_FILES = 1_000_000
+"""Largest number of files of a pack."""
 
 
 def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
@@ -178,25 +190,63 @@ def unpack(file: Path, out: Path) -> Pack:
 
     Raises:
         ConfigError: When the file is no pack, was damaged, or has a name that leaves the folder; or the folder exists.
+            What was written is removed.
+        RoboximError: ``DISK`` when the disk is full.
     """
     if out.exists() and any(out.iterdir()):
         raise ConfigError(f"{out} is not empty; name another folder with --out")
+    make_folder(out.parent)
+    partial = out.with_name(f".{out.name}.partial")
     try:
         with tarfile.open(file, "r:gz") as archive:
             manifest, originals = _manifest(archive, file)
-            make_folder(out)
+            _require_bounds(archive, file)
+            shutil.rmtree(partial, ignore_errors=True)
+            make_folder(partial)
             for name, expected in manifest.items():
-                archive.extract(archive.getmember(name), out, filter="data")
-                if file_sha256(out / name) != expected:
+                archive.extract(archive.getmember(name), partial, filter="data")
+                if file_sha256(partial / name) != expected:
                     raise ConfigError(f"{file} is damaged: {name} has another hash than its manifest says")
-    except (tarfile.TarError, EOFError, KeyError, OSError) as error:
+        if out.exists():
+            out.rmdir()
+        partial.replace(out)
+    except (tarfile.TarError, EOFError, KeyError, zlib.error, UnicodeDecodeError, ValueError) as error:
         raise ConfigError(f"{file} is no whole pack: {error}") from None
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise RoboximError(
+                f"cannot write {out}: {error.strerror}; free some space and run again", ErrorCode.DISK
+            ) from None
+        raise ConfigError(f"{file} is no whole pack: {error}") from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
     return Pack(path=out, files=len(manifest), size=file.stat().st_size, originals=originals)
+
+
+def _require_bounds(archive: tarfile.TarFile, file: Path) -> None:
+    """Refuse a pack that would unpack to much more than it has itself; no file of it is kept in memory or written.
+
+    Raises:
+        ConfigError: Naming the file at which it exceeds the bounds.
+    """
+    most = MOST_FACTOR * file.stat().st_size + LARGEST_MANIFEST
+    total = 0
+    for number, member in enumerate(archive, start=1):
+        total += member.size
+        if total > most or number > MOST_FILES:
+            raise ConfigError(
+                f"{file} is no pack: it has {file.stat().st_size / 1e6:.1f} MB and would unpack to more than "
+                f"{most / 1e6:.0f} MB or {MOST_FILES} files, at {limits.echo(member.name)}"
+            )
 
 
 def _manifest(archive: tarfile.TarFile, file: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Return names to hashes of a pack's files, and of the whole files of its shortened checkpoints."""
-    member = archive.getmember(MANIFEST)
+    member = archive.next()
+    if member is None or member.name != MANIFEST or member.size > LARGEST_MANIFEST:
+        raise ConfigError(
+            f"{file} is no pack: it does not begin with a {MANIFEST} of at most {LARGEST_MANIFEST / 1e6:.0f} MB"
+        )
     stream = archive.extractfile(member)
     data = parse_json(stream.read().decode(), source=f"{file}, {MANIFEST}") if stream is not None else None
     files = data.get("files") if isinstance(data, dict) else None

@@ -22,13 +22,13 @@ from roboxim_bringup.experiment_files import checked_design
 from roboxim_bringup.runs.episode_facts import EpisodeFacts, episode_facts
 from roboxim_bringup.runs.experiment_policies import policy_of
 from roboxim_bringup.runs.policies import PolicySpec
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_bringup.runs.told_by_scene import told_by_scene
 from roboxim_bringup.yaml_text import parse
 from roboxim_core.config import from_plain
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import SCHEMA, Card
 from roboxim_eval.experiments.card_checks import check_card, design_of_card
@@ -131,7 +131,7 @@ def stored_card(path: Path) -> Card:
 
 def write_card(card: Card, out: Path) -> None:
     """Write ``OUT/card.json``."""
-    write_atomically(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+    write_whole(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
 
 
 def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int = FILMS) -> Path:
@@ -164,7 +164,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
         command=reproduction(folder), warnings=told_by_scene(folder.design),
     ))  # fmt: skip
     path = folder.path / REPORT_FILE
-    write_atomically(path, page)
+    write_whole(path, page)
     return path
 
 

@@ -35,12 +35,12 @@ from roboxim_bringup.runs.proving import (
     prove_trained_on,
     prove_training,
 )
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.config import to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import RoboximError
 from roboxim_core.seeds import CELL
 from roboxim_core.shards import Shard
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage
 from roboxim_eval.experiments.changes import changed_parts
 from roboxim_eval.experiments.proofs import NAMED, Tally
@@ -120,7 +120,7 @@ class Stages:
         """Write a stage's task mix, and return the file."""
         path = self.out / "mixes" / f"{stage.name.replace('/', '-')}.yaml"
         path.parent.mkdir(exist_ok=True)
-        write_atomically(path, yaml.safe_dump(plain(stage.inputs["mix"]), sort_keys=False))
+        write_whole(path, yaml.safe_dump(plain(stage.inputs["mix"]), sort_keys=False))
         return str(path)
 
     # -------------------------------------------------------------- data
@@ -278,7 +278,7 @@ class Stages:
         if found.faults and not refusal:
             found += Tally(statements=(self._tolerated(stage, found, excluded),))
         content = {**to_plain(found), "excluded": excluded, "judged_again": again}
-        write_atomically(folder / PROOF_FILE, json.dumps(content, indent=2) + "\n")
+        write_whole(folder / PROOF_FILE, json.dumps(content, indent=2) + "\n")
         for text in found.statements:
             self.on_event(Notice(text=text))
         if refusal:

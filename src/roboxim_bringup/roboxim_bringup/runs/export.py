@@ -19,8 +19,8 @@ from roboxim_bringup.runs.events import (
     telling_interruption,
 )
 from roboxim_bringup.runs.folder import RUN_FILE, RunFolder, checked_path, command_of
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export import ExportReport, Selection, export_bags
 from roboxim_recorder.export.hdf5 import Hdf5Config
@@ -109,7 +109,7 @@ def export_dataset(
             dataset, sources, episodes=gate, workers=max(1, workers), on_event=on_event, cancellation=cancellation
         )
         folder = dataset if dataset.is_dir() else dataset.parent
-        write_atomically(folder / REPLAY_FILE, replayed.to_json())
+        write_whole(folder / REPLAY_FILE, replayed.to_json())
         on_event(Notice(text="\n".join(list(replayed.lines)[1:])))
         return replayed.refusal
 

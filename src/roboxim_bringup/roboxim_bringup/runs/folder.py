@@ -15,12 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboxim_bringup.runs.results_log import REMEDY, LoggedResult, ResultsLog, write_atomically
+from roboxim_bringup.runs.results_log import REMEDY, LoggedResult, ResultsLog
 from roboxim_bringup.runs.store import stored_bags
 from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
+from roboxim_core.user_folders import expanded
+from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 
 if TYPE_CHECKING:
@@ -79,7 +81,7 @@ class RunFolder:
             self._key = run_key(config)
             if stored_at.exists() and self.log.path.exists():
                 self._require_same(config, repair)
-            write_atomically(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
+            write_whole(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
             yield self
 
     def _require_same(self, config: Mapping[str, Any], repair: bool) -> None:
@@ -229,14 +231,14 @@ def checked_path(path: Path | str) -> Path:
     Raises:
         ConfigError: When a name in it or the whole path is too long.
     """
-    absolute = Path(os.path.abspath(Path(path).expanduser()))
+    absolute = Path(os.path.abspath(expanded(path)))
     longest = max((len(os.fsencode(part)) for part in absolute.parts), default=0)
     if longest > LONGEST_NAME or len(os.fsencode(absolute)) > LONGEST_PATH or "\0" in str(path):
         raise ConfigError(
             f"'{str(path)[:40]}...' is not a valid folder: a name has at most {LONGEST_NAME} bytes and a path "
             f"{LONGEST_PATH}, this has {longest} and {len(os.fsencode(absolute))}; choose a shorter one"
         )
-    return Path(path).expanduser().resolve()
+    return expanded(path).resolve()
 
 
 def make_folder(path: Path) -> None:

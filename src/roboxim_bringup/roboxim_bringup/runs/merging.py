@@ -23,13 +23,14 @@ from roboxim_bringup.runs.evaluation_report import RECORD_FILE, REPORT_FILE, Eva
 from roboxim_bringup.runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
 from roboxim_bringup.runs.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
 from roboxim_bringup.runs.generation import write_first_demonstrations
-from roboxim_bringup.runs.results_log import KEY, write_atomically
+from roboxim_bringup.runs.results_log import KEY
 from roboxim_bringup.runs.store import RunUpload, note_stored, stored_bags
 from roboxim_core.config import from_json, from_plain
 from roboxim_core.differences import differences
 from roboxim_core.documents import read_text
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 
 DEEPEST = 3
@@ -312,8 +313,8 @@ class _Merge:
                 json.dumps({**episode.line, KEY: run_key(self.config)}, sort_keys=True, separators=(",", ":")) + "\n"
                 for _, episode in sorted(self.chosen.items())
             ]
-            write_atomically(folder / RESULTS_FILE, "".join(lines))
-            write_atomically(folder / RUN_FILE, json.dumps(self.config, indent=2, sort_keys=True) + "\n")
+            write_whole(folder / RESULTS_FILE, "".join(lines))
+            write_whole(folder / RUN_FILE, json.dumps(self.config, indent=2, sort_keys=True) + "\n")
 
     def decorate(self, folder: Path) -> None:
         """Write the picture that the run's command writes."""

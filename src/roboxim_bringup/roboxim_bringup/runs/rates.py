@@ -5,13 +5,13 @@ Lists and plans of experiments read them; this module therefore imports nothing 
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 from roboxim_core.config import from_json, to_json
 from roboxim_core.documents import read_text
 from roboxim_core.errors import ConfigError
+from roboxim_core.user_folders import cache_dir
 from roboxim_eval.experiments import Rates
 
 
@@ -46,8 +46,7 @@ def stored_rates(size: str, experiment: str) -> Rates | None:
 
 
 def _folder(size: str) -> Path:
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "roboxim" / f"rates-{size}"
+    return cache_dir() / f"rates-{size}"
 
 
 def _read(path: Path) -> Rates | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
 
 KEY = "key"
 REMEDY = (
@@ -67,7 +67,7 @@ class ResultsLog:
         """
         if self._ends_torn():
             whole = self.path.read_bytes().rpartition(b"\n")[0]
-            write_atomically(self.path, whole.decode(errors="replace") + ("\n" if whole else ""))
+            write_whole(self.path, whole.decode(errors="replace") + ("\n" if whole else ""))
         with open(self.path, "a") as file:
             file.write(json.dumps({**result, KEY: key}, sort_keys=True, separators=(",", ":")) + "\n")
             file.flush()
@@ -94,7 +94,7 @@ class ResultsLog:
                 dropped += 1
         if dropped:
             self.path.with_name(f"{self.path.name}.damaged").write_bytes(self.path.read_bytes())
-            write_atomically(self.path, "".join(f"{line}\n" for line in kept))
+            write_whole(self.path, "".join(f"{line}\n" for line in kept))
         return dropped
 
     def _ends_torn(self) -> bool:
@@ -123,13 +123,3 @@ def _parse(number: int, line: str) -> LoggedResult:
     if not isinstance(key, str):
         raise ValueError(f"its key must be text, got {key!r}")
     return LoggedResult(line=number, key=key, data=data)
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file completely or not at all."""
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")  # shards may write the same file
-    try:
-        partial.write_text(text)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

@@ -21,10 +21,10 @@ from roboxim_bringup.runs.events import (
 )
 from roboxim_bringup.runs.folder import checked_path, make_folder
 from roboxim_bringup.runs.policies import CHECKPOINT, PolicySpec
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.config import BCConfig
@@ -141,7 +141,7 @@ def name_dataset(dataset: Path, training: Path) -> None:
     file = folder / EXPORT_FILE
     facts = read_json_object(file) if file.is_file() else {}
     named = {"identity": facts.get("identity", ""), "cells": facts.get("cells", {})}
-    write_atomically(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
+    write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
 
 
 def _check(cancellation: Cancellation | None) -> None:

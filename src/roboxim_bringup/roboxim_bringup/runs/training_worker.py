@@ -23,9 +23,9 @@ from roboxim_bringup.executors.protocol import WorkerBrokenError
 from roboxim_bringup.experiment_provenance import Origin
 from roboxim_bringup.runs.events import Event, StageFinished, StageProgress, StageStarted
 from roboxim_bringup.runs.experiment_trainings import Trained, train
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Stage
 
 LOOK_S = 1.0
@@ -114,7 +114,7 @@ class _Ownership:
     def __enter__(self) -> _Ownership:
         self._file.parent.mkdir(exist_ok=True)
         others = self._file.exists()
-        write_atomically(self._file, self._name)
+        write_whole(self._file, self._name)
         if others:
             time.sleep(YIELD_S)
             self._require()

@@ -101,7 +101,7 @@ def test_a_folder_whose_first_file_did_not_fit_on_the_disk_can_be_used_again(tmp
         path.touch()
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match="No space"), RunFolder(tmp_path / "run").opened({"seed": 0}):
         pass
     monkeypatch.undo()

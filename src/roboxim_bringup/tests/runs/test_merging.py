@@ -130,7 +130,7 @@ def test_a_lost_bag_and_a_running_shard_are_refused(shards, tmp_path):
 
 def test_a_merge_that_dies_leaves_nothing_and_is_repeated(shards, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(merging, "write_atomically", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
+        patch.setattr(merging, "write_whole", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
         with pytest.raises(RecorderError, match="No space left"):
             merge_shards(tmp_path / "out", shards)
     assert not (tmp_path / "out").exists()

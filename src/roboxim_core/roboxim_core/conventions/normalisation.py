@@ -18,6 +18,7 @@ import numpy as np
 from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
 from roboxim_core.rotations import Floats
+from roboxim_core.user_folders import expanded
 
 
 class NormalisationKind(StrEnum):
@@ -94,7 +95,7 @@ class Normalisation:
         """
         if self.first:
             return self
-        path = folder / Path(self.file).expanduser()
+        path = folder / expanded(self.file)
         data = parse_json(read_text(path), source=str(path))
         data = _entry(data, self.dataset, path) if self.dataset else data
         found = _entry(data, self.feature, path)

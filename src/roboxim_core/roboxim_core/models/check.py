@@ -5,7 +5,6 @@ An error makes an object unusable; a warning points at a probable mistake. Every
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from roboxim_core.models.bounds import links_bounds, shape_bounds
 from roboxim_core.models.description import GraspAnnotation, ObjectModel, Shape, Visual
 from roboxim_core.models.hulls import load_mesh, obj_references
 from roboxim_core.models.object_config import ObjectConfig
+from roboxim_core.models.urdf import urdf_root
 from roboxim_core.models.visuals import visual_parts
 from roboxim_core.poses import Array, Pose
 from roboxim_core.rendering import TriangleMesh
@@ -74,7 +74,7 @@ def check_object(file: Path, max_opening_m: float = 0.08) -> tuple[tuple[Finding
         if not any(f.severity == "error" and f.message in str(error) for f in found):
             found.append(_error(str(error)))
         return _sorted(found), None
-    found += [*_masses(model), *_extents(model, config), *_textures(model)]
+    found += [*_masses(model, config), *_extents(model, config), *_textures(model)]
     if not any(f.severity == "error" for f in found):
         solid = _outside(model)
         found += [*_grasps(model, solid, max_opening_m), *_likeness(model, solid)]
@@ -157,15 +157,24 @@ def _missing_images(path: Path) -> list[Finding]:
 
 def _urdf_inertias(path: Path) -> list[Finding]:
     try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError):
+        root = urdf_root(path)
+    except ConfigError:
         return []  # loading the file reports the reason
     found = []
     for link in root.findall("link"):
         element = link.find("inertial/inertia")
         if element is None:
             continue
-        xx, yy, zz, xy, xz, yz = (float(element.get(name, 0.0)) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        try:
+            xx, yy, zz, xy, xz, yz = (
+                float(element.get(name, 0.0)) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+            )
+        except ValueError as error:
+            found.append(_error(f"link '{link.get('name')}': <inertia> must have numbers: {error}"))
+            continue
+        if not np.isfinite([xx, yy, zz, xy, xz, yz]).all():
+            found.append(_error(f"link '{link.get('name')}': <inertia> must have finite numbers"))
+            continue
         low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if low <= 0 or low + middle < high * (1 - 1e-6):
             found.append(
@@ -177,12 +186,13 @@ def _urdf_inertias(path: Path) -> list[Finding]:
     return found
 
 
-def _masses(model: ObjectModel) -> list[Finding]:
+def _masses(model: ObjectModel, config: ObjectConfig) -> list[Finding]:
     found = []
     for link in model.links:
         name = f"link '{link.name}'" if link.name else "the object"
         if link.mass <= 0:
-            found.append(_error(f"{name} has no mass: give it `mass` in kilograms"))
+            how = "`<inertial><mass value=.../></inertial>` in the URDF" if config.urdf else "`mass`"
+            found.append(_error(f"{name} has no mass: give it {how} in kilograms"))
             continue
         if not link.collision:
             found.append(_error(f"{name} has a mass but no collision shape, hence no inertia: give it `collision`"))

@@ -18,6 +18,7 @@ import numpy as np
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Array
+from roboxim_core.user_folders import cache_dir
 
 if TYPE_CHECKING:
     import trimesh
@@ -110,8 +111,3 @@ def hull_vertices(path: str) -> Array:
     import trimesh
 
     return np.asarray(trimesh.load_mesh(hull_file(path), process=False).vertices, dtype=float)
-
-
-def cache_dir() -> Path:
-    """Return RoboXim's folder in the user's cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roboxim"

@@ -54,7 +54,7 @@ class ObjectConfig:
     mesh_scale: float = 1.0
     """Factor on the coordinates of ``mesh``, e.g. 0.001 for millimetres."""
     mass: float = 0.0
-    """Mass of an object of a ``mesh`` [kg]."""
+    """Mass of an object of a ``mesh``, or of a ``urdf`` of one link without a mass [kg]."""
     urdf: str = ""
     """URDF file with the links and joints; see `models.urdf`."""
     links: tuple[LinkModel, ...] = ()
@@ -92,6 +92,11 @@ class ObjectConfig:
         """
         if sum(map(bool, (self.links, self.mesh, self.urdf))) != 1:
             raise ConfigError("an object needs either links, or a mesh, or a urdf")
+        if self.mesh_scale != 1.0 and not self.mesh:
+            where = "give the <mesh> in the urdf a scale" if self.urdf else "give the shapes and visuals a scale"
+            raise ConfigError(f"mesh_scale is the scale of `mesh`, which the object does not have: {where}")
+        if self.mass and self.links:
+            raise ConfigError("`mass` is that of an object of a mesh or a urdf: give each of the links its mass")
         for kind, modifier in self.modifiers.items():
             modifier.check_itself(kind)
         for affordance in self.affordances:
@@ -170,7 +175,13 @@ class ObjectConfig:
             links, joints = urdf_object(folder / self.urdf)
             if self.joints:
                 raise ConfigError("joints come from the urdf; leave `joints` out")
-            return replace(self, urdf="", links=links, joints=joints)
+            if self.mass and len(links) == 1 and not links[0].mass:
+                links = (replace(links[0], mass=self.mass),)
+            elif self.mass:
+                raise ConfigError(
+                    "masses come from the urdf; leave `mass` out: it is only for a urdf of one link without a mass"
+                )
+            return replace(self, urdf="", mass=0.0, links=links, joints=joints)
         if self.mesh:
             scale = self.mesh_scale
             link = LinkModel(
@@ -178,7 +189,7 @@ class ObjectConfig:
                 collision=(Shape(kind="hull", mesh=self.mesh, scale=scale),),
                 visual=(Visual(kind="mesh", mesh=self.mesh, scale=(scale, scale, scale)),),
             )
-            return replace(self, mesh="", links=(link,))
+            return replace(self, mesh="", mesh_scale=1.0, mass=0.0, links=(link,))
         return self
 
     def files(self, folder: Path) -> tuple[Path, ...]:

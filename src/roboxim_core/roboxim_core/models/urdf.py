@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
+from roboxim_core import limits
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import JointModel, LinkModel, Shape, Visual
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import MaterialSpec
+
+LARGEST = 1e6
+"""Largest value of any number of an object's file."""
+_XACRO = "{http://www.ros.org/wiki/xacro}"
 
 
 def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ...]]:
@@ -24,14 +32,11 @@ def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ..
     Raises:
         ConfigError: When the file cannot be read or holds an element that objects do not support.
     """
-    try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"{path} is not valid XML: {error}") from None
+    root = urdf_root(path)
     materials = {m.get("name", ""): m for m in root.findall("material")}
     links = {link.get("name", ""): _link(link, path, materials) for link in root.findall("link")}
+    if len(links) != len(root.findall("link")):
+        raise ConfigError(f"{path} has several links of one name; names of links must differ")
     if not links:
         raise ConfigError(f"{path} has no <link>")
     pending = [_Joint(element, path) for element in root.findall("joint")]
@@ -40,6 +45,9 @@ def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ..
             raise ConfigError(
                 f"{path}: joint '{joint.name}' joins '{joint.parent}' and '{joint.child}', not both links"
             )
+    names = [joint.child for joint in pending]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(f"{path}: link '{twice[0]}' is the child of several joints; a link has one parent")
     moving = [joint for joint in pending if joint.kind != "fixed"]
     fixed = [joint for joint in pending if joint.kind == "fixed"]
     while fixed:  # from the leaves inwards, so that a chain ends up on one link
@@ -60,6 +68,61 @@ def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ..
     return ordered, tuple(joint.model() for joint in moving)
 
 
+def urdf_root(path: Path) -> ElementTree.Element:
+    """Return the root element of a URDF file.
+
+    Raises:
+        ConfigError: When the file cannot be read, is not XML, or is a xacro that is not expanded.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:  # the last three: the encoding
+        raise ConfigError(f"{path} is not valid XML: {error or type(error).__name__}") from None
+    for element in root.iter():
+        texts = [str(element.tag), *element.attrib.values()]
+        if found := next((text for text in texts if text.startswith(_XACRO) or "${" in text or "$(" in text), None):
+            raise ConfigError(
+                f"{path} is a xacro that is not expanded, it has {limits.echo(found.replace(_XACRO, 'xacro:'))}; "
+                f"expand it: xacro {path.name} > {path.stem.removesuffix('.urdf')}.expanded.urdf"
+            )
+    return root
+
+
+def mesh_path(name: str, urdf: Path) -> Path:
+    """Return the file that a URDF's ``<mesh filename>`` names; the first candidate if none exists.
+
+    ``package://PACKAGE/...`` is searched in ROS's folder layout: in a folder above the URDF that is named like the
+    package or has its ``package.xml``, then beside such folders, then in ``ROS_PACKAGE_PATH`` and the ``share`` folders
+    of ``AMENT_PREFIX_PATH``.
+    """
+    found = re.match(r"(package|file)://(.+)", name)
+    if not found:
+        return (urdf.parent / name).resolve()
+    rest = Path(unquote(found[2]))
+    if found[1] == "file":
+        return (urdf.parent / rest).resolve()
+    package, inner = rest.parts[0], Path(*rest.parts[1:])
+    above = urdf.absolute().parents
+    places = [urdf.absolute().parent.parent / package]
+    places += [folder for folder in above if folder.name == package or _package_name(folder) == package]
+    places += [folder / package for folder in above]
+    places += [Path(place, package) for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if place]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    places += [Path(place, "share", package) for place in prefixes if place]
+    files = [(place / inner).resolve() for place in places]
+    return next((file for file in files if file.is_file()), files[0])
+
+
+def _package_name(folder: Path) -> str:
+    """Return the name of the ROS package whose root a folder is; empty: it is none."""
+    try:
+        return (ElementTree.parse(folder / "package.xml").getroot().findtext("name") or "").strip()
+    except (OSError, ElementTree.ParseError, ValueError, LookupError):
+        return ""
+
+
 class _Joint:
     """A joint while fixed ones are folded away."""
 
@@ -73,16 +136,22 @@ class _Joint:
         if element.find("mimic") is not None:
             raise ConfigError(f"{path}: joint '{self.name}' mimics another one, which objects do not support")
         self.parent, self.child = (_attribute(element, tag, "link") for tag in ("parent", "child"))
-        self.pose = _origin(element)
-        self.axis = _vector(_attribute(element, "axis", "xyz") or "1 0 0")
-        self.lower = float(_attribute(element, "limit", "lower") or 0.0)
-        self.upper = float(_attribute(element, "limit", "upper") or 0.0)
+        where = f"{path}: joint '{self.name}'"
+        self.pose = _origin(element, where)
+        self.axis = _vector(_attribute(element, "axis", "xyz") or "1 0 0", f"{where}: <axis>")
+        if not any(self.axis):
+            raise ConfigError(f"{where}: <axis> has no direction, got 0 0 0")
+        self.lower, self.upper = (
+            _number(_attribute(element, "limit", end) or "0", f"{where}: <limit> {end}") for end in ("lower", "upper")
+        )
         if self.kind == "continuous":
             self.lower, self.upper = -2 * np.pi, 2 * np.pi
         elif self.kind != "fixed" and self.lower >= self.upper:
             raise ConfigError(f"{path}: joint '{self.name}' needs a <limit> with lower < upper")
-        self.damping = float(_attribute(element, "dynamics", "damping") or 0.0)
-        self.friction = float(_attribute(element, "dynamics", "friction") or 0.0)
+        self.damping, self.friction = (
+            _number(_attribute(element, "dynamics", what) or "0", f"{where}: <dynamics> {what}")
+            for what in ("damping", "friction")
+        )
 
     def model(self) -> JointModel:
         return JointModel(
@@ -109,9 +178,13 @@ def _merged(parent: LinkModel, child: LinkModel, pose: Pose) -> LinkModel:
 
 
 def _link(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> LinkModel:
+    name = element.get("name", "")
+    mass = _number(_attribute(element, "inertial/mass", "value") or "0", f"{path}: link '{name}': <mass>")
+    if mass < 0:
+        raise ConfigError(f"{path}: link '{name}': <mass> must not be below 0, got {mass:g}")
     return LinkModel(
-        name=element.get("name", ""),
-        mass=float(_attribute(element, "inertial/mass", "value") or 0.0),
+        name=name,
+        mass=mass,
         collision=tuple(_shape(collision, path) for collision in element.findall("collision")),
         visual=tuple(_visual(visual, path, materials) for visual in element.findall("visual")),
     )
@@ -121,7 +194,7 @@ def _shape(element: ElementTree.Element, path: Path) -> Shape:
     kind, size, mesh, scale = _geometry(element, path)
     if len({abs(factor) for factor in scale}) != 1 or min(scale) <= 0:
         raise ConfigError(f"{path}: a collision mesh needs one scale > 0 for x, y and z, got {scale}")
-    return Shape(kind="hull" if mesh else kind, size=size, mesh=mesh, scale=scale[0], pose=_origin(element))
+    return Shape(kind="hull" if mesh else kind, size=size, mesh=mesh, scale=scale[0], pose=_origin(element, str(path)))
 
 
 def _visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
@@ -131,9 +204,9 @@ def _visual(element: ElementTree.Element, path: Path, materials: dict[str, Eleme
         material = materials.get(material.get("name", ""), material)
     surface = MaterialSpec()
     if material is not None and (color := material.find("color")) is not None:
-        r, g, b = (float(v) for v in color.get("rgba", "0.7 0.7 0.7 1").split()[:3])
-        surface = MaterialSpec(color=(r, g, b))
-    return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=_origin(element), material=surface)
+        rgba = color.get("rgba", "0.7 0.7 0.7 1").split()[:3]
+        surface = MaterialSpec(color=_vector(" ".join(rgba), f"{path}: <color> rgba"))
+    return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=_origin(element, str(path)), material=surface)
 
 
 def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[float, ...], str, Vec3]:
@@ -145,34 +218,63 @@ def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[floa
     one: Vec3 = (1.0, 1.0, 1.0)
     try:
         if inner.tag == "box":
-            return "box", _vector(inner.attrib["size"]), "", one
+            return "box", _sizes(inner, "size", path), "", one
         if inner.tag == "sphere":
-            return "sphere", (float(inner.attrib["radius"]),), "", one
+            return "sphere", _sizes(inner, "radius", path), "", one
         if inner.tag == "cylinder":
-            return "cylinder", (float(inner.attrib["radius"]), float(inner.attrib["length"])), "", one
+            return "cylinder", (*_sizes(inner, "radius", path), *_sizes(inner, "length", path)), "", one
         if inner.tag == "mesh":
             file = inner.attrib["filename"]
-            package = re.match(r"(?:package|file)://(.+)", file)
-            found = (path.parent.parent / package.group(1)) if package else (path.parent / file)
-            return "mesh", (), str(found.resolve()), _vector(inner.get("scale", "1 1 1"))
-    except (KeyError, ValueError) as error:
-        raise ConfigError(f"{path}: <{inner.tag}> lacks or misspells {error}") from None
+            return "mesh", (), str(mesh_path(file, path)), _vector(inner.get("scale", "1 1 1"), f"{path}: <mesh> scale")
+    except KeyError as error:
+        raise ConfigError(f"{path}: <{inner.tag}> lacks {error}") from None
     raise ConfigError(f"{path}: <{inner.tag}> is not a geometry of URDF; expected box, sphere, cylinder or mesh")
 
 
-def _origin(element: ElementTree.Element) -> Pose:
+def _origin(element: ElementTree.Element, where: str) -> Pose:
     from scipy.spatial.transform import Rotation
 
     origin = element.find("origin")
     if origin is None:
         return IDENTITY
-    rpy = _vector(origin.get("rpy", "0 0 0"))
-    return Pose.from_arrays(_vector(origin.get("xyz", "0 0 0")), Rotation.from_euler("xyz", rpy))
+    rpy = _vector(origin.get("rpy", "0 0 0"), f"{where}: <origin> rpy")
+    return Pose.from_arrays(
+        _vector(origin.get("xyz", "0 0 0"), f"{where}: <origin> xyz"), Rotation.from_euler("xyz", rpy)
+    )
 
 
-def _vector(text: str) -> Vec3:
-    x, y, z = (float(v) for v in text.split())
+def _sizes(element: ElementTree.Element, name: str, path: Path) -> tuple[float, ...]:
+    """Return the numbers of an attribute of a shape, all > 0."""
+    where = f"{path}: <{element.tag}> {name}"
+    text = element.attrib[name]
+    values = _vector(text, where) if element.tag == "box" else (_number(text, where),)
+    if min(values) <= 0:
+        raise ConfigError(f"{where} must be greater than 0, got {limits.echo(text)}")
+    return values
+
+
+def _vector(text: str, where: str) -> Vec3:
+    values = [_number(word, where) for word in text.split()]
+    if len(values) != 3:
+        raise ConfigError(f"{where} must be three numbers, got {limits.echo(text)}")
+    x, y, z = values
     return x, y, z
+
+
+def _number(text: str, where: str) -> float:
+    """Return a finite number.
+
+    Raises:
+        ConfigError: When the text is none, e.g. has a decimal comma.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        hint = ", with a point for decimals" if "," in text else ""
+        raise ConfigError(f"{where} must be a number{hint}, got {limits.echo(text)}") from None
+    if not math.isfinite(value) or abs(value) > LARGEST:
+        raise ConfigError(f"{where} must be a number of at most {LARGEST:g}, got {limits.echo(text)}")
+    return value
 
 
 def _attribute(element: ElementTree.Element, tag: str, name: str) -> str:

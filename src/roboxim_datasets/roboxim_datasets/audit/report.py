@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from roboxim_core.whole_files import write_whole
 from roboxim_datasets.audit.values import AuditResult, CheckResult, Finding
 
 SHOWN_FINDINGS = 20
@@ -161,9 +162,9 @@ def write_audit(report: AuditReport, folder: Path) -> Path:
     page = environment.get_template("audit.html").render(
         report=report, summary=summary_line(report.result), checks=checks, words=STATUS
     )
-    (folder / "audit.json").write_text(json.dumps(as_plain(report), indent=2) + "\n")
+    write_whole(folder / "audit.json", json.dumps(as_plain(report), indent=2) + "\n")
     path = folder / "report.html"
-    path.write_text(page)
+    write_whole(path, page)
     return path
 
 

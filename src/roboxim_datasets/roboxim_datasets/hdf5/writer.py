@@ -13,6 +13,7 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.build import ResumableBuild, write_files
 from roboxim_datasets.dataset import Description
 from roboxim_datasets.episode import Episode, Step
+from roboxim_datasets.hdf5.disk import new_file
 from roboxim_datasets.hdf5.layout import ATTRIBUTE, FILE, MASKS, STATISTICS_FILE, Hdf5Options, content_of
 from roboxim_datasets.statistics import VectorStatistics
 
@@ -57,12 +58,10 @@ class Hdf5Writer:
             RecorderError: When it cannot be read.
             OSError: When the disk is full.
         """
-        import h5py
-
         number = self._counts.setdefault(split, self.resumed(split))
         self._counts[split] += 1
         piece = self._build.piece(split, number, "demo.hdf5")
-        with h5py.File(piece, "w") as file:
+        with new_file(piece) as file:
             self._write(file.create_group("demo"), episode)
         self._build.commit({"split": split, "number": number, "length": episode.length})
 
@@ -136,7 +135,7 @@ class Hdf5Writer:
         content = self.content
         statistics = {key: VectorStatistics(len(names)) for key, names in content.components.items()}
         total = 0
-        with h5py.File(build.staged / FILE, "w") as file:
+        with new_file(build.staged / FILE) as file:
             data = file.create_group("data")
             demo = 0
             for split, entries in splits.items():

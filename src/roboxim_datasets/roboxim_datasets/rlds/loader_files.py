@@ -54,7 +54,7 @@ def action_statistics(path: Path) -> dict[str, list[float]]:
     file = path / STATISTICS_FILE
     statistics = read_json_object(file).get("action")
     if not isinstance(statistics, dict) or not isinstance(statistics.get("std"), list):
-        raise ConfigError(f"{file} has no statistics of 'action'; export the dataset again")
+        raise ConfigError(f"{file} has no statistics of 'action'; write the dataset by 'roboxim dataset convert'")
     return statistics
 
 

@@ -100,7 +100,10 @@ def read_record(path: Path, position: int, index: int) -> bytes:
 
 
 def _damaged(path: Path, index: int) -> RecorderError:
-    return RecorderError(f"{path}: record {index} is damaged; export the dataset again", ErrorCode.BAG_DAMAGED)
+    return RecorderError(
+        f"{path}: record {index} is damaged; fetch the file from its source again, or export RoboXim's bags again",
+        ErrorCode.BAG_DAMAGED,
+    )
 
 
 def _varint(value: int) -> bytes:

@@ -14,6 +14,7 @@ from typing import Literal
 from roboxim_core.config import digest, to_json, to_plain
 from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
 from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter, EncodingWriter
 from roboxim_datasets.formats import FORMATS
@@ -87,7 +88,8 @@ def export_bags(
         progress: Called with the episodes done and their total.
 
     Raises:
-        ConfigError: On an unknown format, or a configuration of another one.
+        ConfigError: On an unknown format, or a configuration of another one, or when another process writes the same
+            dataset.
         InvalidRequestError: On an invalid dataset name, camera or image size.
         RecorderError: ``EXPORT_REFUSED`` if there is nothing to export, bags are missing or differ in kind, or the
             dataset exists; ``BAG_DAMAGED`` naming the bag; ``DISK`` if the dataset cannot be written.
@@ -109,6 +111,7 @@ def export_bags(
         overwrite = if_exists == "overwrite"
         with (
             disk_errors(path),
+            only_build(path),
             exporter.open(Path(target), config, description, identity=identity, overwrite=overwrite) as writer,
             _frequent_switches(),
         ):

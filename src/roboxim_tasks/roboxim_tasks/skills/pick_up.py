@@ -3,8 +3,8 @@
 Randomisation: which object and colour; where it lies and at what yaw; where the end effector starts; distractors that
 do not fit the instruction.
 
-Success: the object is more than ``lift_m`` above its initial height, pressed by at least two links of the robot and off
-the table, for ``hold_s`` without a break.
+Success: the object is more than ``lift_m`` above its initial height, pressed by at least two links of the robot, off
+the table and carried by nothing else, for ``hold_s`` without a break.
 
 Non-obvious: heights are relative to tick 0, so a task is never solved at its start. Forces are those of the tick's last
 physics step, so a finger that only brushed the object within the tick does not count.
@@ -26,6 +26,7 @@ from roboxim_tasks.measures import (
     fallen_off,
     highest_lift,
     lift,
+    others_force,
     pressing_links,
     table_force,
 )
@@ -97,6 +98,10 @@ class PickUp(Skill):
                 Condition(name="grasped", measure=fingers, least=2.0),
                 Condition(name="lifted", measure=height, least=above(parameters.lift_m)),
                 Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
+                Condition(
+                    name="in_the_air", measure=others_force(target, "props_force_n"), most=0.0,
+                    reason="rests_on_something",
+                ),
             ),
             hold_s=parameters.hold_s,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import ObjectModel, Region
 from roboxim_core.poses import Pose
 from roboxim_core.state import StateRecord
-from roboxim_tasks.handling import DROP_M, let_go, set_down
+from roboxim_tasks.handling import DROP_M, let_go, not_tossed, set_down
 from roboxim_tasks.measures import Condition, at_rest, fallen_off, lift
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasps_of
 from roboxim_tasks.script import Script
@@ -95,13 +95,19 @@ def put(
 
 
 def lies_still(
-    target: str, initial: StateRecord, conditions: Sequence[Condition], reference: str = "", drop_m: float = DROP_M
+    target: str,
+    initial: StateRecord,
+    conditions: Sequence[Condition],
+    reference: str = "",
+    drop_m: float = DROP_M,
+    *,
+    may_bounce: bool = False,
 ) -> tuple[Condition, ...]:
     """Return the conditions of a placed object.
 
     - Nothing fell off the table.
     - The skill's own conditions hold.
-    - The object was not dropped.
+    - The object was neither dropped nor tossed.
     - The robot has let go of it, and it is at rest.
 
     Args:
@@ -110,12 +116,14 @@ def lies_still(
         conditions: The skill's own conditions.
         reference: Another object that must not fall off the table; empty: none.
         drop_m: Largest free fall of the object [m].
+        may_bounce: Whether it may fall against walls, which make it fast, as in a container.
     """
     fallen = [fallen_off(lift(target, initial))]
     if reference:
         gain = lift(reference, initial, "reference_lift_m")
         fallen.append(fallen_off(gain, "reference_not_fallen"))
-    return (*fallen, *conditions, set_down(target, drop_m), *let_go(target), *at_rest(target))
+    handled = (set_down(target, drop_m),) if may_bounce else (set_down(target, drop_m), not_tossed(target))
+    return (*fallen, *conditions, *handled, *let_go(target), *at_rest(target))
 
 
 def raised(pose: Pose, height_m: float) -> Pose:

@@ -181,7 +181,10 @@ class PutInto(Skill):
             Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + RIM_M, reason="not_inside"),
             Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
         )
-        return Conditions(lies_still(target, initial, placed, container, parameters.drop_m), hold_s=parameters.hold_s)
+        return Conditions(
+            lies_still(target, initial, placed, container, parameters.drop_m, may_bounce=True),
+            hold_s=parameters.hold_s,
+        )
 
 
 def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:

@@ -4,7 +4,7 @@ Randomisation: which object and colour; where it lies and at what yaw; where the
 
 Success, for ``hold_s``:
     - The object has been turned by the angle within ``tolerance_deg``.
-    - Its origin is within ``shift_m`` of its initial position.
+    - It has not toppled, and its origin is within ``shift_m`` of its initial position.
     - It was set down on the table and not dropped, it lies still, and the hand has left it.
 
 Non-obvious: the rotation accumulates over the ticks, so 270 degrees in the other direction do not count as 90. The
@@ -24,7 +24,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import DROP_M
-from roboxim_tasks.measures import Condition, Conditions, Measure, above, shift, table_force, turned
+from roboxim_tasks.measures import Condition, Conditions, Measure, above, kept_upright, shift, table_force, turned
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
 from roboxim_tasks.placement import Room
 from roboxim_tasks.reach import reaches_in_lines, start_clear
@@ -159,6 +159,7 @@ class Rotate(Skill):
                 most=parameters.angle_deg + parameters.tolerance_deg,
             ),
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
+            kept_upright(entity, initial),
             Condition(name="stayed", measure=shift(entity, initial), most=parameters.shift_m, reason="moved_away"),
         )  # fmt: skip
         return Conditions(lies_still(entity, initial, placed, drop_m=parameters.drop_m), hold_s=parameters.hold_s)

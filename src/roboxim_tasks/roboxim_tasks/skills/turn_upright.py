@@ -3,8 +3,8 @@
 Randomisation: which object and colour; where it lies, on which side and at what yaw; where the end effector starts;
 distractors.
 
-Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up. It was set down on the table and
-not dropped, it stands still, and the hand has left it, for ``hold_s``.
+Success: the object's axis is within ``tilt_deg`` of the vertical, the right way up. It leans on nothing. It was set
+down on the table and not dropped, it stands still, and the hand has left it, for ``hold_s``.
 
 Non-obvious: the tool leans towards the foot of the lying object and away from that of the standing one; the two angles
 add up to a right angle. A tool that first points straight down would have to be level at the end, and the arm cannot
@@ -29,7 +29,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.handling import DROP_M
-from roboxim_tasks.measures import Condition, Conditions, Measure, above, table_force, tilt
+from roboxim_tasks.measures import Condition, Conditions, Measure, above, stands_alone, table_force, tilt
 from roboxim_tasks.motion import RELEASE_CLEARANCE_M, ExpertScene, Grasp, Stage, grasp_poses, retreated, shifted
 from roboxim_tasks.reach import follows, start_clear
 from roboxim_tasks.script import APPROACH_M, LIFT_M, Script
@@ -128,6 +128,7 @@ class TurnUpright(Skill):
         stands = (
             Condition(name="upright", measure=degrees, most=parameters.tilt_deg),
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
+            stands_alone(entity),
         )
         return Conditions(lies_still(entity, initial, stands, drop_m=parameters.drop_m), hold_s=parameters.hold_s)
 

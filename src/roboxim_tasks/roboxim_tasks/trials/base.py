@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from roboxim_core.config import config_dirs
+from roboxim_core.documents import read_text
 from roboxim_core.merging import merged
 from roboxim_core.registry import Registry
 from roboxim_tasks.motion import ExpertScene, Stage
@@ -59,7 +60,7 @@ class Trial:
         """Return the task configuration of its scenes as YAML text."""
         files = (folder / "tasks" / f"{self.skill}.yaml" for folder in config_dirs())
         own: dict[str, Any] = next(
-            (yaml.safe_load(file.read_text()) for file in files if file.is_file()), {"skill": self.skill}
+            (yaml.safe_load(read_text(file)) for file in files if file.is_file()), {"skill": self.skill}
         )
         own["reset"] = {**own.get("reset", {}), "cameras": {"names": []}}
         return str(yaml.safe_dump(merged(merged(own, ALONE), self.change)))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from roboxim_tasks.motion import ExpertScene, Grasp, Stage
+from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.base import parameters_of
 from roboxim_tasks.skills.rotate import RotateParameters
 from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import about_vertical, around, displaced, own_ways
 from roboxim_tasks.trials.placing import CUBES
+
+STANDING = {"objects": {"target": {"models": {"values": ["bottle", "soda_can"]}}}}
+"""Changes to the task: the target stands and can topple."""
 
 
 def turned_by(scene: ExpertScene, share: float) -> Iterator[tuple[Grasp, Script]]:
@@ -46,6 +49,24 @@ def elsewhere(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
             script.pick("target", grasp)
             script.place(displaced(goal, x, y))
             yield script.stages
+
+
+@cheat("rotate", reason="toppled", change=STANDING)
+def turn_and_topple(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Turn it, let go, and knock it over with a finger."""
+    for grasp, goal in own_ways(scene):
+        script = Script(scene)
+        script.pick("target", grasp)
+        at = goal @ script.held_in_tcp.inverse()
+        script.carry(at)
+        script.move(displaced(at, z=0.002), name="lower", speed=0.6, touching=(("target", TABLE),))
+        script.grip(1.0, name="open")
+        script.move(displaced(script.pose, z=0.02), name="to_its_top", speed=0.6)
+        sideways = script.pose.rotation.apply((0.0, 0.12, 0.0))
+        script.move(displaced(script.pose, *sideways.tolist()), name="knock")
+        script.move(displaced(script.pose, z=0.12), name="rise")
+        script.wait(2.0)
+        yield script.stages
 
 
 @honest("rotate", change=CUBES)

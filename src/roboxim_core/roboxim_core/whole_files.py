@@ -1,0 +1,20 @@
+"""Files that are written completely or not at all."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file under a temporary name beside its place and rename it, so that a full disk leaves no half file.
+
+    Raises:
+        OSError: When it cannot be written; nothing is left then.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")  # several processes may write one file
+    try:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
