@@ -91,11 +91,8 @@ def _roboarena(metadata: Metadata, convention: Convention) -> list[str]:
 def _starvla(metadata: Metadata, convention: Convention) -> list[str]:
     found = []
     chunk = metadata.get("action_chunk_size")
-    if isinstance(chunk, int) and not convention.chunking.execute <= chunk <= convention.chunking.horizon:
-        found.append(
-            f"it answers {chunk} actions, the convention executes {convention.chunking.execute} of at most "
-            f"{convention.chunking.horizon}"
-        )
+    if isinstance(chunk, int) and chunk < convention.chunking.execute:
+        found.append(f"it answers {chunk} actions, the convention executes {convention.chunking.execute}")
     if metadata.get("state_keys") and not convention.states:
         found.append("it needs a state, the convention sends none")
     return found

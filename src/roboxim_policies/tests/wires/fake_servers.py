@@ -27,6 +27,7 @@ def rows_for(behaviour: str) -> object:
         "no rows": GOOD[:0],
         "four axes": GOOD[None, None],
         "short": GOOD[:1],
+        "long": np.repeat(GOOD[:1], 50, axis=0) + np.arange(50, dtype=np.float32)[:, None] / 1000,
         "wrong dimension": GOOD[:, :6],
     }.get(behaviour, GOOD)
 
