@@ -150,7 +150,7 @@ class RemotePolicy(BasePolicy):
         Raises:
             PolicyError: ``POLICY_FAULT``, naming every difference.
         """
-        found = misfits(self.wire.name(), metadata, self.convention)
+        found = misfits(self.wire.name(), metadata, self.convention, self.wire.ignored)
         if found:
             self.wire.close()
             raise PolicyError(

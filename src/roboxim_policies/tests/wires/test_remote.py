@@ -129,7 +129,7 @@ def test_openpi_metadata_are_compared_with_the_convention(metadata, convention, 
     ],
 )
 def test_vla_eval_specs_are_compared_with_the_convention(part, words):
-    spec = {"a": part, "rest": {"dims": 7 - part["dims"], "format": "x"}}
+    spec = {"a": part, "rest": {"dims": 7 - part["dims"], "format": "raw"}}
     assert words in "; ".join(misfits("vla_eval", {"action_spec": spec}, LIBERO))
     assert bool(misfits("vla_eval", {"action_spec": spec}, LIBERO)) == bool(words)
     assert "have 8 numbers" in misfits("vla_eval", {"action_spec": {"all": {"dims": 8}}}, LIBERO)[0]
