@@ -88,6 +88,14 @@ def _starvla(metadata: Metadata, convention: Convention) -> list[str]:
     chunk = metadata.get("action_chunk_size")
     if isinstance(chunk, int) and chunk < convention.chunking.execute:
         found.append(f"it answers {chunk} actions, the convention executes {convention.chunking.execute}")
+    size = metadata.get("training_obs_image_size")
+    if isinstance(size, list) and len(size) == 2:
+        found += [
+            f"it was trained with pictures of {size[0]} x {size[1]} px, '{image.key}' is {image.width} x "
+            f"{image.height} px"
+            for image in convention.images
+            if sorted([image.height, image.width]) != sorted(size)
+        ]
     if metadata.get("state_keys") and not convention.states:
         found.append("it needs a state, the convention sends none")
     return found

@@ -219,9 +219,28 @@ def test_error_of_starvla_is_named(made):
         with pytest.raises(PolicyError, match="reported an error: no such key"):
             answer(wire)
         np.testing.assert_allclose(answer(wire), GOOD)
-        assert set(server.requests[-1]) == {"examples"}
+        request = server.requests[-1]
+        del request["examples"]
+        assert request == {"do_sample": False, "use_ddim": True, "num_ddim_steps": 10}, "as StarVLA's own clients send"
+        wire = made("openpi", server.url, use_ddim=False, num_ddim_steps=4)
+        answer(wire)
+        assert (server.requests[-1]["use_ddim"], server.requests[-1]["num_ddim_steps"]) == (False, 4)
         with pytest.raises(PolicyError, match="name it with unnorm_key, expected one of: oxe_bridge"):
             made("openpi", server.url, unnorm_key="oxe_brigde").connect()
+
+
+@pytest.mark.parametrize("kind", [groot.N16, groot.N17])
+@pytest.mark.parametrize("told", [True, False])
+def test_gr00ts_server_with_a_sim_policy_wrapper_gets_flat_keys(made, kind, told):
+    """Its configuration is that of one without. One that is not announced says what it misses, and is asked again."""
+    with groot_fake(kind=kind, wrapped=True) as server:
+        wire = made("groot", server.url, sim_policy_wrapper=told)
+        for _ in range(2):
+            np.testing.assert_allclose(answer(wire), GOOD)
+        asked = [request["observation"] for request in server.requests]
+    assert [set(observation) for observation in asked] == [{"video.image", "state.arm", "task"}] * 2
+    assert asked[0]["video.image"].ndim == 5
+    assert asked[0]["task"] in (["pick up the red cube"], ("pick up the red cube",))
 
 
 def test_roboarena_is_reset_with_its_session(made):
