@@ -26,7 +26,16 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_core.limits import echo
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, rows_of
 from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire
-from roboxim_policies.wires.errors import Deadline, died, fault, invalid, quoted, unreadable
+from roboxim_policies.wires.errors import (
+    REDIRECTS,
+    Deadline,
+    died,
+    fault,
+    invalid,
+    quoted,
+    redirected,
+    unreadable,
+)
 
 
 def encode(message: Any, *, double: bool = False) -> bytes:
@@ -165,6 +174,8 @@ class OpenVlaWire(Wire):
             connection.close()
         if watch.ended:
             raise deadline.passed(what)
+        if response.status in REDIRECTS:
+            raise redirected(self.server, response.status, response.getheader("Location"))
         if response.status != 200:
             text = quoted(data[:2000].decode(errors="replace"))
             raise fault(f"{self.server} answered HTTP status {response.status}: {text}")

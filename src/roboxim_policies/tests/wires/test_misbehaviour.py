@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import gc
+import http.server
 import os
 import socket
 import threading
@@ -331,6 +332,57 @@ def test_server_with_other_metadata_after_a_restart_is_refused(made):
         metadata["model"] = "b"
         with pytest.raises(PolicyError, match="other metadata than at first"):
             wire.reset(START)
+
+
+@pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
+@pytest.mark.parametrize("status", [301, 302, 307, 308])
+def test_a_redirect_is_refused_by_name_and_nobody_else_is_asked(made, wire, status, monkeypatch):
+    asked = []
+
+    class Elsewhere(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self):  # noqa: N802 - http.server's name
+            asked.append(self.headers)
+            self.send_response(500)
+            self.end_headers()
+
+        do_POST = do_GET  # noqa: N815
+        log_message = lambda *_: None  # noqa: E731
+
+    class Redirecting(Elsewhere):
+        def do_GET(self):  # noqa: N802
+            self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            self.send_response(status)
+            self.send_header("Location", f"{scheme}://127.0.0.1:{other.server_port}/")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        do_POST = do_GET  # noqa: N815
+
+    scheme = "http" if wire == "openvla" else "ws"
+    monkeypatch.setenv("MY_KEY", "secret")
+    options = {"key_env": "MY_KEY"} if wire == "openpi" else {}
+    with (
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as other,
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Redirecting) as server,
+    ):
+        threads = [threading.Thread(target=each.serve_forever, args=(0.02,)) for each in (other, server)]
+        for thread in threads:
+            thread.start()
+        try:
+            expected = (
+                rf"redirects to {scheme}://127.0.0.1:{other.server_port}/ .HTTP status {status}.*follows no redirect"
+            )
+            with pytest.raises(PolicyError, match=expected) as caught:
+                answer(made(wire, f"{scheme}://127.0.0.1:{server.server_port}", reconnect_s=0.0, **options))
+        finally:
+            for each in (other, server):
+                each.shutdown()
+    for thread in threads:
+        thread.join()
+    assert caught.value.code == FAULT
+    assert not asked
 
 
 def test_first_call_of_a_minute_is_not_cut_off(made):
