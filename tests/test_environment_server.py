@@ -48,6 +48,8 @@ def test_a_client_gets_the_episode_that_the_environment_gives_in_process(server,
         assert there.action_space == here.action_space
         assert there.observation_space == here.observation_space
         assert (there._max_episode_steps, there.metadata["render_fps"]) == (3, here.session.rate_hz)
+        assert isinstance(there.metadata["render_fps"], int), "lerobot-eval's video writer takes a whole number alone"
+        assert isinstance(here.metadata["render_fps"], int)
         for seed in (5, None):
             (mine, info), (theirs, told) = here.reset(seed=seed), there.reset(seed=seed)
             assert told == info

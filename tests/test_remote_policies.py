@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -186,3 +188,13 @@ def checked(convention, changed):
         wire = OpenPiWire(server.url)
         with RemotePolicy(wire, convention, version="expert") as policy:
             return check_policy(policy)
+
+
+@pytest.mark.slow
+def test_policy_check_ends_with_1_when_something_looks_wrong(tmp_path):
+    with policy_server(lambda: load_policy("zero"), "openpi", port=0) as server:
+        options = [f"--option=url={server.url}", "--option=convention=server", "--option=version=zero"]
+        command = [sys.executable, "-m", "roboxim_bringup", "policy", "check", "--policy", "openpi", *options]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "suspicious  the arm does not move" in done.stdout, done.stderr
+    assert done.returncode == 1

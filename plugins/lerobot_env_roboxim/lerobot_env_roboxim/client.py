@@ -83,7 +83,7 @@ class RoboXimClient(gymnasium.Env):
         self.task_description = ""
         """Instruction of the running episode."""
         self._max_episode_steps = int(spec["max_steps"])
-        self.metadata = {**self.metadata, "render_fps": spec["rate_hz"]}
+        self.metadata = {**self.metadata, "render_fps": max(round(spec["rate_hz"]), 1)}  # whole, as video writers want
         pixels = {name: Box(0, 255, tuple(spec["pixels"][name]), np.uint8) for name in self._cameras}
         state = Box(-STATE_BOUND, STATE_BOUND, tuple(spec["agent_pos"]), np.float32)
         self.observation_space = Dict({"pixels": Dict(pixels), "agent_pos": state})

@@ -59,6 +59,13 @@ class LazyGroup(click.Group):
             ctx.fail(f"no command '{name}'; {one_of(self.list_commands(ctx), name)}")
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a subcommand. Its exit code ends the process; without standalone mode click would return the code."""
+        try:
+            return super().invoke(ctx)
+        except click.exceptions.Exit as end:
+            sys.exit(end.exit_code)
+
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete a subcommand's name without importing any."""
         names = [name for name in self.list_commands(ctx) if name.startswith(incomplete)]

@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from roboxim_bringup.expert_episode import ExpertEpisode, expert_episode
 from roboxim_bringup.policy_sketch import Sketch
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions.gripper import GripperSwitch
 from roboxim_core.cameras import load_camera
 from roboxim_core.conventions import Convention, Layout, decode_actions, from_actions
 from roboxim_core.conventions.images import Picture
@@ -78,6 +79,7 @@ def check_policy(
     raw = [policy.raw(episode.window(tick, convention.window)) for tick in ticks]
     for rows in raw:
         policy.decoded(rows)  # which refuses what cannot be used
+    used = [rows[: convention.chunking.horizon] for rows in raw]
     pictures = {image.key: _upright(convention, image.key, requests[0][image.key]) for image in convention.images}
     seen = episode.observations[0].images
     upright = {
@@ -85,7 +87,7 @@ def check_policy(
         for image in convention.images
     }
     answers = Answers(
-        raw=raw, pictures=pictures, upright=upright, expert=episode.actions[ticks], expert_speed=episode.speed,
+        raw=used, pictures=pictures, upright=upright, expert=episode.actions[ticks], expert_speed=episode.speed,
         joints=episode.joints[ticks], expert_joint_speed=episode.joint_speed,
     )  # fmt: skip
     lines = [
@@ -96,7 +98,9 @@ def check_policy(
         "",
         *_sent(requests[0]),
         "",
-        *_received(convention, episode, ticks, raw),
+        f"received ({', '.join(str(len(rows)) for rows in raw)} actions); the first action of each answer:",
+        *_received(convention, episode, ticks, used),
+        *policy.notices(),
     ]
     return PolicyCheck(
         lines=tuple(lines), suspicions=tuple(suspicions(convention, answers)),
@@ -124,12 +128,16 @@ def _sent(request: Mapping[str, object]) -> list[str]:
     return lines
 
 
-def _received(convention: Convention, episode: ExpertEpisode, ticks: list[int], raw: list[Floats]) -> list[str]:
-    lines = [f"received ({', '.join(str(len(rows)) for rows in raw)} actions); the first action of each answer:"]
-    experts = _experts(convention, episode)
-    for tick, rows in zip(ticks, raw, strict=True):
-        action = decode_actions(convention, rows[:1])[0]
-        lines.append(f"  tick {tick:>3}: {_in_units(convention, action)}; the expert: {experts[tick]}")
+def _received(convention: Convention, episode: ExpertEpisode, ticks: list[int], used: list[Floats]) -> list[str]:
+    """Return a line for the first action of each answer, with the opening that the gripper's rule makes of it."""
+    lines, experts = [], _experts(convention, episode)
+    switch = GripperSwitch(convention.action.gripper.rule)
+    for tick, rows in zip(ticks, used, strict=True):
+        actions = decode_actions(convention, rows[: convention.chunking.rows_per_request(len(rows))])
+        commanded = [switch.step(float(opening)) for opening in actions[:, -1]][0]
+        rule = "" if abs(commanded - actions[0, -1]) < 0.005 else f" (the number alone says {actions[0, -1]:.2f})"
+        shown = _in_units(convention, np.append(actions[0, :-1], commanded))
+        lines.append(f"  tick {tick:>3}: {shown}{rule}; the expert: {experts[tick]}")
     return lines
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -22,7 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from roboxim_bringup import doctor
-from roboxim_bringup.cli import group
+from roboxim_bringup.cli import group, main
 from roboxim_bringup.commands import topic
 from roboxim_bringup.graph_names import complete
 from roboxim_core.errors import ConfigError, RequestTimeoutError, RoboximError, SimError
@@ -44,6 +45,27 @@ finally:
     heavy = {{"rclpy", "numpy", "pybullet", "pinocchio", "jax", "yaml"}} & set(sys.modules)
     assert not heavy, heavy
 """
+
+
+@pytest.mark.parametrize("end", [click.exceptions.Exit(3), SystemExit(3)])
+def test_a_commands_exit_code_is_that_of_the_process(end, monkeypatch):
+    """Without its standalone mode click returns an Exit's code, and the process would end with 0."""
+
+    def ends(**_):
+        raise end
+
+    handler = signal.getsignal(signal.SIGTERM)
+    for arguments in (["completion", "bash"], ["policy", "list"]):
+        command = group.get_command(click.Context(group), arguments[0])
+        command = command.commands[arguments[1]] if isinstance(command, click.Group) else command
+        monkeypatch.setattr(command, "callback", ends)
+        monkeypatch.setattr(sys, "argv", ["roboxim", *arguments])
+        try:
+            with pytest.raises(SystemExit) as caught:
+                main()
+        finally:
+            signal.signal(signal.SIGTERM, handler)
+        assert caught.value.code == 3, arguments
 
 
 class SmallNode(Node):

@@ -6,7 +6,7 @@ rotation. `encode` takes a rotation, ``near``, that the seam is kept away from:
 - a quaternion gets the sign that is nearer to ``near``; it jumps only half a turn or more away from it;
 - a rotation vector is computed from the quaternion with that sign, so it can be longer than pi;
 - each Euler angle lies within pi of the same angle of ``near``. At a pitch of +-90 degrees Euler angles jump anyway;
-- ``rotation_6d`` is the first two columns of the rotation matrix. It has no seam.
+- ``rotation_6d`` is the first two columns of the rotation matrix. It has no seam, nor have its two relatives.
 
 For a rotation delta ``near`` is the identity, for an absolute pose of the tool it is `gripper_down`.
 """
@@ -42,6 +42,10 @@ class RotationRepresentation(StrEnum):
     """Axis times angle [rad]."""
     ROTATION_6D = "rotation_6d"
     """First column of the rotation matrix, then the second."""
+    ROTATION_6D_INTERLEAVED = "rotation_6d_interleaved"
+    """The first two columns of the rotation matrix, read row by row (X-VLA)."""
+    ROTATION_6D_ROWS = "rotation_6d_rows"
+    """First row of the rotation matrix, then the second (PyTorch3D, GR00T)."""
     QUATERNION_XYZW = "quaternion_xyzw"
     """Unit quaternion, scalar last."""
     QUATERNION_WXYZ = "quaternion_wxyz"
@@ -63,16 +67,27 @@ class RotationRepresentation(StrEnum):
         """Count of the numbers."""
         return len(_NAMES[self])
 
+    @property
+    def is_continuous(self) -> bool:
+        """Whether it has no seam: the numbers are parts of the rotation matrix."""
+        return self.value.startswith("rotation_6d")
+
 
 _NAMES: dict[RotationRepresentation, tuple[str, ...]] = {
     RotationRepresentation.EULER_XYZ_EXTRINSIC: ("roll", "pitch", "yaw"),
     RotationRepresentation.EULER_XYZ_INTRINSIC: ("angle_x", "angle_y", "angle_z"),
     RotationRepresentation.ROTATION_VECTOR: ("rx", "ry", "rz"),
     RotationRepresentation.ROTATION_6D: ("x_axis.x", "x_axis.y", "x_axis.z", "y_axis.x", "y_axis.y", "y_axis.z"),
+    RotationRepresentation.ROTATION_6D_INTERLEAVED: (
+        "x_axis.x", "y_axis.x", "x_axis.y", "y_axis.y", "x_axis.z", "y_axis.z",
+    ),
+    RotationRepresentation.ROTATION_6D_ROWS: ("x_axis.x", "y_axis.x", "z_axis.x", "x_axis.y", "y_axis.y", "z_axis.y"),
     RotationRepresentation.QUATERNION_XYZW: ("qx", "qy", "qz", "qw"),
     RotationRepresentation.QUATERNION_WXYZ: ("qw", "qx", "qy", "qz"),
     RotationRepresentation.NONE: (),
-}
+}  # fmt: skip
+_INTERLEAVED = [0, 3, 1, 4, 2, 5]
+"""Places of the interleaved numbers among those of ``rotation_6d``."""
 
 
 @cache
@@ -107,6 +122,10 @@ def encode(rotation: Rotation, representation: RotationRepresentation, near: Rot
     match representation:
         case kind.ROTATION_6D:
             return np.asarray(rotation.as_matrix().T[:2].ravel())
+        case kind.ROTATION_6D_INTERLEAVED:
+            return np.asarray(rotation.as_matrix()[:, :2].ravel())
+        case kind.ROTATION_6D_ROWS:
+            return np.asarray(rotation.as_matrix()[:2].ravel())
         case kind.QUATERNION_XYZW:
             return _signed(rotation, near)
         case kind.QUATERNION_WXYZ:
@@ -144,6 +163,10 @@ def decode(values: npt.ArrayLike, representation: RotationRepresentation) -> Rot
     match representation:
         case kind.ROTATION_6D:
             return Rotation.from_matrix(_matrix_of_6d(numbers))
+        case kind.ROTATION_6D_INTERLEAVED:
+            return Rotation.from_matrix(_matrix_of_6d(numbers[np.argsort(_INTERLEAVED)]))
+        case kind.ROTATION_6D_ROWS:
+            return Rotation.from_matrix(_matrix_of_6d(numbers).T)
         case kind.QUATERNION_XYZW | kind.QUATERNION_WXYZ:
             if float(np.linalg.norm(numbers)) < _SMALLEST:
                 raise _no_rotation(representation, "a quaternion has norm 1", numbers)
@@ -174,6 +197,10 @@ def encode_rows(rotations: Rotation, representation: RotationRepresentation, nea
     match representation:
         case kind.ROTATION_6D:
             return np.asarray(rotations.as_matrix()[:, :, :2].transpose(0, 2, 1).reshape(-1, 6))
+        case kind.ROTATION_6D_INTERLEAVED:
+            return np.asarray(rotations.as_matrix()[:, :, :2].reshape(-1, 6))
+        case kind.ROTATION_6D_ROWS:
+            return np.asarray(rotations.as_matrix()[:, :2].reshape(-1, 6))
         case kind.QUATERNION_XYZW:
             return _signed_rows(rotations, near)
         case kind.QUATERNION_WXYZ:

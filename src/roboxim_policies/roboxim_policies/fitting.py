@@ -6,14 +6,14 @@ Each wire's metadata declare other things. What they do not declare, ``roboxim p
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from roboxim_core.actions import ControlMode
 from roboxim_core.config import to_json
 from roboxim_core.conventions import Convention
 from roboxim_core.differences import differences
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_policies.fitting_vla_eval import declared_misfits
 from roboxim_policies.wires import Metadata
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part
@@ -25,26 +25,21 @@ ACTION_SPACES = {
     "cartesian_velocity": (ControlMode.END_EFFECTOR_DELTA,),
 }
 """RoboArena's ``action_space``. DROID's velocities are motions per step, hence also joint deltas."""
-ROTATION_FORMATS = {
-    "axis_angle": (RotationRepresentation.ROTATION_VECTOR,),
-    "euler_xyz": (RotationRepresentation.EULER_XYZ_EXTRINSIC, RotationRepresentation.EULER_XYZ_INTRINSIC),
-    "rotation_6d": (RotationRepresentation.ROTATION_6D,),
-    "rot6d": (RotationRepresentation.ROTATION_6D,),
-    "quaternion": (RotationRepresentation.QUATERNION_XYZW, RotationRepresentation.QUATERNION_WXYZ),
-}
-"""vla-eval's formats of rotations; a format that is not listed is not checked."""
 
 
-def misfits(wire: str, metadata: Metadata, convention: Convention) -> list[str]:
+def misfits(wire: str, metadata: Metadata, convention: Convention, ignore: Collection[str] = ()) -> list[str]:
     """Return in words what a server declares otherwise than a convention says; empty: it fits.
 
     Args:
         wire: Registered name of the wire; one without checks fits every convention.
         metadata: The server's metadata.
         convention: The convention.
+        ignore: Names of declarations of vla-eval's servers that are not compared.
     """
     if OWN_SERVER in metadata:
         return _own(metadata[OWN_SERVER], convention)
+    if wire == "vla_eval":
+        return declared_misfits(metadata, convention, ignore)
     check = _CHECKS.get(wire)
     return check(metadata, convention) if check else []
 
@@ -91,11 +86,16 @@ def _roboarena(metadata: Metadata, convention: Convention) -> list[str]:
 def _starvla(metadata: Metadata, convention: Convention) -> list[str]:
     found = []
     chunk = metadata.get("action_chunk_size")
-    if isinstance(chunk, int) and not convention.chunking.execute <= chunk <= convention.chunking.horizon:
-        found.append(
-            f"it answers {chunk} actions, the convention executes {convention.chunking.execute} of at most "
-            f"{convention.chunking.horizon}"
-        )
+    if isinstance(chunk, int) and chunk < convention.chunking.execute:
+        found.append(f"it answers {chunk} actions, the convention executes {convention.chunking.execute}")
+    size = metadata.get("training_obs_image_size")
+    if isinstance(size, list) and len(size) == 2:
+        found += [
+            f"it was trained with pictures of {size[0]} x {size[1]} px, '{image.key}' is {image.width} x "
+            f"{image.height} px"
+            for image in convention.images
+            if sorted([image.height, image.width]) != sorted(size)
+        ]
     if metadata.get("state_keys") and not convention.states:
         found.append("it needs a state, the convention sends none")
     return found
@@ -126,40 +126,6 @@ def _stand_alone(metadata: Metadata, convention: Convention) -> list[str]:
     return found
 
 
-def _vla_eval(metadata: Metadata, convention: Convention) -> list[str]:
-    found: list[str] = []
-    spec = metadata.get("action_spec")
-    if isinstance(spec, dict):
-        parts = [part for part in spec.values() if isinstance(part, dict)]
-        formats = [str(part.get("format")) for part in parts]
-        sizes = [part.get("dims") for part in parts]
-        if parts and all(isinstance(size, int) and size > 0 for size in sizes):
-            total = sum(size for size in sizes if isinstance(size, int))
-            if total != convention.action.raw_size:
-                found.append(f"its actions have {total} numbers, the convention's {convention.action.raw_size}")
-        for name in formats:
-            found += _vla_eval_format(name, convention)
-    wanted = metadata.get("observation_params")
-    if isinstance(wanted, dict):
-        if wanted.get("send_state") is True and not convention.states:
-            found.append("it needs a state, the convention sends none")
-        if wanted.get("send_wrist_image") is True and not any("wrist" in image.key for image in convention.images):
-            found.append("it needs a wrist picture, the convention sends none")
-    return found
-
-
-def _vla_eval_format(name: str, convention: Convention) -> list[str]:
-    action, gripper = convention.action, convention.action.gripper
-    if name in ROTATION_FORMATS and action.rotation not in ROTATION_FORMATS[name]:
-        return [f"its rotations are '{name}', the convention's '{action.rotation}'"]
-    if name == "delta_xyz" and action.control != ControlMode.END_EFFECTOR_DELTA:
-        return [f"its actions are motions of the end effector, the convention's '{action.control}'"]
-    closing = {"binary_close_positive": True, "binary_close_negative": False}.get(name)
-    if closing is not None and (gripper.closed > gripper.open) != closing:
-        return [f"its gripper is '{name}', in the convention {gripper.open:g} opens and {gripper.closed:g} closes"]
-    return []
-
-
 def _groot(metadata: Metadata, convention: Convention) -> list[str]:
     config = metadata.get("modality_config")
     config = config if isinstance(config, dict) else {}
@@ -187,6 +153,5 @@ def _groot(metadata: Metadata, convention: Convention) -> list[str]:
 
 _CHECKS: dict[str, Callable[[Metadata, Convention], list[str]]] = {
     "openpi": _openpi,
-    "vla_eval": _vla_eval,
     "groot": _groot,
 }

@@ -123,6 +123,7 @@ class RemotePolicy(BasePolicy):
         self.lag = self.convention.action.lag
         self._fits: Metadata | None = None
         self._seed = 0
+        self._most_rows = 0
         self._without_states = replace(self.convention, states=())
 
     def __enter__(self) -> Self:
@@ -151,7 +152,7 @@ class RemotePolicy(BasePolicy):
         Raises:
             PolicyError: ``POLICY_FAULT``, naming every difference.
         """
-        found = misfits(self.wire.name(), metadata, self.convention)
+        found = misfits(self.wire.name(), metadata, self.convention, self.wire.ignored)
         if found:
             self.wire.close()
             raise PolicyError(
@@ -182,18 +183,28 @@ class RemotePolicy(BasePolicy):
         return self.decoded(self.raw(window))
 
     def raw(self, window: ObservationWindow) -> Floats:
-        """Return the server's numbers for a window, shape (n, D).
+        """Return the server's numbers for a window, all of them, shape (n, D).
 
         Raises:
             PolicyError: As `act`.
         """
         answer = self.wire.ask(self.request(window))
-        if set(answer) == {"actions"}:
-            return answer["actions"]
         try:
-            return joined_answer(self.convention, answer)
+            rows = answer["actions"] if set(answer) == {"actions"} else joined_answer(self.convention, answer)
         except InvalidRequestError as error:
             raise self._invalid(str(error)) from None
+        self._most_rows = max(self._most_rows, len(rows))
+        return rows
+
+    def notices(self) -> tuple[str, ...]:
+        """Return in sentences what a user should know of the answers so far, e.g. after `probe`."""
+        chunking = self.convention.chunking
+        if self._most_rows <= chunking.horizon:
+            return ()
+        return (
+            f"{self.wire.server} answers {self._most_rows} actions; the first {chunking.horizon} are used (horizon of "
+            f"the convention '{self.convention.name}')",
+        )
 
     def request(self, window: ObservationWindow) -> dict[str, Any]:
         """Return what is sent for a window."""
@@ -208,8 +219,10 @@ class RemotePolicy(BasePolicy):
         Args:
             raw: The server's numbers, shape (n, D).
 
+        Only the first ``horizon`` ones are used, as the families' own clients do; see `notices`.
+
         Raises:
-            PolicyError: ``INVALID_ACTION`` when there are too few, too many, or they have no meaning.
+            PolicyError: ``INVALID_ACTION`` when there are too few, or they have no meaning.
         """
         chunking = self.convention.chunking
         if len(raw) < chunking.execute and OWN_SERVER not in (self._fits or {}):  # a policy's own chunks may be shorter
@@ -217,10 +230,8 @@ class RemotePolicy(BasePolicy):
                 f"the answer has {len(raw)} actions, the convention executes {chunking.execute}; the model may be "
                 "another one, or the convention's chunking is wrong"
             )
-        if len(raw) > chunking.horizon:
-            raise self._invalid(f"the answer has {len(raw)} actions, the convention has at most {chunking.horizon}")
         try:
-            return decode_actions(self.convention, raw)
+            return decode_actions(self.convention, raw[: chunking.horizon])
         except InvalidRequestError as error:
             raise self._invalid(str(error)) from None
 

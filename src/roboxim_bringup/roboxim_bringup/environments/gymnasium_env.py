@@ -85,7 +85,10 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
                 out=out,
             )  # fmt: skip
         )
-        self.metadata = {**self.metadata, "render_fps": self.session.rate_hz}
+        self.metadata = {
+            **self.metadata,
+            "render_fps": max(round(self.session.rate_hz), 1),
+        }  # whole, as video writers want
         self.task_description = ""
         """Instruction of the running episode."""
         self._run_seed, self._index = 0, -1

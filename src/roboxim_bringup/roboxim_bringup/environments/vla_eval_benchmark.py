@@ -27,6 +27,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError
 from roboxim_core.policies import ObservationWindow
 from roboxim_core.rotations import RotationRepresentation
+from roboxim_policies.fitting_vla_eval import param_misfits
 from roboxim_policies.remote import SERVERS_OWN, own_extras
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part
@@ -36,6 +37,7 @@ ROTATIONS = {
     RotationRepresentation.ROTATION_VECTOR: "axis_angle",
     RotationRepresentation.EULER_XYZ_EXTRINSIC: "euler_xyz",
     RotationRepresentation.QUATERNION_XYZW: "quaternion_xyzw",
+    RotationRepresentation.ROTATION_6D_INTERLEAVED: "rot6d_interleaved",
 }
 """vla-eval's words; another representation is declared as RoboXim calls it."""
 
@@ -67,6 +69,10 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
         send_wrist_image: bool = True,
         send_state: bool = True,
         server_convention: str = "",
+        absolute_action: bool | None = None,
+        quat_no_antipodal: bool | None = None,
+        control_mode: str | None = None,
+        send_video_history: bool | None = None,
     ) -> None:
         """Read the convention; the tasks are read when they begin.
 
@@ -81,14 +87,26 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
             send_state: Whether the state is sent.
             server_convention: The convention of RoboXim's own server as JSON; vla-eval fills it in from the server's
                 ``observation_params``.
+            absolute_action: Whether the actions are absolute poses, as a model server declares; none: it does not.
+            quat_no_antipodal: Whether the state's rotation vector follows robosuite's quaternion, likewise.
+            control_mode: Mode of ManiSkill's controller, likewise.
+            send_video_history: Whether earlier pictures are sent, likewise; RoboXim cannot.
 
         Raises:
-            ConfigError: When there is no such convention, or ``server`` and the server declares none.
+            ConfigError: When there is no such convention, it says otherwise than the model server, or it is ``server``
+                and the server declares none.
         """
         super().__init__()
         self._tasks = [tasks] if isinstance(tasks, str) else list(tasks)
         self._own = convention == SERVERS_OWN
         self._convention = _declared(server_convention) if self._own else load_convention(convention)
+        declared = {"absolute_action": absolute_action, "quat_no_antipodal": quat_no_antipodal,
+                    "control_mode": control_mode, "send_video_history": send_video_history}  # fmt: skip
+        if found := param_misfits(declared, self._convention):
+            raise ConfigError(
+                f"the model server does not fit the convention '{self._convention.name}': {'; '.join(found)}. Choose "
+                "the convention that its model was trained in (params: convention)"
+            )
         self._seed, self._max_steps, self._renderer, self._out = seed, max_steps, renderer, out
         sent = {"send_wrist_image": send_wrist_image, "send_state": send_state}
         self._leave_out = [name for name, send in sent.items() if not send]

@@ -26,7 +26,7 @@ from roboxim_bringup.runs.evaluation_checks import (
 )
 from roboxim_bringup.runs.evaluation_report import EvaluationRecord, policy_facts, write_evaluation
 from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
-from roboxim_bringup.runs.events import OnEvent, PolicyMeasured, PolicyResumed, ignore
+from roboxim_bringup.runs.events import Notice, OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_bringup.runs.folder import RunFolder
 from roboxim_bringup.runs.policies import ChosenPolicy, PolicySpec, find_policies
 from roboxim_bringup.runs.waiting import SERVER_WAIT_S
@@ -126,7 +126,7 @@ def evaluate(
     require_cameras(chosen, cells)
     if not config.other_robot:
         require_robots(chosen, cells)
-    jobs = {policy.name: _job(config, policy, text, _server(config, policy)) for policy in chosen}
+    jobs = {policy.name: _job(config, policy, text, _server(config, policy, on_event)) for policy in chosen}
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
     found = {}
@@ -169,16 +169,18 @@ def _served(policy: ChosenPolicy, executors: Sequence[Executor]) -> Iterator[Pol
         yield servers
 
 
-def _server(config: EvaluationConfig, policy: ChosenPolicy) -> dict[str, Any]:
-    """Return what identifies a remote policy's server; empty for other policies."""
+def _server(config: EvaluationConfig, policy: ChosenPolicy, on_event: OnEvent) -> dict[str, Any]:
+    """Return what identifies a remote policy's server; empty for other policies. Tell what its answers show."""
     acting = policy.acting
     if not acting.is_remote:
         return {}
     from roboxim_bringup.runs.servers import server_record
 
-    return server_record(
-        acting, RunFolder(Path(config.out) / policy.name), len(config.indices), config.policy_timeout_s
-    ).plain
+    folder = RunFolder(Path(config.out) / policy.name)
+    record = server_record(acting, folder, len(config.indices), config.policy_timeout_s)
+    for text in record.notices:
+        on_event(Notice(text=text))
+    return record.plain
 
 
 def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, server: Mapping[str, Any]) -> EpisodesJob:

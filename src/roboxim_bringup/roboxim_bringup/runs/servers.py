@@ -7,7 +7,7 @@ metadata, and a model other than the one that a folder's results come from are r
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from roboxim_bringup.runs.folder import RunFolder
@@ -26,6 +26,8 @@ class ServerRecord:
     """Wire, convention and metadata."""
     probe: Probe
     """The model's replies to a fixed request when the run began."""
+    notices: tuple[str, ...] = ()
+    """What the user should know of the replies; not recorded."""
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -61,7 +63,7 @@ def server_record(policy: ChosenPolicy, folder: RunFolder, episodes: int, timeou
                 f"{timeout_s:g} s for the policy; set --option timeout_s below --policy-timeout, so that a late server "
                 "is named"
             )
-        now = ServerRecord(facts=made.facts(), probe=made.probe())
+        now = ServerRecord(facts=made.facts(), probe=made.probe(), notices=made.notices())
     if stored is None:
         return now
     found = changed_facts(stored.facts, now.facts) or stored.probe.complaint(now.probe)
@@ -70,7 +72,7 @@ def server_record(policy: ChosenPolicy, folder: RunFolder, episodes: int, timeou
             f"{folder.path} holds {len(folder.results())} episodes of another model of policy '{policy.name}': "
             f"{found}; choose another output folder (--out or out=), or serve the first model again"
         )
-    return now if found else stored
+    return now if found else replace(stored, notices=now.notices)
 
 
 def _stored(folder: RunFolder) -> ServerRecord | None:

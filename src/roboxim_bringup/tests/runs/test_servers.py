@@ -1,8 +1,11 @@
 """The model behind a server is recorded before the first episode, and recognised when a run continues."""
 
 import json
+import threading
 
+import numpy as np
 import pytest
+from websockets.sync.server import serve
 
 from roboxim_bringup.named import Named
 from roboxim_bringup.runs.folder import RunFolder
@@ -12,6 +15,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, PolicyError
 from roboxim_policies import load_policy
 from roboxim_policies.serving import policy_server
+from roboxim_policies.wires import openpi
 
 
 def served(port=0, **options):
@@ -40,6 +44,26 @@ def test_folder_goes_on_with_the_same_model_only(tmp_path):
         server_record(policy, folder, 2, 120.0)
     with served(server.port, scale=0.1), pytest.raises(ConfigError, match="1 episodes of another model.*probe differ"):
         server_record(policy, folder, 2, 120.0)
+
+
+def test_answers_longer_than_the_convention_uses_are_told_when_a_run_begins(tmp_path):
+    def answer(connection):
+        connection.send(openpi.encode({}))
+        for _ in connection:
+            connection.send(openpi.encode({"actions": np.zeros((50, 7), np.float32)}))
+
+    with serve(answer, "127.0.0.1", 0, compression=None) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        policy = chosen(f"ws://127.0.0.1:{server.socket.getsockname()[1]}", "libero")
+        record = server_record(policy, RunFolder(tmp_path / "there"), 1, 120.0)
+        server.shutdown()
+        thread.join()
+    (notice,) = record.notices
+    assert "answers 50 actions; the first 10 are used" in notice
+    assert set(record.plain) == {"server", "server_probe"}, (
+        "what a folder holds, and a run is continued by, is as before"
+    )
 
 
 def test_deadline_longer_than_the_evaluators_is_refused(tmp_path):

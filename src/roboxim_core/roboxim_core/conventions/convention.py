@@ -50,7 +50,7 @@ class Chunking(actions.Chunking):
     """How many actions an answer has, and how they are executed; a run may say otherwise."""
 
     horizon: int = 1
-    """Largest number of actions in an answer."""
+    """Largest number of actions of an answer that are used; a server may answer more."""
 
     def __post_init__(self) -> None:
         """Check the values.

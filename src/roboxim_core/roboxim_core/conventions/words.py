@@ -29,6 +29,8 @@ _ROTATIONS = {
     RotationRepresentation.EULER_XYZ_INTRINSIC: "angles about x, then the turned y, then the turned z",
     RotationRepresentation.ROTATION_VECTOR: "rotation vector (axis times angle)",
     RotationRepresentation.ROTATION_6D: "first two columns of the rotation matrix",
+    RotationRepresentation.ROTATION_6D_INTERLEAVED: "first two columns of the rotation matrix, read row by row",
+    RotationRepresentation.ROTATION_6D_ROWS: "first two rows of the rotation matrix",
     RotationRepresentation.QUATERNION_XYZW: "quaternion x, y, z, w",
     RotationRepresentation.QUATERNION_WXYZ: "quaternion w, x, y, z",
     RotationRepresentation.NONE: "none",

@@ -391,7 +391,9 @@ def _proprioception(known: dict[str, Any]) -> Proprioception:
     return Proprioception(**{"joint_names": names, "joint_positions": zeros, "joint_velocities": zeros, **known})
 
 
-def request_of(convention: Convention, images: Mapping[str, Any], state: Any, text: str) -> dict[str, Any]:
+def request_of(
+    convention: Convention, images: Mapping[str, Any], state: Any, text: str, apart: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Return the request of a convention for a client that names pictures otherwise.
 
     A picture is found by its key, then by its key's last part, then as a wrist picture, then by the order.
@@ -401,11 +403,15 @@ def request_of(convention: Convention, images: Mapping[str, Any], state: Any, te
         images: The client's pictures.
         state: The client's one state vector, or None.
         text: The instruction.
+        apart: States that the client sends beside that vector, by the last part of their key; None where it does not.
 
     Raises:
         InvalidRequestError: When pictures are missing.
     """
     request: dict[str, Any] = {convention.prompt.key: text}
+    named = {last_part(item.key): item.key for item in convention.states}
+    beside = {named[key]: value for key, value in (apart or {}).items() if key in named and value is not None}
+    request |= {key: np.ravel(np.asarray(value, dtype=float)) for key, value in beside.items()}
     left = dict(images)
     for image in convention.images:
         near = [image.key, last_part(image.key), image.camera]
@@ -419,7 +425,7 @@ def request_of(convention: Convention, images: Mapping[str, Any], state: Any, te
         request[image.key] = left.pop(found)
     if convention.states and state is not None:
         values, start = np.ravel(np.asarray(state, dtype=float)), 0
-        for item in convention.states:
+        for item in (item for item in convention.states if item.key not in beside):
             end = start + item.size(convention.action.joints)
             request[item.key] = values[start:end]
             start = end

@@ -168,8 +168,9 @@ class VlaEvalServer(WebSocketServer):
         images = payload.get("images")
         state = payload.get("states", payload.get("state"))
         request = request_of(
-            convention, images if isinstance(images, dict) else {}, state, str(payload.get("task_description", ""))
-        )
+            convention, images if isinstance(images, dict) else {}, state, str(payload.get("task_description", "")),
+            apart={vla_eval.CONTROLLER_STATES: payload.get(vla_eval.CONTROLLER_STATES)},
+        )  # fmt: skip
         if openpi.OWN_SERVER in payload:  # a client of RoboXim sends the measurements as they are
             request[openpi.OWN_SERVER] = payload[openpi.OWN_SERVER]
         return "action", {"actions": session.answer(request).astype(np.float32)[0]}

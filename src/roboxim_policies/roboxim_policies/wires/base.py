@@ -91,6 +91,8 @@ class Wire(ABC):
         """Key of the instruction in requests."""
         self.action_keys: tuple[str, ...] = ("actions",)
         """Keys of the actions in answers, on wires whose answers are maps that the model chooses."""
+        self.ignored: tuple[str, ...] = ()
+        """Names of what the server declares that are not compared with the convention."""
         self._metadata: Metadata | None = None
         self._is_open = False
 

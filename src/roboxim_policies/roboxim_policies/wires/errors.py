@@ -39,6 +39,25 @@ def unreadable(message: str) -> PolicyError:
     return fault(f"the server's message cannot be read: {message}")
 
 
+REDIRECTS = (300, 301, 302, 303, 307, 308)
+"""HTTP statuses that send a client to another address."""
+
+
+def redirected(server: str, status: int, location: Any) -> PolicyError:
+    """Return the error of a server that sends its client elsewhere. No wire follows: it would tell others what it sees.
+
+    Args:
+        server: Name of the server, for the message.
+        status: HTTP status.
+        location: Address that the server named; None: none.
+    """
+    where = f" to {printable(location, 200)}" if location else ""
+    return fault(
+        f"{server} redirects{where} (HTTP status {status}); RoboXim follows no redirect. If that is the policy server, "
+        "give its address as url"
+    )
+
+
 def quoted(text: Any) -> str:
     """Return the part of a server's text that tells most: a traceback's last line, or the beginning."""
     text = printable(text, 20_000).strip()

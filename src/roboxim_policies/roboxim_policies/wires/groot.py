@@ -9,6 +9,9 @@ one a server has:
 | N1.6 (4e62473d5226), N1.7 (23ace64f) | the same | a map | ``.npy`` | groups |
 | N1.7 from May 2026 | ``__ModalityConfig__`` | a map | msgpack-numpy | groups |
 
+A server that was started with ``--use-sim-policy-wrapper``, as the examples of N1.6 and N1.7 do, has the same
+configuration but takes flat keys (``video.image``, ``state.x``) with a batch axis, and answers ``action.x``.
+
 N1 and the first N1.5 exchange pickles; they are recognised and refused. ``kill``, which stops a server, is never sent.
 """
 
@@ -43,6 +46,9 @@ if TYPE_CHECKING:
     import zmq
 
 CONFIG_MARKERS = ("__ModalityConfig_class__", "__ModalityConfig__")
+WANTS_FLAT_KEYS = ("Video key 'video.", "State key 'state.")
+"""How a server with ``--use-sim-policy-wrapper`` begins to complain of observations in groups.
+Source: NVIDIA/Isaac-GR00T, gr00t/policy/gr00t_policy.py, Gr00tSimPolicyWrapper.check_observation."""
 PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"ERROR")
 """How the replies of the first servers begin: torch.save archives, pickles, and their one error."""
 
@@ -169,7 +175,8 @@ class GrootWire(Wire):
             timeout_s: Deadline of each operation [s].
             reconnect_s: Time in which a refused connection is tried again [s].
             key_env: Environment variable with the key, sent as ``api_token``.
-            sim_policy_wrapper: Whether the server (N1.6 or later) runs with ``--use-sim-policy-wrapper``.
+            sim_policy_wrapper: Whether the server (N1.6 or later) runs with ``--use-sim-policy-wrapper``. It need not
+                be said: a server that asks for flat keys gets them.
 
         Raises:
             ConfigError: On a wrong argument.
@@ -209,7 +216,13 @@ class GrootWire(Wire):
             self._call("reset", {"options": None}, deadline)
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:
-        reply = self._call("get_action", self._observation(request), deadline)
+        try:
+            reply = self._call("get_action", self._observation(request), deadline)
+        except PolicyError as error:
+            if self._wrapped or self._serialiser.flat or not any(text in str(error) for text in WANTS_FLAT_KEYS):
+                raise
+            self._wrapped = True  # its configuration does not tell; its complaint does
+            reply = self._call("get_action", self._observation(request), deadline)
         if isinstance(reply, list) and reply:
             reply = reply[0]
         if not isinstance(reply, dict):

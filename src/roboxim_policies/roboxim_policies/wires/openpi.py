@@ -104,7 +104,8 @@ class OpenPiWire(Wire):
 
     def __init__(
         self, url: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S, key_env: str = "",
-        dialect: str = "", unnorm_key: str = "",
+        dialect: str = "", unnorm_key: str = "", do_sample: bool = False, use_ddim: bool = True,
+        num_ddim_steps: int = 10,
     ) -> None:  # fmt: skip
         """Describe the server without connecting to it.
 
@@ -115,6 +116,9 @@ class OpenPiWire(Wire):
             key_env: Environment variable with the key, sent as ``Authorization: Api-Key``.
             dialect: ``openpi``, ``roboarena`` or ``starvla``; empty: as the metadata tell.
             unnorm_key: Dataset whose statistics StarVLA un-normalises with; empty: the server's only one.
+            do_sample: Whether StarVLA samples words instead of taking the likeliest.
+            use_ddim: Whether StarVLA's diffusion heads take DDIM's steps, as its own clients ask.
+            num_ddim_steps: Number of these steps.
 
         Raises:
             ConfigError: On a wrong argument.
@@ -124,6 +128,9 @@ class OpenPiWire(Wire):
             raise ConfigError(f"unknown dialect '{dialect}'; {one_of(list(Dialect), dialect)}")
         self._asked_dialect = dialect
         self._unnorm_key = unnorm_key
+        if isinstance(num_ddim_steps, bool) or not 1 <= num_ddim_steps <= 1_000:
+            raise ConfigError(f"num_ddim_steps must be from 1 to 1000, got {num_ddim_steps}")
+        self._sampling = {"do_sample": do_sample, "use_ddim": use_ddim, "num_ddim_steps": num_ddim_steps}
         self._dialect = Dialect.OPENPI
         self._session = ""
         self._socket: WebSocket | None = None
@@ -181,7 +188,7 @@ class OpenPiWire(Wire):
         if parts.numbers:
             example["state"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()])[None].astype("<f4")
         keyed = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
-        return {"examples": [example], **parts.extras, **keyed}
+        return {"examples": [example], **self._sampling, **parts.extras, **keyed}
 
     def _actions(self, reply: Any) -> Answer:
         if self._dialect == Dialect.STARVLA and isinstance(reply, dict):

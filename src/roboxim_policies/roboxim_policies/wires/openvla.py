@@ -28,7 +28,17 @@ from roboxim_core.errors import InvalidRequestError, PolicyError
 from roboxim_core.limits import echo
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, rows_of
 from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S, WIRES, Answer, Metadata, Request, Wire, plain_metadata
-from roboxim_policies.wires.errors import GATEWAY, Deadline, died, fault, invalid, quoted, unreadable
+from roboxim_policies.wires.errors import (
+    GATEWAY,
+    REDIRECTS,
+    Deadline,
+    died,
+    fault,
+    invalid,
+    quoted,
+    redirected,
+    unreadable,
+)
 from roboxim_policies.wires.openpi import OWN_SERVER
 
 
@@ -187,6 +197,8 @@ class OpenVlaWire(Wire):
             connection.close()
         if watch.ended:
             raise deadline.passed(what)
+        if response.status in REDIRECTS:
+            raise redirected(self.server, response.status, response.getheader("Location"))
         return response.status, data
 
     def _read(self, response: http.client.HTTPResponse) -> bytes:

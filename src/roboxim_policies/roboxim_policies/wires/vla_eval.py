@@ -39,6 +39,8 @@ from roboxim_policies.wires.websocket import WebSocket
 HARNESS_VERSION = "0.8.0"
 PROTOCOL_VERSION = 1
 FORMATS = ("raw", "png")
+CONTROLLER_STATES = "controller_states"
+"""Key of a state that is sent beside ``states``: measured in the controller's frame. X-VLA's server prefers it."""
 
 
 def encode_array(array: np.ndarray[Any, Any]) -> dict[str, Any]:
@@ -126,7 +128,12 @@ def observation(request: Request, prompt_key: str, *, leave_out: Collection[str]
     }
     payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
     if parts.numbers and "send_state" not in leave_out:
-        payload["states"] = np.concatenate([np.ravel(value) for value in parts.numbers.values()]).astype("<f4")
+        beside = {key: value for key, value in parts.numbers.items() if last_part(key) == CONTROLLER_STATES}
+        states = [np.ravel(value) for key, value in parts.numbers.items() if key not in beside]
+        if states:
+            payload["states"] = np.concatenate(states).astype("<f4")
+        for value in beside.values():
+            payload[CONTROLLER_STATES] = np.ravel(value).astype("<f4")
     return payload
 
 
@@ -138,7 +145,7 @@ class VlaEvalWire(Wire):
 
     def __init__(
         self, url: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S, key_env: str = "",
-        image_format: str = "raw",
+        image_format: str = "raw", ignore: str = "",
     ) -> None:  # fmt: skip
         """Describe the server without connecting to it.
 
@@ -148,6 +155,8 @@ class VlaEvalWire(Wire):
             reconnect_s: Time in which a refused connection is tried again [s].
             key_env: Not used by this protocol.
             image_format: How pictures are sent: ``raw``, the fastest, or ``png``, smaller.
+            ignore: Names of what the server declares that do not change what its numbers mean, separated by spaces;
+                RoboXim refuses what it does not understand.
 
         Raises:
             ConfigError: On a wrong argument.
@@ -156,6 +165,7 @@ class VlaEvalWire(Wire):
         if image_format not in FORMATS:
             raise ConfigError(f"image_format must be 'raw' or 'png', got '{image_format}'")
         self._image_format = image_format
+        self.ignored = tuple(str(ignore).split())
         self._socket: WebSocket | None = None
         self._seq = 0
         self._began = 0

@@ -6,10 +6,10 @@ import contextlib
 import socket
 import struct
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
-from roboxim_policies.wires.errors import GATEWAY, Deadline, died, fault, quoted
+from roboxim_policies.wires.errors import GATEWAY, REDIRECTS, Deadline, died, fault, quoted, redirected
 
 if TYPE_CHECKING:
     from roboxim_core.errors import PolicyError
@@ -23,7 +23,7 @@ class WebSocket:
 
     It sends no keepalive pings: a server that computes an action answers none, and would be taken for dead. Messages
     are not compressed, as the servers ask. A message whose header announces more than the bound is refused before its
-    data is read. Proxies are not used.
+    data is read. Proxies are not used, and redirects are not followed.
     """
 
     def __init__(self, url: str, server: str, deadline: Deadline, headers: Mapping[str, str] | None = None) -> None:
@@ -40,13 +40,26 @@ class WebSocket:
                 the server refuses the handshake.
         """
         from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
-        from websockets.sync.client import connect
+        from websockets.sync.client import ClientConnection, connect
+
+        class Direct(ClientConnection):
+            """A connection that ends with an error of its own at a redirect, so that it is not followed."""
+
+            def handshake(self, *arguments: Any, **options: Any) -> None:
+                try:
+                    super().handshake(*arguments, **options)
+                except InvalidStatus as error:
+                    response = error.response
+                    if response.status_code in REDIRECTS:
+                        raise redirected(server, response.status_code, response.headers.get("Location")) from None
+                    raise
 
         self._server = server
         try:
             self._connection = connect(
                 url, additional_headers=dict(headers or {}), compression=None, proxy=None, max_size=MESSAGE_BYTES,
                 open_timeout=deadline.left(server), ping_interval=None, close_timeout=CLOSING_S, legacy=True,
+                create_connection=Direct,
             )  # fmt: skip
         except TimeoutError:
             raise deadline.passed(f"the opening handshake of {server}") from None

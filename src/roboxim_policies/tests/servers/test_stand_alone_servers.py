@@ -285,12 +285,58 @@ def test_missing_weights_are_refused_with_what_to_do(script, arguments, words):
 
 
 def environment_python(name):
-    python = ROOT / ".tools" / f"{name}-env/bin/python"
-    if not python.exists():
-        pytest.skip(
-            f"the environment of {name} is not installed; run: .venv/bin/python scripts/make_environment.py {name}"
-        )
-    return str(python)
+    """Return the Python of an environment; it is made from its lock unless it exists."""
+    made = subprocess.run(
+        [sys.executable, ROOT / "scripts/make_environment.py", name], capture_output=True, text=True, check=False
+    )
+    assert made.returncode == 0, made.stdout + made.stderr
+    return str(ROOT / ".tools" / f"{name}-env/bin/python")
+
+
+IMPORTS = {
+    # what Octo's own code and dlimp import, and what the server does
+    "policy-octo": "distrax, einops, flax.training.orbax_utils, huggingface_hub, jax, ml_collections, msgpack, "
+    "orbax.checkpoint, tensorflow, tensorflow_datasets, tqdm, websockets.sync.server, "
+    "tensorflow_metadata.proto.v0.schema_pb2, tensorflow_metadata.proto.v0.statistics_pb2, "
+    "transformers.models.t5.modeling_flax_t5",
+    "policy-rt1": "msgpack, tensorflow, tensorflow_text, tf_agents.policies.py_tf_eager_policy, tf_agents.specs, "
+    "tf_agents.trajectories.time_step, websockets.sync.server",
+    "verify-rlds": "tensorflow, tensorflow_datasets, tensorflow_metadata.proto.v0.schema_pb2",
+}
+"""Environment to the modules that its programs import."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IMPORTS)
+def test_an_environment_imports_from_its_lock_what_its_programs_import(name):
+    """Packages that do not fit each other, such as protobuf and generated code, are found when they are imported."""
+    python = environment_python(name)
+    done = subprocess.run([python, "-c", f"import {IMPORTS[name]}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_genuine_octo_with_random_weights_answers_from_its_lock(tmp_path):
+    """Octo's own code loads its own checkpoint, and answers as the convention says."""
+    sources = os.environ.get("OCTO_SOURCE", "").split()
+    if len(sources) != 2:
+        pytest.skip("OCTO_SOURCE must name clones of octo-models/octo and kvablack/dlimp, separated by a space")
+    python = environment_python("policy-octo")
+    subprocess.run([python, HERE / "make_octo_checkpoint.py", tmp_path, *sources], check=True, capture_output=True)
+    with (
+        started(python, "octo.py", "--checkpoint", str(tmp_path)) as url,
+        RemotePolicy(OpenPiWire(url, timeout_s=800.0), "octo_two_cameras", version="1") as policy,
+    ):
+        assert policy.connect()["inputs"] == {"image_primary": [256, 256, 3], "image_wrist": [128, 128, 3]}
+        raw = episode(policy, seed=7, steps=2)
+        again = episode(policy, seed=7, steps=2)
+        other = episode(policy, seed=8, steps=1)
+    assert raw.shape == (2, 4, 7)
+    assert (np.abs(raw[..., :6]) <= 5 * 0.01 + 1e-6).all(), "Octo clips its samples to five standard deviations"
+    assert np.abs(raw[..., :6]).max() > 0.01
+    assert ((raw[..., 6] >= 0) & (raw[..., 6] <= 1)).all()
+    np.testing.assert_array_equal(raw, again)
+    assert not np.array_equal(raw[:1], other)
 
 
 @contextmanager

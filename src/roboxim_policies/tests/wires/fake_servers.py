@@ -27,6 +27,7 @@ def rows_for(behaviour: str) -> object:
         "no rows": GOOD[:0],
         "four axes": GOOD[None, None],
         "short": GOOD[:1],
+        "long": np.repeat(GOOD[:1], 50, axis=0) + np.arange(50, dtype=np.float32)[:, None] / 1000,
         "wrong dimension": GOOD[:, :6],
     }.get(behaviour, GOOD)
 
@@ -226,8 +227,10 @@ def modality_config(kind: groot.Serialiser) -> dict:
 
 @contextlib.contextmanager
 def groot_fake(
-    *behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16, token: str = "", port: int = 0
-) -> Iterator[Fake]:
+    *behaviours: str, metadata: dict | None = None, kind: groot.Serialiser = groot.N16, token: str = "", port: int = 0,
+    wrapped: bool = False,
+) -> Iterator[Fake]:  # fmt: skip
+    """Serve; ``wrapped``: as with --use-sim-policy-wrapper, which takes flat keys alone."""
     import zmq
 
     fake = Fake(*behaviours)
@@ -266,7 +269,11 @@ def groot_fake(
             rows = STALE
         keys = MODALITIES["action"][: rows.shape[-1]]
         parts = {key: rows[..., i : i + 1][None] if rows.ndim == 2 else rows for i, key in enumerate(keys)}
-        return writer.encode({f"action.{k}": v[0] for k, v in parts.items()} if kind.flat else [parts, {}])
+        return writer.encode(
+            {f"action.{k}": v[0] for k, v in parts.items()}
+            if kind.flat
+            else [{f"action.{k}": v for k, v in parts.items()} if wrapped else parts, {}]
+        )
 
     def serve() -> None:
         server = new_socket()
@@ -278,6 +285,8 @@ def groot_fake(
             endpoint = request["endpoint"]
             if token and request.get("api_token") != token:
                 server.send(kind.encode({"error": "Unauthorized: Invalid API token"}))
+            elif endpoint == "get_action" and wrapped and "video.image" not in request["data"]["observation"]:
+                server.send(kind.encode({"error": "Video key 'video.image' must be in observation"}))
             elif endpoint == "get_action":
                 behaviour = fake.next(request["data"])
                 if behaviour in ("death", "1011"):

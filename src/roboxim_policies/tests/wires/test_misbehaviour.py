@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import gc
+import http.server
 import os
 import socket
 import threading
@@ -219,9 +220,28 @@ def test_error_of_starvla_is_named(made):
         with pytest.raises(PolicyError, match="reported an error: no such key"):
             answer(wire)
         np.testing.assert_allclose(answer(wire), GOOD)
-        assert set(server.requests[-1]) == {"examples"}
+        request = server.requests[-1]
+        del request["examples"]
+        assert request == {"do_sample": False, "use_ddim": True, "num_ddim_steps": 10}, "as StarVLA's own clients send"
+        wire = made("openpi", server.url, use_ddim=False, num_ddim_steps=4)
+        answer(wire)
+        assert (server.requests[-1]["use_ddim"], server.requests[-1]["num_ddim_steps"]) == (False, 4)
         with pytest.raises(PolicyError, match="name it with unnorm_key, expected one of: oxe_bridge"):
             made("openpi", server.url, unnorm_key="oxe_brigde").connect()
+
+
+@pytest.mark.parametrize("kind", [groot.N16, groot.N17])
+@pytest.mark.parametrize("told", [True, False])
+def test_gr00ts_server_with_a_sim_policy_wrapper_gets_flat_keys(made, kind, told):
+    """Its configuration is that of one without. One that is not announced says what it misses, and is asked again."""
+    with groot_fake(kind=kind, wrapped=True) as server:
+        wire = made("groot", server.url, sim_policy_wrapper=told)
+        for _ in range(2):
+            np.testing.assert_allclose(answer(wire), GOOD)
+        asked = [request["observation"] for request in server.requests]
+    assert [set(observation) for observation in asked] == [{"video.image", "state.arm", "task"}] * 2
+    assert asked[0]["video.image"].ndim == 5
+    assert asked[0]["task"] in (["pick up the red cube"], ("pick up the red cube",))
 
 
 def test_roboarena_is_reset_with_its_session(made):
@@ -326,6 +346,57 @@ def test_server_with_other_metadata_after_a_restart_is_refused(made):
         metadata["model"] = "b"
         with pytest.raises(PolicyError, match="other metadata than at first"):
             wire.reset(START)
+
+
+@pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
+@pytest.mark.parametrize("status", [301, 302, 307, 308])
+def test_a_redirect_is_refused_by_name_and_nobody_else_is_asked(made, wire, status, monkeypatch):
+    asked = []
+
+    class Elsewhere(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self):  # noqa: N802 - http.server's name
+            asked.append(self.headers)
+            self.send_response(500)
+            self.end_headers()
+
+        do_POST = do_GET  # noqa: N815
+        log_message = lambda *_: None  # noqa: E731
+
+    class Redirecting(Elsewhere):
+        def do_GET(self):  # noqa: N802
+            self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            self.send_response(status)
+            self.send_header("Location", f"{scheme}://127.0.0.1:{other.server_port}/")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        do_POST = do_GET  # noqa: N815
+
+    scheme = "http" if wire == "openvla" else "ws"
+    monkeypatch.setenv("MY_KEY", "secret")
+    options = {"key_env": "MY_KEY"} if wire == "openpi" else {}
+    with (
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as other,
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Redirecting) as server,
+    ):
+        threads = [threading.Thread(target=each.serve_forever, args=(0.02,)) for each in (other, server)]
+        for thread in threads:
+            thread.start()
+        try:
+            expected = (
+                rf"redirects to {scheme}://127.0.0.1:{other.server_port}/ .HTTP status {status}.*follows no redirect"
+            )
+            with pytest.raises(PolicyError, match=expected) as caught:
+                answer(made(wire, f"{scheme}://127.0.0.1:{server.server_port}", reconnect_s=0.0, **options))
+        finally:
+            for each in (other, server):
+                each.shutdown()
+    for thread in threads:
+        thread.join()
+    assert caught.value.code == FAULT
+    assert not asked
 
 
 def test_first_call_of_a_minute_is_not_cut_off(made):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_servers import GOOD, groot_fake, openpi_fake, vla_eval_fake
+from fake_servers import GOOD, groot_fake, openpi_fake, rows_for, vla_eval_fake
 
 from roboxim_core.actions import ControlMode
 from roboxim_core.config import to_plain
@@ -58,6 +58,22 @@ def test_answer_that_the_convention_does_not_allow_is_an_invalid_action(behaviou
         assert caught.value.code == code
 
 
+@pytest.mark.parametrize(("spec", "fake"), [("openpi", openpi_fake), ("vla_eval", vla_eval_fake)])
+def test_of_a_long_answer_the_first_rows_are_used_and_the_run_says_so(spec, fake):
+    """openpi's pi0_libero answers 50 actions; its own client takes the first ones."""
+    with fake(*["long"] * 4) as server, remote(server.url, "libero", spec=spec) as policy:
+        assert not policy.notices()
+        guard = GuardedPolicy(policy)
+        guard.reset(START)
+        chunk = guard.act(probe_window(LIBERO))
+        replies = policy.probe().replies
+        (notice,) = policy.notices()
+    expected = LIBERO.action.decode(rows_for("long")[:10], LIBERO.frames)
+    np.testing.assert_allclose(chunk.actions, expected, rtol=1e-6)
+    assert {len(reply) for reply in replies} == {50 * 7}, "the model is recognised by all of its numbers"
+    assert "answers 50 actions; the first 10 are used (horizon of the convention 'libero')" in notice
+
+
 def test_remote_policy_needs_a_version():
     with pytest.raises(ConfigError, match="version"):
         load_policy("openpi", url="ws://localhost:1", convention="libero")
@@ -89,7 +105,8 @@ def test_server_without_a_convention_of_its_own_is_named():
         ({"needs_wrist_camera": True, "n_external_cameras": 2}, DROID, "needs 2 external cameras"),
         ({"needs_stereo_camera": True}, DROID, "stereo"),
         ({"image_resolution": [180, 320]}, DROID, "320 x 180 px.*224 x 224"),
-        ({"action_chunk_size": 16}, LIBERO, "answers 16 actions"),
+        ({"action_chunk_size": 4}, LIBERO, "answers 4 actions, the convention executes 5"),
+        ({"action_chunk_size": 16}, LIBERO, ""),
         ({"action_chunk_size": 8, "state_keys": []}, LIBERO, ""),
         ({"roboxim": {"convention": to_plain(LIBERO)}}, LIBERO, ""),
         ({"roboxim": {"convention": to_plain(LIBERO)}}, DROID, "use convention=server"),
@@ -112,7 +129,7 @@ def test_openpi_metadata_are_compared_with_the_convention(metadata, convention, 
     ],
 )
 def test_vla_eval_specs_are_compared_with_the_convention(part, words):
-    spec = {"a": part, "rest": {"dims": 7 - part["dims"], "format": "x"}}
+    spec = {"a": part, "rest": {"dims": 7 - part["dims"], "format": "raw"}}
     assert words in "; ".join(misfits("vla_eval", {"action_spec": spec}, LIBERO))
     assert bool(misfits("vla_eval", {"action_spec": spec}, LIBERO)) == bool(words)
     assert "have 8 numbers" in misfits("vla_eval", {"action_spec": {"all": {"dims": 8}}}, LIBERO)[0]

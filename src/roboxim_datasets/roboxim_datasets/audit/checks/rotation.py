@@ -115,7 +115,7 @@ def _rotations(episode: AuditEpisode) -> list[_Rotations]:
         found += _unknown("action", episode.actions)
     elif semantics.control in (ControlMode.END_EFFECTOR_DELTA, ControlMode.END_EFFECTOR_ABSOLUTE):
         kind = semantics.rotation
-        if kind != RotationRepresentation.ROTATION_6D:
+        if not kind.is_continuous:
             values = episode.actions[:, 3 : 3 + kind.size]
             found.append(_Rotations(label="action", kind=kind, values=values, names=kind.component_names))
     for field, values in episode.proprio.items():
