@@ -145,7 +145,7 @@ def _of_pictures(convention: Convention, pictures: Mapping[str, Picture]) -> lis
     found = []
     for image in convention.images:
         picture = pictures.get(image.key)
-        if image.turn_180:
+        if image.turn_180 and all(each.turn_180 for each in convention.images):  # X-VLA turns its wrist picture alone
             found.append(
                 f"picture '{image.key}' is sent upside down (turn_180): RoboXim's pictures are upright. Clients of "
                 "LIBERO turn its pictures because robosuite's are upside down; its policies expect upright ones"

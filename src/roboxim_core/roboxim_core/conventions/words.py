@@ -14,7 +14,7 @@ from roboxim_core.conventions.convention import Convention, decode_actions
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
-from roboxim_core.rotations import Floats, RotationRepresentation, decode
+from roboxim_core.rotations import Floats, RotationRepresentation, decode, encode, gripper_down
 
 _RESIZED = {
     Resize.PAD: "scaled to {size} with black bars where the shape differs",
@@ -221,6 +221,9 @@ def _quiet(convention: Convention) -> Floats:
     """Return numbers of no motion, with the gripper's number in the middle."""
     action = convention.action
     raw = np.zeros(action.raw_size)
+    if action.control == ControlMode.END_EFFECTOR_ABSOLUTE:  # numbers that are all 0 may be no rotation
+        down = encode(gripper_down(), action.rotation, gripper_down())
+        return action.encode([0.0, 0.0, 0.0, *down, 0.5], convention.frames)[0]
     if action.normalisation:
         raw = action.normalisation.apply(raw[None])[0]
     raw[_place(convention, action.natural_size - 1)] = action.gripper.middle

@@ -15,7 +15,7 @@ def test_a_description_names_all_keys_notes_and_sources(name):
     for part in (*named, convention.prompt.key, *convention.action.keys, *convention.notes, *convention.sources):
         assert part in text
     assert (f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate") in text
-    assert len(examples(convention)) == convention.action.raw_size + 1
+    assert len(examples(convention)) == convention.action.natural_size + 1
 
 
 def test_the_examples_say_what_one_action_does():
