@@ -223,7 +223,7 @@ def _quiet(convention: Convention) -> Floats:
     raw = np.zeros(action.raw_size)
     if action.control == ControlMode.END_EFFECTOR_ABSOLUTE:  # numbers that are all 0 may be no rotation
         down = encode(gripper_down(), action.rotation, gripper_down())
-        return action.encode([0.0, 0.0, 0.0, *down, 0.5], convention.frames)[0]
+        return np.asarray(action.encode([0.0, 0.0, 0.0, *down, 0.5], convention.frames)[0])
     if action.normalisation:
         raw = action.normalisation.apply(raw[None])[0]
     raw[_place(convention, action.natural_size - 1)] = action.gripper.middle
