@@ -150,7 +150,11 @@ def test_server_that_plays_the_expert_succeeds_in_every_convention(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", config_names("conventions"))
 def test_check_of_a_server_that_plays_the_expert_passes_in_every_convention(name, tmp_path):
-    found = checked(load_convention(name), lambda raw: raw)
+    convention = load_convention(name)
+    images = [  # the default task has one external camera
+        image if image.camera == "wrist" else replace(image, camera="workspace") for image in convention.images
+    ]
+    found = checked(replace(convention, images=tuple(images)), lambda raw: raw)
     assert found.suspicions == ()
     assert found.round_trip.is_exact, str(found.round_trip)
     compared = [line.partition(": ")[2].split("; the expert: ") for line in found.lines if "; the expert: " in line]

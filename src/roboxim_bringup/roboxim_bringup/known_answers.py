@@ -83,7 +83,7 @@ class PlayingServer:
         chunk = np.stack(rows).astype(np.float32)
         if len(keys) == 1:
             return {keys[0]: chunk}
-        sizes = [1] * len(keys) if len(keys) == chunk.shape[1] else [3, 3, 1]
+        sizes = {chunk.shape[1]: [1] * len(keys), 3: [3, 3, 1], 2: [chunk.shape[1] - 1, 1]}[len(keys)]
         return dict(zip(keys, np.split(chunk, np.cumsum(sizes)[:-1], axis=1), strict=True))
 
 

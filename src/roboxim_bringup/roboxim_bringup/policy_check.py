@@ -19,7 +19,7 @@ from roboxim_core.conventions.images import Picture
 from roboxim_core.errors import RoboximError
 from roboxim_core.policies import EpisodeStart
 from roboxim_core.rotations import Floats
-from roboxim_policies.dry_run import Answers, RoundTrip, proven, round_trip, suspicions
+from roboxim_policies.dry_run import ORIENTATIONS, Answers, RoundTrip, proven, round_trip, suspicions
 from roboxim_policies.remote import RemotePolicy
 
 ASKED = 6
@@ -83,7 +83,7 @@ def check_policy(
     pictures = {image.key: _upright(convention, image.key, requests[0][image.key]) for image in convention.images}
     seen = episode.observations[0].images
     upright = {
-        image.key: replace(image, mirror=False, layout=Layout.HWC).prepare(seen[image.camera])
+        image.key: replace(image, mirror=False, upside_down=False, layout=Layout.HWC).prepare(seen[image.camera])
         for image in convention.images
     }
     answers = Answers(
@@ -186,16 +186,18 @@ def _sheet(convention: Convention, pictures: Mapping[str, Picture], episode: Exp
         picture = pictures[image.key]
         size = (picture.shape[1], picture.shape[0])
         words = [image.key, f"camera {image.camera}, {size[0]} x {size[1]} px, {image.resize}"]
-        words.append("sent mirrored" if image.mirror else "sent as the camera sees it")
+        words.append(f"sent {ORIENTATIONS[image.mirror, image.upside_down]}")
         sheet.paste(Image.fromarray(np.ascontiguousarray(picture)), (left, 3 * LABEL_PX))
         named = proof.views.get(image.key, "") if proof else ""
         camera = next(c for c in episode.scene.cameras if c.name == image.camera)
         camera = load_camera(named) if named else camera
-        mirror = proof.mirrored if proof else image.mirror
+        known = next((other for other in family.images if other.key == image.key), image) if family else image
         title = "This family was trained on such pictures" if proof else "No proof of this family; by its own fields"
         where = f"camera {named}" if named else (proof.trained_with if proof else "")
-        told = [title, where, "mirrored: the robot's left is on the other side" if mirror else "not mirrored"]
-        sheet.paste(sketch.draw(camera, size, mirror=mirror), (left, below + 3 * LABEL_PX))
+        told = [title, where, ORIENTATIONS[known.mirror, known.upside_down]]
+        sheet.paste(
+            sketch.draw(camera, size, mirror=known.mirror, upside_down=known.upside_down), (left, below + 3 * LABEL_PX)
+        )
         for line, text in enumerate(words):
             draw.text((left + 3, line * LABEL_PX + 2), text, "black", font)
             draw.text((left + 3, below + line * LABEL_PX + 2), told[line], "black", font)

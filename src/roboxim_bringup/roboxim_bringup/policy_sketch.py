@@ -6,7 +6,7 @@ shows at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -39,16 +39,19 @@ class Sketch:
         self._poses = ScenePoses(scene, ModelLibrary())
         self._base, self._state = scene.robot.pose, state
 
-    def draw(self, camera: CameraSpec, size: tuple[int, int], *, mirror: bool) -> Image.Image:
+    def draw(
+        self, camera: CameraSpec, size: tuple[int, int], *, mirror: bool, upside_down: bool = False
+    ) -> Image.Image:
         """Return a sketch of what a camera sees.
 
         Args:
             camera: The camera.
             size: Width and height [px].
             mirror: Whether left and right are exchanged.
+            upside_down: Whether top and bottom are exchanged.
         """
         image = Image.new("RGB", size, "white")
-        pen, seen = ImageDraw.Draw(image), self._pixels(camera, size, mirror)
+        pen, seen = ImageDraw.Draw(image), self._pixels(camera, size, (mirror, upside_down))
         for start, end, colour, width in self._lines():
             steps = np.linspace(start, end, 40)
             pixels = [seen(point) for point in steps]
@@ -61,7 +64,9 @@ class Sketch:
                 pen.text(at, text, colour, font, anchor="mm", stroke_width=3, stroke_fill="white")
         return image
 
-    def _pixels(self, camera: CameraSpec, size: tuple[int, int], mirror: bool):  # type: ignore[no-untyped-def]
+    def _pixels(
+        self, camera: CameraSpec, size: tuple[int, int], exchanged: tuple[bool, bool]
+    ) -> Callable[[Floats], tuple[float, float] | None]:
         optical = self._poses.camera_poses(self._state.robot, (camera,))[camera.name].inverse()
         scale = np.array(size) / (camera.width, camera.height)
 
@@ -70,7 +75,7 @@ class Sketch:
             if place.position[2] < NEAREST_M:
                 return None
             u, v = project(camera, [place.position])[0] * scale
-            return (size[0] - 1 - u if mirror else u), v
+            return (size[0] - 1 - u if exchanged[0] else u), (size[1] - 1 - v if exchanged[1] else v)
 
         return seen
 

@@ -6,7 +6,7 @@ with what the expert does in the same situations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,14 +27,13 @@ JUMP_RAD = 0.5
 """Distance of a commanded joint position from the joint [rad] from which on it is suspicious."""
 BLANK = 2.0
 """Standard deviation of a picture's numbers, 0..255, below which it shows nothing."""
-UPRIGHT, MIRRORED = "upright", "mirrored (left and right exchanged)"
-ORIENTATIONS: Mapping[str, Callable[[Picture], Picture]] = {
-    UPRIGHT: lambda picture: picture,
-    MIRRORED: lambda picture: picture[:, ::-1],
-    "turned by 180 degrees": lambda picture: picture[::-1, ::-1],
-    "upside down": lambda picture: picture[::-1],
+ORIENTATIONS = {
+    (False, False): "upright",
+    (True, False): "mirrored (left and right exchanged)",
+    (True, True): "turned by 180 degrees",
+    (False, True): "upside down (top and bottom exchanged)",
 }
-"""How a picture may lie, relative to what the camera sees."""
+"""In words, whether left and right, and top and bottom, of a picture are exchanged, relative to what a camera sees."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,10 +175,14 @@ def _family(convention: Convention) -> tuple[object, ...]:
     return keys, convention.rate_hz, action.rotation, action.gripper.open, action.gripper.closed
 
 
-def orientation(sent: Picture, upright: Picture) -> str:
-    """Return how a sent picture lies, found in its pixels: a word of `ORIENTATIONS`."""
-    errors = [float(np.abs(sent.astype(int) - turned(upright)).mean()) for turned in ORIENTATIONS.values()]
-    return list(ORIENTATIONS)[int(np.argmin(errors))]
+def orientation(sent: Picture, upright: Picture) -> tuple[bool, bool]:
+    """Return whether left and right, and top and bottom, of a sent picture are exchanged; found in its pixels."""
+
+    def difference(exchanged: tuple[bool, bool]) -> float:
+        sides, ends = (-1 if exchange else 1 for exchange in exchanged)
+        return float(np.abs(sent.astype(int) - upright[::ends, ::sides]).mean())
+
+    return min(ORIENTATIONS, key=difference)
 
 
 def _of_orientation(convention: Convention, answers: Answers) -> list[str]:
@@ -187,15 +190,15 @@ def _of_orientation(convention: Convention, answers: Answers) -> list[str]:
     family = proven(convention)
     if family is None or family.proof is None:
         return []
-    expected = MIRRORED if family.proof.mirrored else UPRIGHT
     found = []
-    for key, picture in answers.pictures.items():
-        lies = orientation(picture, answers.upright[key])
-        if lies != expected:
+    for image in family.images:
+        lies = orientation(answers.pictures[image.key], answers.upright[image.key])
+        if lies != (image.mirror, image.upside_down):
             found.append(
-                f"picture '{key}' is sent {lies}; the genuine client sends it {expected} ({family.proof.client}, "
-                f"compared on {family.proof.date}, convention '{family.name}'). Set mirror: "
-                f"{str(family.proof.mirrored).lower()} for it"
+                f"picture '{image.key}' is sent {ORIENTATIONS[lies]}; the genuine client sends it "
+                f"{ORIENTATIONS[image.mirror, image.upside_down]} ({family.proof.client}, compared on "
+                f"{family.proof.date}, convention '{family.name}'). Give it mirror: {str(image.mirror).lower()} and "
+                f"upside_down: {str(image.upside_down).lower()}"
             )
     return found
 

@@ -374,6 +374,7 @@ SERVED_BY = {
     "vla_eval": "vla-eval",
     "openvla": "OpenVLA or OpenVLA-OFT (`POST /act`)",
     "groot": "Isaac-GR00T, N1.5 to N1.7",
+    "xvla": "X-VLA (`POST /act`)",
 }
 """Wire to the servers that speak it. Each is a policy by its wire's name."""
 

@@ -100,7 +100,7 @@ def test_pictures_that_are_not_mirrored_as_the_genuine_clients_are_named():
     found = suspicions(unmirrored, answers(honest(), unmirrored))
     assert len(found) == 2
     assert "sent upright; the genuine client sends it mirrored" in found[0]
-    assert "Set mirror: true" in found[0]
+    assert "Give it mirror: true" in found[0]
     assert suspicions(replace(LIBERO, proof=None, name="mine"), answers(honest())) == []
 
 

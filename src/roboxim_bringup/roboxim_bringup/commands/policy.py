@@ -139,7 +139,7 @@ def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: s
     (chosen,) = choose_policies([spec], (), options)
     if not chosen.is_remote:
         raise ConfigError(
-            f"policy '{spec}' has no server; the check is for openpi, vla_eval, openvla, groot and remote"
+            f"policy '{spec}' has no server; the check is for openpi, vla_eval, openvla, groot, xvla and remote"
         )
 
     from roboxim_bringup.policy_check import check_policy, save_sheet

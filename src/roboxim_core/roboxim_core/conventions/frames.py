@@ -35,6 +35,9 @@ class Frames:
     base_origin_m: Vec3 = (0.0, 0.0, 0.0)
     """Position of the robot's base in the convention's frame, along the convention's axes [m]: LIBERO's positions are
     measured from the middle of its table. Concerns states and absolute actions only."""
+    tool_offset_m: Vec3 = (0.0, 0.0, 0.0)
+    """Position of the convention's tool centre point in RoboXim's tool frame [m]: robosuite's grip site lies nearer to
+    the hand. Concerns positions of states and of absolute actions."""
     tool_axes: Axes = ("x", "y", "z")
     """The x, y and z axis of the convention's tool frame, each named by RoboXim's tool axes. Concerns absolute
     rotations, and actions in the tool's frame."""
@@ -53,6 +56,7 @@ class Frames:
                     f"{name} must name x, y and z once each, with or without a minus, e.g. [y, -x, z]; got {list(axes)}"
                 )
         limits.require_finite("base_origin_m", self.base_origin_m, limits.LENGTH_M)
+        limits.require_finite("tool_offset_m", self.tool_offset_m, limits.LENGTH_M)
         if round(float(np.linalg.det(self.base_matrix) * np.linalg.det(self.tool_matrix))) != 1:
             raise InvalidRequestError(
                 "base_axes and tool_axes must both be right-handed or both be left-handed, "

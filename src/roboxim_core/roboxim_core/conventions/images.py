@@ -73,6 +73,8 @@ class ImageInput:
     """Whether left and right are exchanged. RoboXim's pictures are upright, as a camera sees the scene. Clients of
     LIBERO turn robosuite's raw pictures by 180 degrees; these are flipped from top to bottom, so the policies were
     trained on upright, mirrored ones."""
+    upside_down: bool = False
+    """Whether top and bottom are exchanged, as in robosuite's raw pictures (X-VLA's wrist camera)."""
     jpeg_quality: int = 0
     """Quality of a JPEG round trip before resizing, as for data stored as JPEG; 0: none."""
     resize: Resize = Resize.LANCZOS3
@@ -112,14 +114,18 @@ class ImageInput:
                 f"the picture of camera '{self.camera}' must be uint8 of shape (height, width, 3), "
                 f"got {picture.dtype} of shape {picture.shape}"
             )
-        if self.mirror:
-            picture = picture[:, ::-1]
+        picture = self.turned(picture)
         if self.jpeg_quality:
             picture = _through_jpeg(picture, self.jpeg_quality)
         picture = self._cropped(self._resized(picture))
         if self.layout == Layout.CHW:
             picture = np.moveaxis(picture, 2, 0)
         return np.ascontiguousarray(picture)
+
+    def turned(self, picture: Picture) -> Picture:
+        """Return a picture, shape (height, width, 3), with its sides exchanged as the fields say; its own inverse."""
+        picture = picture[:, ::-1] if self.mirror else picture
+        return picture[::-1] if self.upside_down else picture
 
     def _resized(self, picture: Picture) -> Picture:
         height, width = picture.shape[:2]

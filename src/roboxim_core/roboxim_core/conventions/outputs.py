@@ -220,9 +220,9 @@ class ActionOutput:
         """Convert positions or motions with rotations from the convention's frames to RoboXim's."""
         positions, rotations = motion[:, :3], motion[:, 3:]
         if self.control == ControlMode.END_EFFECTOR_ABSOLUTE:
-            positions = frames.positions_in(positions)
+            turned = frames.orientations_in(decode_rows(rotations, self.rotation))
+            positions = frames.positions_in(positions) - turned.apply(frames.tool_offset_m)
             if not frames.is_plain:
-                turned = frames.orientations_in(decode_rows(rotations, self.rotation))
                 rotations = encode_rows(turned, self.rotation, gripper_down())
         elif not frames.is_plain:
             positions = frames.vectors_in(positions, tool=self._in_tool)
@@ -234,9 +234,10 @@ class ActionOutput:
         """Convert positions or motions with rotations from RoboXim's frames to the convention's."""
         positions, rotations = motion[:, :3], motion[:, 3:]
         if self.control == ControlMode.END_EFFECTOR_ABSOLUTE:
-            positions = frames.positions_out(positions)
+            held = decode_rows(rotations, self.rotation)
+            positions = frames.positions_out(positions + held.apply(frames.tool_offset_m))
             if not frames.is_plain:
-                turned = frames.orientations_out(decode_rows(rotations, self.rotation))
+                turned = frames.orientations_out(held)
                 near = frames.orientations_out(gripper_down())
                 rotations = encode_rows(turned, self.rotation, near)
         elif not frames.is_plain:

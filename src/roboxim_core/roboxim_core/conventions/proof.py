@@ -1,4 +1,4 @@
-"""The proof of a convention: with which genuine client it was compared, and what that client's pictures look like."""
+"""The proof of a convention: with which genuine client it was compared, and what its policies were trained on."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ class Proof:
     """The genuine client and its version, or the statement of its source."""
     date: str
     """Day of the comparison, ``YYYY-MM-DD``."""
-    mirrored: bool = False
-    """Whether the client's pictures have left and right exchanged."""
     trained_with: str = ""
     """Where the cameras of the training stood, in words."""
     views: dict[str, str] = field(default_factory=dict)
@@ -22,4 +20,4 @@ class Proof:
 
     def __hash__(self) -> int:
         """Return the hash, which equal ones share."""
-        return hash((self.client, self.date, self.mirrored))
+        return hash((self.client, self.date))

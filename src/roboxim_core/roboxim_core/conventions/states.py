@@ -16,7 +16,6 @@ import numpy.typing as npt
 from roboxim_core import limits
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.errors import InvalidRequestError, one_of
-from roboxim_core.poses import Vec3
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.rotations import Floats, RotationRepresentation, decode_rows, encode_rows, gripper_down
 
@@ -62,9 +61,6 @@ class StatePart:
     """Numbers of ``constant``."""
     scale: float = 1.0
     """Factor of the measurement's own unit: 1000 for millimetres. Not for ``gripper`` and ``constant``."""
-    offset_m: Vec3 = (0.0, 0.0, 0.0)
-    """Point of ``tcp_position`` in the tool's frame [m]: another simulator may call another point of the hand its tool
-    centre point."""
     components: tuple[int, ...] = ()
     """Indices of the components that are used, in this order, from 0; empty: all."""
 
@@ -86,9 +82,7 @@ class StatePart:
             raise InvalidRequestError("values: a constant part of a state needs numbers")
         elif self.field == StateField.TCP_ROTATION and self.rotation == RotationRepresentation.NONE:
             raise InvalidRequestError("rotation: a tcp_rotation needs a representation, got 'none'")
-        limits.require_finite(
-            "the numbers of a state", (*self.offset_m, *self.open, *self.closed, *self.values, self.scale), 1e6
-        )
+        limits.require_finite("the numbers of a state", (*self.open, *self.closed, *self.values, self.scale), 1e6)
         if self.scale == 0.0:
             raise InvalidRequestError("scale must not be 0")
         size = self.full_size()
@@ -227,8 +221,7 @@ class StateInput:
             if part.components:
                 block = block[:, np.argsort(part.components)]
             known = _with(known, part, block, frames)
-        offset = np.sum([part.offset_m for part in self.parts], axis=0)
-        return replace(known, tcp_positions=known.tcp_positions - known.tcp_rotations.apply(offset))
+        return replace(known, tcp_positions=known.tcp_positions - known.tcp_rotations.apply(frames.tool_offset_m))
 
     def _part(self, part: StatePart, readings: ArmReadings, frames: Frames) -> Floats:
         every = _values(part, readings, frames)
@@ -246,7 +239,7 @@ def _values(part: StatePart, readings: ArmReadings, frames: Frames) -> Floats:
 
     match part.field:
         case StateField.TCP_POSITION:
-            points = readings.tcp_positions + readings.tcp_rotations.apply(part.offset_m)
+            points = readings.tcp_positions + readings.tcp_rotations.apply(frames.tool_offset_m)
             return frames.positions_out(points) * part.scale
         case StateField.TCP_ROTATION:
             near = frames.orientations_out(Rotation.from_quat(gripper_down().as_quat()[None]))[0]

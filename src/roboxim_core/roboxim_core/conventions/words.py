@@ -15,7 +15,7 @@ from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
-from roboxim_core.rotations import Floats, RotationRepresentation, decode
+from roboxim_core.rotations import Floats, RotationRepresentation, decode, encode, gripper_down
 
 _RESIZED = {
     Resize.PAD: "scaled to {size} with black bars where the shape differs",
@@ -107,13 +107,15 @@ def _picture(image: ImageInput) -> str:
         steps.append(f"rendered at {image.render_width} x {image.render_height} px")
     if image.mirror:
         steps.append("left and right exchanged")
+    if image.upside_down:
+        steps.append("top and bottom exchanged")
     if image.jpeg_quality:
         steps.append(f"through JPEG of quality {image.jpeg_quality}")
     steps.append(_RESIZED[image.resize].format(size=f"{image.width} x {image.height} px"))
     if image.crop_area < 1.0:
         steps.append(f"the middle {100 * image.crop_area:g} % of its area, scaled up again")
     channels = "channels first" if image.layout == Layout.CHW else "channels last"
-    return ", ".join(steps) + f"; RGB, uint8, {channels}, upright"
+    return ", ".join(steps) + f"; RGB, uint8, {channels}{'' if image.upside_down else ', upright'}"
 
 
 def _windowed(convention: Convention) -> str:
@@ -243,6 +245,9 @@ def _quiet(convention: Convention) -> Floats:
     """Return numbers of no motion, with the gripper's number in the middle."""
     action = convention.action
     raw = np.zeros(action.raw_size)
+    if action.control == ControlMode.END_EFFECTOR_ABSOLUTE:  # numbers that are all 0 may be no rotation
+        down = encode(gripper_down(), action.rotation, gripper_down())
+        return np.asarray(action.encode([0.0, 0.0, 0.0, *down, 0.5], convention.frames)[0])
     if action.normalisation:
         raw = action.normalisation.apply(raw[None])[0]
     raw[_place(convention, action.natural_size - 1)] = action.gripper.middle

@@ -15,15 +15,15 @@ def test_a_description_names_all_keys_notes_and_sources(name):
     for part in (*named, convention.prompt.key, *convention.action.keys, *convention.notes, *convention.sources):
         assert part in text
     assert (f"{convention.rate_hz:g} Hz" if convention.rate_hz else "any rate") in text
-    assert len(examples(convention)) == convention.action.raw_size + 1
+    assert len(examples(convention)) == convention.action.natural_size + 1
 
 
 def test_the_examples_say_what_one_action_does():
     assert examples(load_convention("libero"))[:2] == [
-        "[1, 0, 0, 0, 0, 0, 0]   moves 12.1 mm along +x (forwards)",
-        "[0, 1, 0, 0, 0, 0, 0]   moves 11.4 mm along +y (to the left)",
+        "[1, 0, 0, 0, 0, 0, 0]   moves 13.1 mm along +x (forwards)",
+        "[0, 1, 0, 0, 0, 0, 0]   moves 12.45 mm along +y (to the left)",
     ]
-    assert "[0, 0, 0, 1, 0, 0, 0]   turns 0.1175 rad (6.73 degrees) about +x" in examples(load_convention("libero"))
+    assert "[0, 0, 0, 1, 0, 0, 0]   turns 0.1255 rad (7.19 degrees) about +x" in examples(load_convention("libero"))
     assert examples(load_convention("droid_velocity"))[0] == "[1, 0, 0, 0, 0, 0, 0, 0.5]  turns joint 1 by 0.2 rad"
     assert examples(load_convention("rt1_widowx"))[2] == "[0, 0, 1.75, 0, 0, 0, 0]  moves 50 mm along +z (up)"
 

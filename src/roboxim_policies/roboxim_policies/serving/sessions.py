@@ -329,7 +329,7 @@ class Session:
             raise InvalidRequestError(
                 f"'{image.key}' must have {size} RGB pictures, in the layout '{image.layout}', got {value.shape}"
             )
-        frames = [frame[:, ::-1] if image.mirror else frame for frame in frames]
+        frames = [image.turned(frame) for frame in frames]
         return [self._sized(image.camera, frame) for frame in frames]
 
     def _sized(self, camera: str, picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

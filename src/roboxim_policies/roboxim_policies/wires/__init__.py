@@ -11,7 +11,7 @@ import importlib
 from roboxim_core.errors import ConfigError
 from roboxim_policies.wires.base import REFUSED, WIRES, Answer, Metadata, Request, Rows, Wire
 
-for _module in ("openpi", "vla_eval", "openvla", "groot"):
+for _module in ("openpi", "vla_eval", "openvla", "groot", "xvla"):
     importlib.import_module(f"{__name__}.{_module}")
 
 

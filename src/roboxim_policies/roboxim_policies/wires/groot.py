@@ -185,7 +185,7 @@ class GrootWire(Wire):
         self._wrapped = sim_policy_wrapper
         self._serialiser = N16
         self._keys: dict[str, list[str]] = {}
-        self._frames: dict[str, int] = {}
+        self._deltas: dict[str, list[int]] = {}
         self._connection: _Connection | None = None
 
     def _open(self, deadline: Deadline) -> Metadata:
@@ -201,7 +201,8 @@ class GrootWire(Wire):
             if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
                 raise unreadable(f"the modality keys of {group} must be a list of texts")
             self._keys[group] = keys
-            self._frames[group] = len(indices) if isinstance(indices, list) else 1
+            whole = isinstance(indices, list) and indices and all(isinstance(index, int) for index in indices)
+            self._deltas[group] = indices if whole else [0]
         if not self._keys["action"]:
             raise fault(f"{self.server} declares no actions")
         return plain_metadata({"serialiser": self._serialiser.name, "modality_config": config})
@@ -234,11 +235,11 @@ class GrootWire(Wire):
         batch = () if self._serialiser.flat else (None,)
         number = np.float64 if self._serialiser.flat else np.float32
         video = {
-            key: _framed(image, 4, self._frames["video"], key)[batch]
+            key: _framed(image, 4, self._deltas["video"], key)[batch]
             for key, image in self._chosen("video", parts).items()
         }
         state = {
-            key: _framed(np.asarray(value, number), 2, self._frames["state"], key)[batch]
+            key: _framed(np.asarray(value, number), 2, self._deltas["state"], key)[batch]
             for key, value in self._chosen("state", parts).items()
         }
         texts = [parts.text]
@@ -301,14 +302,26 @@ class GrootWire(Wire):
         self._connection = None
 
 
-def _framed(value: np.ndarray[Any, Any], axes: int, frames: int, key: str) -> np.ndarray[Any, Any]:
-    """Return an array with an axis of time in front."""
+def _framed(value: np.ndarray[Any, Any], axes: int, deltas: list[int], key: str) -> np.ndarray[Any, Any]:
+    """Return the frames that a server wants, with an axis of time in front.
+
+    Args:
+        value: One frame, or a window of frames, the newest last.
+        axes: Number of axes with that of time.
+        deltas: Ticks of the wanted frames relative to the newest, e.g. ``[-15, 0]``.
+        key: Key, for messages.
+
+    Raises:
+        InvalidRequestError: When the window does not reach back so far.
+    """
     value = value[None] if value.ndim == axes - 1 else value
-    if value.ndim != axes or len(value) != frames:
+    places = [len(value) - 1 + delta for delta in deltas]
+    if value.ndim != axes or min(places) < 0 or max(deltas) > 0:
         raise InvalidRequestError(
-            f"'{key}' must have {frames} frames in an array of {axes} axes, the convention gives shape {value.shape}"
+            f"'{key}' must have the frames {deltas} (0: the newest) in an array of {axes} axes, the convention gives "
+            f"shape {value.shape}; its window must be {1 - min(deltas)}"
         )
-    return value
+    return value[places]
 
 
 class _Connection:

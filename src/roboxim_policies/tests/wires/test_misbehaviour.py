@@ -244,6 +244,16 @@ def test_gr00ts_server_with_a_sim_policy_wrapper_gets_flat_keys(made, kind, told
     assert asked[0]["task"] in (["pick up the red cube"], ("pick up the red cube",))
 
 
+def test_gr00t_gets_the_frames_that_its_indices_name():
+    window = np.arange(16, dtype=np.uint8)[:, None, None, None] * np.ones((1, 2, 2, 3), np.uint8)
+    frames = groot._framed(window, 4, [-15, 0], "image")
+    assert frames[:, 0, 0, 0].tolist() == [0, 15]
+    assert groot._framed(window, 4, [0], "image")[:, 0, 0, 0].tolist() == [15]
+    assert groot._framed(window[0], 4, [0], "image").shape == (1, 2, 2, 3)
+    with pytest.raises(InvalidRequestError, match=r"the frames \[-15, 0\].*its window must be 16"):
+        groot._framed(window[:4], 4, [-15, 0], "image")
+
+
 def test_roboarena_is_reset_with_its_session(made):
     with openpi_fake(metadata={"needs_session_id": True, "action_space": "joint_position"}) as server:
         answer(made("openpi", server.url))
