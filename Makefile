@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -46,6 +46,10 @@ soak: setup ## generate 10,000 episodes without cameras and 2,000 with; draw mem
 
 docs: setup ## build the documentation into site/
 	$(BIN)/python scripts/docs.py $(ARGS)
+
+verify-conventions: setup ## compare conventions with genuine clients and robosuite: SOURCE="../openpi ../openvla-oft" runs clones' code
+	@$(BIN)/python scripts/make_environment.py verify-conventions
+	$(BIN)/python scripts/verify_conventions.py $(if $(SOURCE),--source $(SOURCE)) $(ARGS)
 
 verify-rlds: setup ## read an exported dataset with TensorFlow Datasets: DATASET=path
 	@test -n "$(DATASET)" || { echo "DATASET is not set; run: make verify-rlds DATASET=folder"; exit 2; }

@@ -24,6 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
 from roboxim_core.cameras import load_camera
+from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import (
     ControllerResponse,
     Convention,
@@ -285,22 +286,30 @@ def picture_table(results: dict[str, Result]) -> list[str]:
     return lines
 
 
+def run_clients(options: argparse.Namespace) -> None:
+    """Run the genuine clients, which write into ``--out``."""
+    command = [str(GENUINE), str(ROOT / "scripts" / "genuine_clients.py"), str(options.out)]
+    command += ["--source", *map(str, options.source)] if options.source else []
+    print("running the genuine clients", flush=True)
+    subprocess.run([*command, *(["--no-motion"] if options.no_motion else [])], check=True)
+
+
 def main() -> int:
     """Run the genuine clients, compare, and write what was found."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "conventions")
     parser.add_argument("--source", type=Path, nargs="*", default=[], help="clones of openpi, openvla-oft")
     parser.add_argument("--no-motion", action="store_true", help="leave out the motion of the arm (4 minutes)")
+    parser.add_argument("--keep", action="store_true", help="compare with what the clients wrote into --out before")
     options = parser.parse_args()
-    command = [str(GENUINE), str(ROOT / "scripts" / "genuine_clients.py"), str(options.out)]
-    command += ["--source", *map(str, options.source)] if options.source else []
-    print("running the genuine clients", flush=True)
-    subprocess.run([*command, *(["--no-motion"] if options.no_motion else [])], check=True)
+    if not options.keep:
+        run_clients(options)
     requests, scene = (dict(np.load(options.out / f"{name}.npz")) for name in ("requests", "scene"))
     clients, pictures = json.loads((options.out / "clients.json").read_text()), rendered(scene)
     compared = {name: compare(name, client, requests, scene, pictures) for name, client in clients.items()}
     results = {name: result for name, (result, _) in compared.items()}
-    lines = ["## What is sent", "", *picture_table(results)]
+    others = sorted(set(config_names("conventions")) - set(results))
+    lines = ["## What is sent", "", *picture_table(results), "", f"Not compared here: {', '.join(others)}."]
     found: dict[str, Any] = {"conventions": {name: asdict(result) for name, result in results.items()}}
     faults = [f"{name}: {fault}" for name, result in results.items() for fault in result.faults]
     if not options.no_motion:
