@@ -25,7 +25,7 @@ def start_detached(run_id: str | None) -> None:
     Raises:
         RoboximError: When the graph could not start, with the end of its log.
     """
-    from roboxim_ros.runs import runtime_dir
+    from roboxim_core.user_folders import runtime_dir
 
     name = run_id or f"up-{secrets.token_hex(2)}"
     arguments = [word for word in sys.argv[1:] if word != "--detach"]

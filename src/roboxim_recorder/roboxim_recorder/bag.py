@@ -64,7 +64,7 @@ def damage(path: Path) -> Iterator[None]:
         raise damaged(path, str(error) or type(error).__name__) from error
     except (struct.error, EOFError, InvalidRequestError) as error:
         raise damaged(path, str(error)) from error
-    except (ValueError, LookupError, OverflowError, MemoryError, AssertionError) as error:
+    except (ValueError, LookupError, OverflowError, MemoryError, AssertionError, RuntimeError) as error:  # lz4's, too
         raise damaged(path, f"{type(error).__name__}: {error}") from error
     except OSError as error:
         raise damaged(path, error.strerror or str(error)) from error

@@ -38,6 +38,10 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise ConfigError(f"the mesh {path} has no faces")
+    if not np.isfinite(mesh.vertices).all():
+        raise ConfigError(f"the mesh {path} has a vertex that is not a finite number")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ConfigError(f"the mesh {path} has a face of vertex {mesh.faces.max()}, of {len(mesh.vertices)} vertices")
     return mesh
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,7 +26,7 @@ from roboxim_core.models.description import (
 )
 from roboxim_core.models.hulls import hull_file, obj_references
 from roboxim_core.models.modifiers import ModifierModel
-from roboxim_core.models.urdf import urdf_object
+from roboxim_core.models.urdf import LARGEST, urdf_object
 from roboxim_core.poses import Array, Pose, Vec3
 from roboxim_core.quaternions import quat_about
 
@@ -97,6 +98,8 @@ class ObjectConfig:
             raise ConfigError(f"mesh_scale is the scale of `mesh`, which the object does not have: {where}")
         if self.mass and self.links:
             raise ConfigError("`mass` is that of an object of a mesh or a urdf: give each of the links its mass")
+        if (where := _unbounded(self)) is not None:
+            raise ConfigError(f"{where} is not a number of at most {LARGEST:g}")
         for kind, modifier in self.modifiers.items():
             modifier.check_itself(kind)
         for affordance in self.affordances:
@@ -239,6 +242,24 @@ class ObjectConfig:
             size = size or (x, y, float(high[2] - low[2]))
             rest_height = -float(low[2]) if rest_height is None else rest_height
         return ObjectModel(id=object_id, links=links, size=size, rest_height=rest_height, **values)
+
+
+def _unbounded(value: object, where: str = "") -> str | None:
+    """Return the name of the first number in a configuration that is none or beyond `LARGEST`; none: there is none."""
+    if isinstance(value, int | float):
+        return None if abs(value) <= LARGEST else where  # NaN is not
+    items: Iterable[tuple[object, object]] = ()
+    if is_dataclass(value):
+        items = ((f.name, getattr(value, f.name)) for f in fields(value))
+    elif isinstance(value, Mapping):
+        items = value.items()
+    elif isinstance(value, list | tuple):
+        items = enumerate(value)
+    for key, inner in items:
+        found = _unbounded(inner, f"{where}.{key}" if where else str(key))
+        if found is not None:
+            return found
+    return None
 
 
 def _drawn(link: LinkModel) -> tuple[Visual, ...]:

@@ -79,7 +79,7 @@ def urdf_root(path: Path) -> ElementTree.Element:
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:  # the last three: the encoding
-        raise ConfigError(f"{path} is not valid XML: {error or type(error).__name__}") from None
+        raise ConfigError(f"{path} is not valid XML: {str(error) or type(error).__name__}") from None
     for element in root.iter():
         texts = [str(element.tag), *element.attrib.values()]
         if found := next((text for text in texts if text.startswith(_XACRO) or "${" in text or "$(" in text), None):
