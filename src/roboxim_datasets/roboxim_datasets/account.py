@@ -63,6 +63,10 @@ class Account:
         """
         self._held[kind, name] += count
 
+    def knows(self, kind: Kind, name: str) -> bool:
+        """Return whether a part was noted."""
+        return (kind, name) in self._held
+
     def reads(self, kind: Kind, name: str, count: int | None = None, changed: str = "") -> None:
         """Note that a part is read.
 
