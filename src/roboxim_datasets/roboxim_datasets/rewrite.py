@@ -20,7 +20,7 @@ import numpy as np
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.config import to_json as config_json
 from roboxim_core.documents import read_json_object, read_text
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
 from roboxim_datasets.account import Part, to_json
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
@@ -29,6 +29,7 @@ from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 
+_NAME = re.compile(r"[^./\\][^/\\]{0,99}")
 CONVENTION_FILE = "convention.yaml"
 Progress = Callable[[int, int], None]
 
@@ -150,6 +151,7 @@ def write_dataset(
     path = made.path(target, settings)
     _require_outside(path, sources)
     description = stated_rate(common_description(sources, keep_keys=keep_keys), fps, sources)
+    _require_names(description, plan)
     left_out = [part for source in sources for part in source.account.left_out]
     changed = tuple(part for source in sources for part in source.account.changed)
     if not getattr(made, "maps", True):
@@ -199,6 +201,23 @@ def stated_rate(description: Description, fps: float, sources: Sequence[Dataset]
             f"{sources[0].path} says that it has {description.fps:g} steps per second, not {fps:g}; leave --fps out"
         )
     return replace(description, fps=fps)
+
+
+def _require_names(description: Description, plan: Plan) -> None:
+    """Refuse names that cannot be parts of file names and keys: they come from whoever made the sources.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED``, naming the first one.
+    """
+    features = description.features
+    names = [*plan, *features.cameras, *features.vectors, *features.signals]
+    wrong = [name for name in names if not (_NAME.fullmatch(name) and name.isprintable())]
+    if wrong:
+        raise RecorderError(
+            f"'{printable(wrong[0], 120)}' cannot be the name of a split, camera or vector of a new dataset: expected 1 to "
+            "100 printable characters without slash or leading dot; rename it in the source",
+            ErrorCode.EXPORT_REFUSED,
+        )
 
 
 def _without_maps(description: Description, plan: Plan, format: str) -> tuple[Description, list[Part]]:
