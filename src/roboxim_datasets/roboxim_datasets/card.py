@@ -83,7 +83,7 @@ def summary(dataset: Dataset, counts: Counts) -> str:
 
 def account_lines(account: Account) -> list[str]:
     """Return what a reader left out or changed, a line for each kind of thing."""
-    return [*lines("changed", account.changed), *lines("left out", account.left_out)]
+    return [*lines("note", account.changed), *lines("left out", account.left_out)]
 
 
 def summary_json(dataset: Dataset, counts: Counts) -> dict[str, Any]:

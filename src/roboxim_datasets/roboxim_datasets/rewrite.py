@@ -214,8 +214,8 @@ def _require_names(description: Description, plan: Plan) -> None:
     wrong = [name for name in names if not (_NAME.fullmatch(name) and name.isprintable())]
     if wrong:
         raise RecorderError(
-            f"'{printable(wrong[0], 120)}' cannot be the name of a split, camera or vector of a new dataset: expected 1 to "
-            "100 printable characters without slash or leading dot; rename it in the source",
+            f"'{printable(wrong[0], 120)}' cannot be the name of a split, camera or vector of a new dataset: expected "
+            "1 to 100 printable characters without slash or leading dot; rename it in the source",
             ErrorCode.EXPORT_REFUSED,
         )
 

@@ -209,5 +209,5 @@ def _print_written(written: Any) -> None:
 
     splits = ", ".join(f"{count} in {split}" for split, count in written.splits.items())
     click.echo(f"{written.path}: {splits}")
-    for line in (*lines("changed", written.changed), *lines("left out", written.left_out)):
+    for line in (*lines("note", written.changed), *lines("left out", written.left_out)):
         click.echo(line)

@@ -278,7 +278,7 @@ class RldsDataset(Dataset):
                     count = len(episode) if kind == "key" else 1
                     account.holds(kind, key, count)
                     if key in read:
-                        account.reads(kind, key, count, "" if own else _changed(leaves.get(key, {})))
+                        account.reads(kind, key, count, "" if own or kind != "key" else _changed(leaves.get(key, {})))
                     elif key in _IMPLIED or (own and key in _OWN_IMPLIED):
                         account.implies(kind, key, "the order of the steps", count)
                     else:

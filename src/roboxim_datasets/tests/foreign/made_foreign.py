@@ -141,7 +141,8 @@ def rlds(folder: Path, *, ids: tuple[int, ...] = (0, 1, 0), side: int = SIDE, te
     image = {"image": {"shape": {"dimensions": [str(side), str(side), "3"]}, "dtype": "uint8", "encodingFormat": "png"}}
     steps = _group(
         action=_tensor("float32", 7), language_instruction={"text": {}}, reward=_tensor("float32"),
-        is_first=_tensor("bool"), observation=_group(image=image, state=_tensor("float32", 7), pose=_tensor("float32", 2, 2)),
+        is_first=_tensor("bool"),
+        observation=_group(image=image, state=_tensor("float32", 7), pose=_tensor("float32", 2, 2)),
     )  # fmt: skip
     data = _group(
         steps={"sequence": {"feature": steps, "length": "-1"}}, episode_metadata=_group(episode_id=_tensor("int32"))

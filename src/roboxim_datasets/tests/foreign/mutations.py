@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 from roboxim_datasets.rlds.tfrecord import decode_example, encode_example, read_records, write_record
 
 VALUES: tuple[Any, ...] = (
-    None, "", "x", "../../x", "/etc/hostname", "a\u2028b", "{episode_index:999999999d}", 0, -1, 1, 3, 2.5, 10**9, 10**30,
+    None, "", "x", "../../x", "/etc/hostname",
+    "a\u2028b", "{episode_index:999999999d}", 0, -1, 1, 3, 2.5, 10**9, 10**30,
     True, False, [], {}, [1, 2], [[1]], {"a": 1}, float("nan"), "nan", ["x"], "0:1", "5:2", "0:1000000000",
 )  # fmt: skip
 

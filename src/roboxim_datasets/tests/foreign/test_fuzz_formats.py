@@ -28,8 +28,7 @@ def outcome(source: Path, target: Path) -> str:
         written = write_dataset(
             plan_of(dataset), target, "hdf5", how="convert", fps=0 if dataset.description.fps else 10
         )
-    except RoboximError as error:
-        assert str(error)
+    except RoboximError:
         return "refused"
     found = open_dataset(target)
     assert dict(found.splits) == dict(dataset.splits)
