@@ -68,6 +68,7 @@ class Hdf5Writer:
 
     def _write(self, group: Any, episode: Episode) -> None:
         content, length = self.content, episode.length
+        group.require_group("obs")  # also without any observation
         group.attrs["num_samples"] = length
         group.attrs["instruction"] = episode.instruction
         group.attrs["ep_meta"] = json.dumps({"lang": episode.instruction})  # as robocasa says it
